@@ -1,0 +1,62 @@
+# `make demo` and `make test` do all the set-up; everything lives in $(VENV) and out/.
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO := out/quickstart
+# The default Python where it is new enough, else one that is. Override: make PYTHON=...
+PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
+
+.PHONY: help demo test lint format bench schema venv clean
+
+help:
+	@echo "make demo   simulate, track and evaluate a small scene, with pictures, in $(DEMO)"
+	@echo "make test   run the tests"
+	@echo "make lint   ruff, mypy and the import contracts"
+	@echo "make bench  speed benchmarks (minutes)"
+	@echo "make schema write configs/schema.json anew"
+	@echo "make clean  remove $(VENV) and out"
+
+demo: $(VENV)/.installed-plot
+	$(BIN)/stereophd simulate configs/quickstart.yaml --out $(DEMO)/simulated --force
+	$(BIN)/stereophd track configs/quickstart.yaml $(DEMO)/simulated/detections.parquet \
+		--cameras $(DEMO)/simulated/cameras.yaml --out $(DEMO)/tracked --force
+	$(BIN)/stereophd evaluate $(DEMO)/tracked/tracks.parquet $(DEMO)/simulated/truth.parquet \
+		--cutoff 1 --cameras $(DEMO)/simulated/cameras.yaml --out $(DEMO)/evaluated --force
+	@echo "Pictures and report:"
+	@find $(DEMO)/evaluated -type f | sort | sed 's/^/  /'
+
+test: $(VENV)/.installed-all
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed-all
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(VENV)/.installed-all
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.installed-all
+	for script in benchmarks/*.py; do $(BIN)/python "$$script" || exit 1; done
+
+schema: $(VENV)/.installed-plot
+	schema=$$($(BIN)/stereophd config schema) && printf '%s\n' "$$schema" > configs/schema.json
+
+venv: $(VENV)/.installed-all
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "stereophd needs Python 3.11 or newer (make PYTHON=/path/to/python)" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed-plot: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[plot]"
+	@touch $@
+
+$(VENV)/.installed-all: pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[all]"
+	@touch $@ $(VENV)/.installed-plot
+
+clean:
+	rm -rf $(VENV) out

@@ -1,0 +1,150 @@
+"""The console script ``stereophd``: its commands, and what becomes of errors.
+
+Exit codes: 0 done; 1 ran, but a gate failed; 2 usage, configuration or input error; 3 internal error;
+130 interrupted (128 + the signal that ended the run). They are decided here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import errno
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+import stereophd
+from stereophd.cli import config, evaluate, simulate, track
+from stereophd.cli.options import Session
+from stereophd.errors import StereophdError
+
+EXIT_USAGE = 2
+EXIT_INTERNAL = 3
+EXIT_INTERRUPTED = 128 + signal.SIGINT
+
+# The base of all usage errors, wherever this version of typer keeps it.
+_ClickException = next(kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException")
+
+app = typer.Typer(
+    name="stereophd",
+    help="3-D tracks and camera poses from the detection logs of fixed cameras.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    # Plain help: rich's panels would double the time that --help takes.
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["--help", "-h"]},
+)
+app.command("simulate")(simulate.simulate_command)
+app.command("track")(track.track_command)
+app.command("evaluate")(evaluate.evaluate_command)
+app.add_typer(config.app, name="config")
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        print(f"stereophd {stereophd.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True),
+    ] = False,
+) -> None:
+    """3-D tracks and camera poses from the detection logs of fixed cameras."""
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments
+        Words after the program's name; default those of this process.
+    """
+    session = Session()
+    try:
+        result = app(
+            args=None if arguments is None else list(arguments),
+            prog_name="stereophd",
+            standalone_mode=False,
+            obj=session,
+        )
+        code = result if isinstance(result, int) else 0
+        if code == EXIT_INTERRUPTED:
+            return _interrupted()
+    except (KeyboardInterrupt, typer.Abort):
+        return _interrupted()
+    except SystemExit as error:
+        return error.code if isinstance(error.code, int) else EXIT_INTERNAL
+    except Exception as error:
+        if session.debug:
+            import traceback
+
+            traceback.print_exc()
+        return _explain(error)
+    return code
+
+
+def _interrupted() -> int:
+    print("interrupted; no unfinished output is left", file=sys.stderr)
+    return EXIT_INTERRUPTED
+
+
+def _explain(error: Exception) -> int:
+    """Print one clear message for an error, and return the exit code."""
+    if isinstance(error, StereophdError):
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    if isinstance(error, _ClickException):
+        _explain_usage(error)
+        return EXIT_USAGE
+    if isinstance(error, OSError) and _is_users(error):
+        print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_USAGE
+    text = " ".join(str(error).split()) or "no details"
+    print(
+        f"internal error: {type(error).__name__}: {text} (run with --debug for the traceback)",
+        file=sys.stderr,
+    )
+    return EXIT_INTERNAL
+
+
+def _explain_usage(error: Exception) -> None:
+    """Print what is wrong with the words of the command line; without any, print the help."""
+    context = getattr(error, "ctx", None)
+    if context is not None and type(error).__name__ == "NoArgsIsHelpError":
+        print(context.get_help(), file=sys.stderr)
+        return
+    name = "stereophd" if context is None else context.command_path
+    message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+    print(f"error: {message} (see '{name} --help')", file=sys.stderr)
+
+
+def _is_users(error: OSError) -> bool:
+    """Whether an error of the operating system is about a file or folder that the user named."""
+    from stereophd.io.atomic import USER_ERRNOS
+
+    return error.filename is not None and (error.errno in USER_ERRNOS or error.errno == errno.ENOENT)
+
+
+def _exit_on(number: int, frame: FrameType | None) -> None:
+    """End by a signal as an exception, so that unfinished outputs are removed on the way out."""
+    raise SystemExit(128 + number)
+
+
+def main() -> None:
+    """Console script."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        # Not where it is ignored on purpose (nohup).
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _exit_on)
+    sys.exit(run())
+
+
+if __name__ == "__main__":
+    main()

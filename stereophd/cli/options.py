@@ -1,0 +1,108 @@
+"""Options that several commands share. Nothing heavy may be imported here: ``--help`` must be quick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+@dataclass
+class Session:
+    """How a call of the command line talks: what the common options said."""
+
+    json: bool = False
+    quiet: bool = False
+    verbosity: int = 0
+    debug: bool = False
+
+
+def _set_json(context: typer.Context, value: bool) -> bool:
+    context.ensure_object(Session).json = value
+    return value
+
+
+def _set_quiet(context: typer.Context, value: bool) -> bool:
+    context.ensure_object(Session).quiet = value
+    return value
+
+
+def _set_verbosity(context: typer.Context, value: int) -> int:
+    context.ensure_object(Session).verbosity = value
+    return value
+
+
+def _set_debug(context: typer.Context, value: bool) -> bool:
+    context.ensure_object(Session).debug = value
+    return value
+
+
+Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration (YAML).", show_default=False)]
+Out = Annotated[
+    Path,
+    typer.Option(
+        "--out", metavar="DIR", help="Folder of the outputs; made if it is not there.", show_default=False
+    ),
+]
+Cameras = Annotated[
+    Path | None,
+    typer.Option(
+        "--cameras",
+        metavar="FILE",
+        help="Cameras (YAML) in place of the configuration's.",
+        show_default=False,
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a value of the configuration, such as --set filter.birth.per_frame=0.2 (repeatable).",
+        show_default=False,
+    ),
+]
+Seed = Annotated[
+    int | None,
+    typer.Option("--seed", metavar="N", help="Seed of the run.", show_default=False),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
+# The values of the following four reach the session by their callbacks, and the commands through it.
+Json = Annotated[
+    bool,
+    typer.Option("--json", help="Print one JSON document.", callback=_set_json, is_eager=True),
+]
+Quiet = Annotated[
+    bool,
+    typer.Option(
+        "--quiet",
+        "-q",
+        help="No progress or messages, and no summary: only errors, and what --json prints.",
+        callback=_set_quiet,
+        is_eager=True,
+    ),
+]
+Verbose = Annotated[
+    int,
+    typer.Option(
+        "--verbose",
+        "-v",
+        count=True,
+        metavar="",
+        help="More messages (-vv: still more).",
+        callback=_set_verbosity,
+        is_eager=True,
+        show_default=False,
+    ),
+]
+Debug = Annotated[
+    bool,
+    typer.Option(
+        "--debug",
+        help="Show the traceback of an error.",
+        callback=_set_debug,
+        is_eager=True,
+    ),
+]

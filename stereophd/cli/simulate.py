@@ -1,0 +1,40 @@
+"""``stereophd simulate``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, load, print_report, progress_bar
+
+
+def simulate_command(
+    context: typer.Context,
+    config: options.Config,
+    out: options.Out,
+    cameras: options.Cameras = None,
+    runs: Annotated[
+        int | None,
+        typer.Option(
+            "--runs", metavar="N", min=1, help="Make N runs, in folders run-0000, ...", show_default=False
+        ),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes for --runs.")] = 1,
+    overrides: options.Set = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Make up a scene: detections.parquet, truth.parquet and cameras.yaml."""
+    session = begin(context)
+    loaded = load(config, overrides, seed, cameras)
+    from stereophd.simulate import simulate
+
+    with progress_bar(session, "simulate") as progress:
+        summary = simulate(loaded, out, runs=runs, force=force, jobs=jobs, progress=progress)
+    print_report(session, summary)

@@ -1,0 +1,122 @@
+"""What a command prints: data on stdout, progress and messages on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from stereophd.cli.options import Session
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from stereophd.config_loading import LoadedConfig
+
+# 128 + SIGPIPE, as the shell reports a program that wrote into a closed pipe.
+EXIT_BROKEN_PIPE = 141
+
+# Keys of a report that are for machines; the summary on the terminal leaves them out.
+_NOT_IN_SUMMARY = frozenset({"provenance", "report_version"})
+
+
+def begin(context: typer.Context) -> Session:
+    """Return the session of a command, with the messages of the package going to stderr."""
+    import logging
+
+    session = context.ensure_object(Session)
+    level = logging.ERROR if session.quiet else max(logging.WARNING - 10 * session.verbosity, logging.DEBUG)
+    logger = logging.getLogger("stereophd")
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    # Replaced, not added: several calls may happen in one process.
+    logger.handlers = [handler]
+    logger.setLevel(level)
+    logger.propagate = False
+    return session
+
+
+def load(config: Path, overrides: list[str] | None, seed: int | None, cameras: Path | None) -> LoadedConfig:
+    """Load the configuration of a command."""
+    from stereophd.config_loading import load_config
+
+    return load_config(config, overrides or [], seed, cameras)
+
+
+def print_data(text: str) -> None:
+    """Print data on stdout; whoever reads it may have had enough (``| head``)."""
+    with quiet_pipe():
+        print(text, flush=True)
+
+
+@contextlib.contextmanager
+def quiet_pipe() -> Iterator[None]:
+    """End quietly where stdout is a pipe that was closed."""
+    try:
+        yield
+    except BrokenPipeError:
+        # Python flushes stdout once more on its way out: that must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(EXIT_BROKEN_PIPE) from None
+
+
+def to_json(report: Mapping[str, Any]) -> str:
+    """Return a report as JSON; NaN and infinity become null, which JSON knows."""
+    import json
+
+    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def print_report(session: Session, report: Mapping[str, Any]) -> None:
+    """Print a report: JSON, or a line for each value that a person may want to know."""
+    if session.json:
+        print_data(to_json(report))
+    elif not session.quiet:
+        print_data("\n".join(_lines(_plain(report))))
+
+
+def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for key, value in report.items():
+        if not prefix and key in _NOT_IN_SUMMARY:
+            continue
+        if isinstance(value, Mapping):
+            yield from _lines(value, f"{prefix}{key}.")
+        elif isinstance(value, list):
+            yield f"{prefix}{key}: {', '.join(map(str, value))}"
+        else:
+            yield f"{prefix}{key}: {value:.6g}" if isinstance(value, float) else f"{prefix}{key}: {value}"
+
+
+@contextlib.contextmanager
+def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None] | None]:
+    """Give a function (done, total) that moves a bar on stderr; None where nobody would see it."""
+    if session.quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+
+        def advance(done: float, total: float) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield advance

@@ -1,0 +1,39 @@
+"""``stereophd track``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, load, print_report, progress_bar
+
+
+def track_command(
+    context: typer.Context,
+    config: options.Config,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Detection log (Parquet).", show_default=False)],
+    out: options.Out,
+    cameras: options.Cameras = None,
+    threads: Annotated[
+        int,
+        typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it."),
+    ] = 1,
+    overrides: options.Set = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Turn a detection log into 3-D tracks: tracks.parquet, scans.parquet and report.json."""
+    session = begin(context)
+    loaded = load(config, overrides, seed, cameras)
+    from stereophd.track import track
+
+    with progress_bar(session, "track") as progress:
+        report = track(loaded, log, out, force=force, threads=threads, progress=progress)
+    print_report(session, report)

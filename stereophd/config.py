@@ -1,0 +1,406 @@
+"""Configuration models: what a YAML file may say, with units, limits and defaults.
+
+Lengths are in the unit that ``units.length`` names, times in seconds, pixels as floats with (0, 0)
+at the centre of the top-left pixel; angles are in degrees where the key ends in ``_deg``. Unknown
+keys are errors. Reading files, overrides and error messages live in `stereophd.config_loading`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from stereophd.geometry.camera import Camera, Clock, Detector
+from stereophd.geometry.lens import Lens
+from stereophd.geometry.pose import Pose, rotation_from_vector
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector2 = tuple[Finite, Finite]
+Vector3 = tuple[Finite, Finite, Finite]
+
+# A rotation matrix typed by hand with six digits passes; a reflection or a scaled matrix does not.
+ROTATION_TOLERANCE = 1e-5
+
+
+class Model(BaseModel):
+    """Base of all models: unknown keys are errors, instances are immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Units(Model):
+    """Units of all files of a run."""
+
+    length: Literal["mm", "cm", "m", "km"] = Field(
+        "m", description="unit of length of positions and baselines"
+    )
+
+
+class IntrinsicsConfig(Model):
+    """Pinhole intrinsics in pixels."""
+
+    fx: Positive = Field(description="focal length along u, px")
+    fy: Positive = Field(description="focal length along v, px")
+    cx: Finite = Field(description="principal point, px from the centre of the top-left pixel")
+    cy: Finite = Field(description="principal point, px from the centre of the top-left pixel")
+
+
+class PoseConfig(Model):
+    """Pose of a camera: x_camera = rotation @ (x_world - center)."""
+
+    center: Vector3 = Field(description="optical centre in the world")
+    rotation_matrix: tuple[Vector3, Vector3, Vector3] | None = Field(
+        None, description="rows of the rotation from world to camera axes"
+    )
+    rotation_vector_deg: Vector3 | None = Field(
+        None, description="the same rotation as axis times angle, degrees"
+    )
+    velocity: Vector3 = Field((0.0, 0.0, 0.0), description="velocity of the centre in the world, length/s")
+    rotation_rate_deg_s: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="angular velocity about the camera's own axes, deg/s"
+    )
+    time_s: Finite = Field(0.0, description="time at which center and rotation hold, for a moving camera")
+
+    @field_validator("rotation_matrix")
+    @classmethod
+    def _is_rotation(cls, rows: Any) -> Any:
+        if rows is not None:
+            matrix = np.asarray(rows, dtype=float)
+            defect = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+            if defect > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+                raise ValueError(
+                    "expected a rotation matrix (orthonormal rows, determinant +1), found "
+                    f"|R R^T - I| up to {defect:.3g} and determinant {np.linalg.det(matrix):.6g}"
+                )
+        return rows
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> PoseConfig:
+        if self.rotation_matrix is not None and self.rotation_vector_deg is not None:
+            raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both")
+        return self
+
+    def build(self) -> Pose:
+        """Return the `Pose`; without a rotation the camera looks along the world's z axis."""
+        if self.rotation_matrix is not None:
+            rotation = np.asarray(self.rotation_matrix, dtype=float)
+        else:
+            rotation = rotation_from_vector(np.deg2rad(self.rotation_vector_deg or (0.0, 0.0, 0.0)))
+        return Pose(
+            rotation=rotation,
+            center=np.asarray(self.center, dtype=float),
+            velocity=np.asarray(self.velocity, dtype=float),
+            rotation_rate=np.deg2rad(self.rotation_rate_deg_s),
+            time_s=self.time_s,
+        )
+
+
+class DetectorConfig(Model):
+    """What the detector of a camera does: noise, misses and false detections."""
+
+    sigma_px: tuple[Positive, Positive] = Field(
+        description="standard deviation of a detection along u and v, px"
+    )
+    p_detect: Annotated[float, Field(gt=0, le=1)] = Field(
+        description="probability that an object in view is detected"
+    )
+    clutter_per_frame: NonNegative = Field(
+        description="mean number of false detections a frame, uniform in the image"
+    )
+
+
+class NoDistortion(Model):
+    """No lens distortion."""
+
+    model: Literal["none"] = "none"
+
+
+class RadialDistortion(Model):
+    """One-parameter radial distortion: x_distorted = x (1 + k1 r^2)."""
+
+    model: Literal["radial"]
+    k1: Finite
+
+
+class BrownConradyDistortion(Model):
+    """OpenCV's rational model: k1..k6 radial, p1, p2 tangential."""
+
+    model: Literal["brown_conrady"]
+    k1: Finite = 0.0
+    k2: Finite = 0.0
+    p1: Finite = 0.0
+    p2: Finite = 0.0
+    k3: Finite = 0.0
+    k4: Finite = 0.0
+    k5: Finite = 0.0
+    k6: Finite = 0.0
+
+
+class FisheyeDistortion(Model):
+    """OpenCV's fisheye model: theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8)."""
+
+    model: Literal["fisheye"]
+    k1: Finite = 0.0
+    k2: Finite = 0.0
+    k3: Finite = 0.0
+    k4: Finite = 0.0
+
+
+Distortion = Annotated[
+    NoDistortion | RadialDistortion | BrownConradyDistortion | FisheyeDistortion,
+    Field(discriminator="model"),
+]
+
+
+class ClockConfig(Model):
+    """Clock of a camera: true time = offset_s + rate * time in the log."""
+
+    offset_s: Finite = 0.0
+    rate: Positive = 1.0
+
+
+class CameraConfig(Model):
+    """One camera, as in ``cameras.yaml``."""
+
+    image_size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = Field(
+        description="width and height, px"
+    )
+    intrinsics: IntrinsicsConfig
+    pose: PoseConfig
+    detector: DetectorConfig
+    distortion: Distortion = Field(default_factory=NoDistortion)
+    frame_rate_hz: Positive | None = Field(None, description="frames per second (simulate)")
+    phase_s: Finite = Field(0.0, description="time of the first frame after the start (simulate)")
+    clock: ClockConfig = Field(default_factory=ClockConfig)
+
+    def build(self, name: str) -> Camera:
+        """Return the geometric `Camera` of this name."""
+        values = self.distortion.model_dump()
+        model = values.pop("model")
+        return Camera(
+            name=name,
+            width=self.image_size_px[0],
+            height=self.image_size_px[1],
+            fx=self.intrinsics.fx,
+            fy=self.intrinsics.fy,
+            cx=self.intrinsics.cx,
+            cy=self.intrinsics.cy,
+            pose=self.pose.build(),
+            lens=Lens(model, **values),
+            detector=Detector(
+                sigma=self.detector.sigma_px,
+                p_detect=self.detector.p_detect,
+                clutter_per_frame=self.detector.clutter_per_frame,
+            ),
+            frame_rate_hz=self.frame_rate_hz,
+            phase_s=self.phase_s,
+            clock=Clock(self.clock.offset_s, self.clock.rate),
+        )
+
+
+class CamerasFile(Model):
+    """A ``cameras.yaml`` file: the cameras, and the unit that their centres are in."""
+
+    units: Units
+    cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)]
+
+
+class DisparityConfig(Model):
+    """Disparity space of every camera (paper eq. 3): d = f * baseline / z."""
+
+    baseline: Positive = Field(1.0, description="baseline of the abstract rectified companion, length")
+    rectification: Literal["horizontal", "vertical"] = Field(
+        "horizontal", description="whether the companion is beside (f = fx) or below (f = fy) the camera"
+    )
+
+
+class MotionConfig(Model):
+    """How objects move between events."""
+
+    model: Literal["constant_velocity", "static"] = "constant_velocity"
+    acceleration_std: NonNegative | tuple[NonNegative, NonNegative, NonNegative] = Field(
+        0.0,
+        description="white acceleration in the world, one value or one per axis: standard deviation of the "
+        "mean acceleration over 1 s, length/s^2 (spectral density acceleration_std^2 times 1 s)",
+    )
+    max_speed: Positive | None = Field(
+        None, description="physical limit on speed, length/s; samples above it are scaled back to it"
+    )
+
+
+class MomentsConfig(Model):
+    """How a Gaussian is carried from one disparity space to another (paper IV-B, V-B, VI-C)."""
+
+    method: Literal["qmc", "particle", "unscented", "linear"] = "qmc"
+    samples: Annotated[int, Field(ge=16, le=65536)] = Field(
+        64, description="samples per Gaussian (qmc: a power of two)"
+    )
+
+    @model_validator(mode="after")
+    def _power_of_two(self) -> MomentsConfig:
+        if self.method == "qmc" and self.samples & (self.samples - 1):
+            raise ValueError(f"samples: expected a power of two for method qmc, found {self.samples}")
+        return self
+
+
+class DisparityPrior(Model):
+    """Gaussian prior of the disparity of a new object."""
+
+    mean_px: Finite
+    std_px: Positive
+
+
+class BirthConfig(Model):
+    """Observation-driven birth (paper VI-B): every detection may be a new object."""
+
+    per_frame: Positive = Field(
+        0.1, description="expected number of new objects a frame, uniform over the image"
+    )
+    disparity: DisparityPrior | None = Field(None, description="prior of the disparity, px at the baseline")
+    depth_range: tuple[Positive, Positive] | None = Field(
+        None, description="near and far depth, length: two standard deviations either side in disparity"
+    )
+    velocity_std: Positive = Field(description="standard deviation of each component of velocity, length/s")
+
+    @model_validator(mode="after")
+    def _one_prior(self) -> BirthConfig:
+        if (self.disparity is None) == (self.depth_range is None):
+            raise ValueError("expected exactly one of disparity and depth_range")
+        if self.depth_range is not None and self.depth_range[0] >= self.depth_range[1]:
+            raise ValueError(f"depth_range: expected near < far, found {list(self.depth_range)}")
+        return self
+
+
+class ExtractionConfig(Model):
+    """Which components are reported as objects, with hysteresis."""
+
+    confirm: Annotated[float, Field(gt=0)] = Field(
+        0.5, description="reported from this weight or existence on"
+    )
+    release: Annotated[float, Field(gt=0)] = Field(
+        0.5, description="a reported object stays reported until its weight or existence falls below this"
+    )
+
+    @model_validator(mode="after")
+    def _order(self) -> ExtractionConfig:
+        if self.release > self.confirm:
+            raise ValueError(f"expected release <= confirm, found {self.release} > {self.confirm}")
+        return self
+
+
+class PhdConfig(Model):
+    """Gaussian-mixture PHD filter (paper VI, Table III)."""
+
+    kind: Literal["phd"] = "phd"
+    survival_per_s: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.99, description="probability that an object survives one second"
+    )
+    birth: BirthConfig
+    prune_weight: Positive = Field(1e-6, description="components below this weight are dropped")
+    merge_distance: NonNegative = Field(
+        7.0, description="squared Mahalanobis distance below which components merge"
+    )
+    max_components: Annotated[int, Field(ge=1)] = 1000
+    extraction: ExtractionConfig = Field(default_factory=ExtractionConfig)
+
+
+class InputConfig(Model):
+    """How a detection log is read."""
+
+    on_bad_row: Literal["error", "drop"] = Field(
+        "error",
+        description="error: the first bad row ends the run; drop: bad rows are dropped, counted and reported",
+    )
+    image_margin_px: NonNegative = Field(
+        10.0,
+        description="a detection further than this outside the image is a bad row (noise may reach over the edge)",
+    )
+
+
+class Range3(Model):
+    """An axis-aligned box in the world."""
+
+    x: tuple[Finite, Finite]
+    y: tuple[Finite, Finite]
+    z: tuple[Finite, Finite]
+
+    @model_validator(mode="after")
+    def _order(self) -> Range3:
+        for axis in ("x", "y", "z"):
+            low, high = getattr(self, axis)
+            if low > high:
+                raise ValueError(f"{axis}: expected low <= high, found [{low}, {high}]")
+        return self
+
+
+class GivenObject(Model):
+    """An object whose start and velocity are given."""
+
+    position: Vector3 = Field(description="position at birth_s")
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    birth_s: Finite | None = Field(None, description="first time; default the start of the run")
+    death_s: Finite | None = Field(None, description="last time; default the end of the run")
+
+
+class DrawnObjects(Model):
+    """Objects drawn at random in a box."""
+
+    count: Annotated[int, Field(ge=0)] = Field(description="objects alive at the start")
+    box: Range3 = Field(description="positions at the start are uniform in this box")
+    velocity_std: NonNegative = Field(
+        description="standard deviation of each component of velocity, length/s"
+    )
+    stay_in_view: Literal["all", "any", "none"] = Field(
+        "all",
+        description="draw again until the object is in view of all (any of the) cameras throughout its life",
+    )
+    births_per_s: NonNegative = Field(0.0, description="further objects appear at this rate")
+    mean_lifetime_s: Positive | None = Field(
+        None, description="exponential lifetime; default to the end of the run"
+    )
+
+
+class SimulateConfig(Model):
+    """What `simulate` makes."""
+
+    duration_s: Positive = Field(description="frames lie in [start_s, start_s + duration_s)")
+    start_s: Finite = 0.0
+    frame_rate_hz: Positive = Field(1.0, description="of cameras that state none")
+    objects: DrawnObjects | None = None
+    given: tuple[GivenObject, ...] = ()
+    acceleration_std: NonNegative | Vector3 = Field(
+        0.0, description="process noise, as motion.acceleration_std"
+    )
+    truth_rate_hz: Positive | None = Field(
+        None, description="of truth.parquet; default every distinct frame time"
+    )
+    object_id: bool = Field(
+        False, description="write the true object_id of each detection (-1 clutter) into the log"
+    )
+
+    @model_validator(mode="after")
+    def _some_objects(self) -> SimulateConfig:
+        if self.objects is None and not self.given:
+            raise ValueError("expected objects or given, found neither")
+        return self
+
+
+class Config(Model):
+    """A stereophd configuration."""
+
+    units: Units = Field(default_factory=Units)
+    seed: Annotated[int, Field(ge=0)] = 0
+    cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)] | str | None = Field(
+        None, description="the cameras, or the path of a cameras.yaml beside this file"
+    )
+    disparity: DisparityConfig = Field(default_factory=DisparityConfig)
+    motion: MotionConfig = Field(default_factory=MotionConfig)
+    moments: MomentsConfig = Field(default_factory=MomentsConfig)
+    filter: PhdConfig | None = Field(None, description="the multi-object filter (track)")
+    input: InputConfig = Field(default_factory=InputConfig)
+    simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")

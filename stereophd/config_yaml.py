@@ -1,0 +1,251 @@
+"""YAML read with the place of every key: nodes are kept, so that an error can name its line.
+
+Scalars follow the YAML 1.2 core schema (``1e-6`` is a number, ``yes`` and ``2020-01-01`` are text),
+keys are taken as written, and a key that occurs twice is an error.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from stereophd.errors import InputError
+
+KeyPath = tuple[str | int, ...]
+
+# Aliases can make a small file expand without end ("billion laughs"); no real config comes near this.
+MAX_NODES = 1_000_000
+
+_TAG = "tag:yaml.org,2002:"
+
+
+class _CoreLoader(yaml.SafeLoader):
+    """SafeLoader with the scalars of the YAML 1.2 core schema."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, Any]]] = {}  # noqa: RUF012 (PyYAML's own design)
+
+
+for _tag, _pattern, _first in (
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("null", r"~|null|Null|NULL", "~nN"),
+    ("int", r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    (
+        "float",
+        r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+    ("merge", r"<<", "<"),
+):
+    _CoreLoader.add_implicit_resolver(_TAG + _tag, re.compile(f"^(?:{_pattern})$"), list(_first))
+# PyYAML looks an empty value up under the empty string.
+_CoreLoader.add_implicit_resolver(_TAG + "null", re.compile("^$"), [""])
+
+
+def _float(text: str) -> float:
+    return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+
+_SCALARS: dict[str, Callable[[str], Any]] = {
+    "str": str,
+    "bool": lambda text: text.lower() == "true",
+    "null": lambda text: None,
+    "int": lambda text: int(text, 0) if text[:2] in ("0x", "0o") else int(text),
+    "float": _float,
+}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value was written: a file and a line (from 1), or an option of the command line."""
+
+    source: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return self.source if self.line is None else f"{self.source}:{self.line}"
+
+
+@dataclass
+class Tree:
+    """Plain data (dicts, lists, scalars), and the place of every key path in it."""
+
+    data: Any
+    places: dict[KeyPath, Place] = field(default_factory=dict)
+
+    def place(self, path: KeyPath) -> Place:
+        """Return the place of a key path, or of the nearest one above it."""
+        for length in range(len(path), -1, -1):
+            if path[:length] in self.places:
+                return self.places[path[:length]]
+        raise KeyError(path)
+
+    def graft(self, path: KeyPath, other: Tree, key: KeyPath = ()) -> None:
+        """Put the value at `key` of another tree at `path` of this one, with its places.
+
+        Raises `TypeError` where the value above `path` is not a mapping or a list.
+        """
+        value = other.data
+        for part in key:
+            value = value[part]
+        container = self.data
+        exact: list[str | int] = []
+        for part in path[:-1]:
+            if isinstance(container, dict) and container.get(str(part)) is None:
+                # A mapping that only this change makes: a fault in it is the change's fault.
+                container[str(part)] = {}
+                self.places[(*exact, str(part))] = other.place(())
+            exact.append(_key(container, part))
+            container = container[exact[-1]]
+        exact.append(_key(container, path[-1]))
+        container[exact[-1]] = value
+        path = tuple(exact)
+        for old in [old for old in self.places if old[: len(path)] == path]:
+            del self.places[old]
+        for old, place in other.places.items():
+            if old[: len(key)] == key:
+                self.places[path + old[len(key) :]] = place
+
+
+def _key(container: Any, part: str | int) -> str | int:
+    """Return the key that a part of a path means: a number may be an index, or the name of a camera."""
+    if isinstance(container, dict):
+        return str(part)
+    if isinstance(container, list) and isinstance(part, int) and part < len(container):
+        return part
+    raise TypeError(part)
+
+
+class _Builder:
+    """Turns YAML nodes into a `Tree`."""
+
+    def __init__(self, source: str, numbered: bool) -> None:
+        self._source = source
+        self._numbered = numbered
+        self._open: set[int] = set()
+        self._count = 0
+        self.places: dict[KeyPath, Place] = {}
+
+    def _place(self, node: yaml.Node) -> Place:
+        return Place(self._source, node.start_mark.line + 1 if self._numbered else None)
+
+    def build(self, node: yaml.Node, path: KeyPath, key: yaml.Node | None = None) -> Any:
+        self._count += 1
+        if id(node) in self._open or self._count > MAX_NODES:
+            raise InputError(
+                f"{self._place(node)}: expected a finite document, found aliases that expand without end"
+            )
+        # A value is where its key is; a value that an alias brings in would be elsewhere.
+        self.places[path] = self._place(key or node)
+        self._open.add(id(node))
+        try:
+            if isinstance(node, yaml.MappingNode):
+                return self._mapping(node, path)
+            if isinstance(node, yaml.SequenceNode):
+                return [self.build(item, (*path, i)) for i, item in enumerate(node.value)]
+            return self._scalar(node)
+        finally:
+            self._open.discard(id(node))
+
+    def _scalar(self, node: yaml.Node) -> Any:
+        convert = _SCALARS.get(node.tag.removeprefix(_TAG))
+        if convert is None:
+            raise InputError(f"{self._place(node)}: expected plain YAML values, found the tag {node.tag}")
+        try:
+            return convert(node.value)
+        except ValueError:
+            raise InputError(
+                f"{self._place(node)}: expected a value of {node.tag}, found {node.value!r}"
+            ) from None
+
+    def _mapping(self, node: yaml.MappingNode, path: KeyPath) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        seen: dict[str, int] = {}
+        merged: list[yaml.Node] = []
+        for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise InputError(f"{self._place(key)}: expected a plain key, found a list or mapping as key")
+            if key.tag == _TAG + "merge":
+                merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
+                continue
+            name = str(key.value)
+            if name in seen:
+                where = ".".join(map(str, (*path, name)))
+                raise InputError(
+                    f"{self._place(key)}: {where}: expected each key once, "
+                    f"found it again (first at line {seen[name]})"
+                )
+            seen[name] = key.start_mark.line + 1
+            result[name] = self.build(value, (*path, name), key)
+        for source in merged:
+            if not isinstance(source, yaml.MappingNode):
+                raise InputError(f"{self._place(source)}: expected a mapping after <<, found something else")
+            extra = _Builder(self._source, self._numbered)
+            extra._open = self._open | {id(source)}
+            extra._count = self._count
+            for name, value in extra._mapping(source, path).items():
+                if name not in result:
+                    result[name] = value
+                    prefix = (*path, name)
+                    self.places |= {p: q for p, q in extra.places.items() if p[: len(prefix)] == prefix}
+            self._count = extra._count
+        return result
+
+
+def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
+    """Parse one YAML document.
+
+    Parameters
+    ----------
+    text
+        The document.
+    source
+        File (or option) it comes from, for the messages.
+    numbered
+        Whether lines are worth naming (not for the value of an option).
+
+    Raises
+    ------
+    InputError
+        Not YAML, not text, several documents, a duplicate key, or a value that is not plain.
+    """
+    try:
+        node = yaml.compose(text, Loader=_CoreLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = Place(source, mark.line + 1 if mark and numbered else None)
+        raise InputError(
+            f"{place}: expected YAML, found a syntax error: {error.problem or error.context}"
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{source}: expected YAML text, found {str(error).splitlines()[0]}") from error
+    except RecursionError as error:
+        raise InputError(f"{source}: expected YAML, found lists or mappings nested too deeply") from error
+    builder = _Builder(source, numbered)
+    root_place = Place(source, 1 if numbered else None)
+    if node is None:
+        return Tree(None, {(): root_place})
+    data = builder.build(node, ())
+    builder.places[()] = root_place
+    return Tree(data, builder.places)
+
+
+def read_yaml(path: Path) -> tuple[Tree, bytes]:
+    """Read a YAML file, and return it with its bytes.
+
+    Raises
+    ------
+    InputError
+        The file is not there or not readable, or as `parse_yaml`.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return parse_yaml(content, str(path)), content

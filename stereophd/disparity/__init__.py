@@ -1,0 +1,1 @@
+"""Disparity space: where projection is linear and far objects stay Gaussian (paper III to V)."""

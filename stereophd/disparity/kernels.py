@@ -1,0 +1,384 @@
+"""Compiled sample trips between disparity spaces (paper IV-B a-f, V-B, VI-C).
+
+One trip takes a sample of a Gaussian in the disparity space of camera A to the world, moves it, and
+takes it to the disparity space of camera B. With the ray ``r = ((u - cx) / fx, (v - cy) / fy, 1)``
+and the inverse depth ``rho = d / (f b)`` the point of camera A is ``r / rho``; everything is kept
+multiplied by rho,
+
+    rho x_B = R_BA (r + dt rho v) + rho (t_BA + noise),
+
+so that the map is smooth through rho = 0 (a point at infinity, where motion and parallax vanish) and
+singular only where the third component, rho times the depth before B, is 0. The velocity
+``rho v = (r' - r rho' / rho)`` is the one term that grows without bound as rho goes to 0; a physical
+limit of speed keeps it below ``rho v_max``.
+
+Layout: samples (rows, n) with the sample axis last, so that the loops vectorise; packed spaces as
+`stereophd.disparity.space.DisparitySpace.packed` lays them out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.compilation import compiled, compiled_fast
+from stereophd.disparity.space import BASELINE, VERTICAL
+from stereophd.geometry.kernels import pixel_in_view
+
+Array = NDArray[np.float64]
+
+MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array]
+
+OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
+
+# A Cholesky pivot below this fraction of its diagonal entry counts as rank-deficient.
+PIVOT_TOLERANCE = 1e-11
+
+
+@compiled
+def cholesky(matrix: Array, factor: Array) -> bool:
+    """Lower Cholesky factor of a symmetric matrix (d, d); False if it is not positive definite."""
+    size = matrix.shape[0]
+    for j in range(size):
+        for i in range(j, size):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                if not total > PIVOT_TOLERANCE * matrix[j, j]:
+                    return False
+                factor[j, j] = math.sqrt(total)
+            else:
+                factor[i, j] = total / factor[j, j]
+        for k in range(j + 1, size):
+            factor[j, k] = 0.0
+    return True
+
+
+@compiled
+def condition(matrix: Array, factor: Array) -> bool:
+    """Make a covariance positive definite in place; False if it holds NaN or cannot be helped.
+
+    The diagonal is raised by growing fractions of itself, from 1e-9 to 1e-3, until the factorisation
+    succeeds: a covariance that leaves the moment transforms always has full rank.
+    """
+    if cholesky(matrix, factor):
+        return True
+    raised = 1e-9
+    while raised < 2e-3:
+        for j in range(matrix.shape[0]):
+            if not matrix[j, j] > 0.0 or matrix[j, j] == np.inf:
+                return False
+            matrix[j, j] *= 1.0 + raised
+        if cholesky(matrix, factor):
+            return True
+        raised *= 10.0
+    return False
+
+
+@compiled
+def relative_pose(source: Array, destination: Array, rotation: Array, translation: Array) -> None:
+    """Pose of the source camera's frame in the destination's: x_B = rotation x_A + translation."""
+    for a in range(3):
+        row = 9 + 3 * a
+        for b in range(3):
+            column = 9 + 3 * b
+            rotation[a, b] = (
+                destination[row] * source[column]
+                + destination[row + 1] * source[column + 1]
+                + destination[row + 2] * source[column + 2]
+            )
+        translation[a] = (
+            destination[row] * (source[6] - destination[6])
+            + destination[row + 1] * (source[7] - destination[7])
+            + destination[row + 2] * (source[8] - destination[8])
+        )
+
+
+@compiled
+def disparity_scale(space: Array) -> float:
+    """Focal length along the baseline times the baseline: d = scale / depth."""
+    focal = space[1] if space[VERTICAL] == 1.0 else space[0]
+    return focal * space[BASELINE]
+
+
+@compiled_fast
+def moving_trips(
+    mean: Array,
+    factor: Array,
+    samples: Array,
+    noise: Array,
+    position_noise: float,
+    velocity_noise: float,
+    source: Array,
+    destination: Array,
+    dt: float,
+    max_speed: float,
+    out: Array,
+) -> None:
+    """Carry the samples of one moving object from the source's space to the destination's.
+
+    Parameters
+    ----------
+    mean, factor : arrays (6,), (6, 6)
+        Gaussian in the source's space, its covariance as lower Cholesky factor.
+    samples : array (>= 6, n)
+        Standard-normal samples; the first six rows are the state's.
+    noise : array (6, n)
+        Motion noise in the destination's axes, before scaling: of position, then of velocity.
+    position_noise, velocity_noise : float
+        Scales of the noise for this interval.
+    source, destination : arrays (30,)
+        Packed spaces.
+    dt : float
+        Interval, s; any sign.
+    max_speed : float
+        Limit of speed, length/s; infinity for none.
+    out : array (7, n)
+        Filled with (u, v, d, du, dv, dd) and rho times the depth before the destination.
+    """
+    rotation = np.empty((3, 3))
+    translation = np.empty(3)
+    relative_pose(source, destination, rotation, translation)
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    t0, t1, t2 = translation[0], translation[1], translation[2]
+    per_fx, per_fy, per_scale = 1.0 / source[0], 1.0 / source[1], 1.0 / disparity_scale(source)
+    fx, fy, cx, cy = destination[0], destination[1], destination[2], destination[3]
+    scale = disparity_scale(destination)
+    m0, m1, m2, m3, m4, m5 = mean[0] - source[2], mean[1] - source[3], mean[2], mean[3], mean[4], mean[5]
+    # the factor is unrolled into scalars: the loop over samples then has no loop inside it
+    l00 = factor[0, 0]
+    l10, l11 = factor[1, 0], factor[1, 1]
+    l20, l21, l22 = factor[2, 0], factor[2, 1], factor[2, 2]
+    l30, l31, l32, l33 = factor[3, 0], factor[3, 1], factor[3, 2], factor[3, 3]
+    l40, l41, l42, l43, l44 = factor[4, 0], factor[4, 1], factor[4, 2], factor[4, 3], factor[4, 4]
+    l50, l51, l52, l53, l54, l55 = (
+        factor[5, 0],
+        factor[5, 1],
+        factor[5, 2],
+        factor[5, 3],
+        factor[5, 4],
+        factor[5, 5],
+    )
+    for i in range(samples.shape[1]):
+        a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
+        a3, a4, a5 = samples[3, i], samples[4, i], samples[5, i]
+        ray_x = (m0 + l00 * a0) * per_fx
+        ray_y = (m1 + l10 * a0 + l11 * a1) * per_fy
+        rho = (m2 + l20 * a0 + l21 * a1 + l22 * a2) * per_scale
+        ray_x_rate = (m3 + l30 * a0 + l31 * a1 + l32 * a2 + l33 * a3) * per_fx
+        ray_y_rate = (m4 + l40 * a0 + l41 * a1 + l42 * a2 + l43 * a3 + l44 * a4) * per_fy
+        rho_rate = (m5 + l50 * a0 + l51 * a1 + l52 * a2 + l53 * a3 + l54 * a4 + l55 * a5) * per_scale
+        growth = rho_rate / (rho if rho != 0.0 else 1e-300)
+        velocity_x = ray_x_rate - ray_x * growth
+        velocity_y = ray_y_rate - ray_y * growth
+        velocity_z = -growth
+        speed2 = velocity_x * velocity_x + velocity_y * velocity_y + velocity_z * velocity_z
+        limit = max_speed * abs(rho)
+        slow = limit / math.sqrt(speed2) if speed2 > limit * limit else 1.0
+        velocity_x *= slow
+        velocity_y *= slow
+        velocity_z *= slow
+        x = ray_x + dt * velocity_x
+        y = ray_y + dt * velocity_y
+        z = 1.0 + dt * velocity_z
+        p = rho * position_noise
+        q = rho * velocity_noise
+        x_b = r00 * x + r01 * y + r02 * z + rho * t0 + p * noise[0, i]
+        y_b = r10 * x + r11 * y + r12 * z + rho * t1 + p * noise[1, i]
+        z_b = r20 * x + r21 * y + r22 * z + rho * t2 + p * noise[2, i]
+        vx_b = r00 * velocity_x + r01 * velocity_y + r02 * velocity_z + q * noise[3, i]
+        vy_b = r10 * velocity_x + r11 * velocity_y + r12 * velocity_z + q * noise[4, i]
+        vz_b = r20 * velocity_x + r21 * velocity_y + r22 * velocity_z + q * noise[5, i]
+        per_z = 1.0 / z_b
+        x_b *= per_z
+        y_b *= per_z
+        rho *= per_z
+        out[0, i] = fx * x_b + cx
+        out[1, i] = fy * y_b + cy
+        out[2, i] = scale * rho
+        out[3, i] = fx * (vx_b - x_b * vz_b) * per_z
+        out[4, i] = fy * (vy_b - y_b * vz_b) * per_z
+        out[5, i] = -scale * rho * vz_b * per_z
+        out[6, i] = z_b
+
+
+@compiled_fast
+def static_trips(
+    mean: Array, factor: Array, samples: Array, source: Array, destination: Array, out: Array
+) -> None:
+    """Carry the samples of one static object; as `moving_trips` with states (3,) and out (4, n)."""
+    rotation = np.empty((3, 3))
+    translation = np.empty(3)
+    relative_pose(source, destination, rotation, translation)
+    per_fx, per_fy, per_scale = 1.0 / source[0], 1.0 / source[1], 1.0 / disparity_scale(source)
+    fx, fy, cx, cy = destination[0], destination[1], destination[2], destination[3]
+    scale = disparity_scale(destination)
+    m0, m1, m2 = mean[0] - source[2], mean[1] - source[3], mean[2]
+    for i in range(samples.shape[1]):
+        a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
+        ray_x = (m0 + factor[0, 0] * a0) * per_fx
+        ray_y = (m1 + factor[1, 0] * a0 + factor[1, 1] * a1) * per_fy
+        rho = (m2 + factor[2, 0] * a0 + factor[2, 1] * a1 + factor[2, 2] * a2) * per_scale
+        x_b = rotation[0, 0] * ray_x + rotation[0, 1] * ray_y + rotation[0, 2] + rho * translation[0]
+        y_b = rotation[1, 0] * ray_x + rotation[1, 1] * ray_y + rotation[1, 2] + rho * translation[1]
+        z_b = rotation[2, 0] * ray_x + rotation[2, 1] * ray_y + rotation[2, 2] + rho * translation[2]
+        per_z = 1.0 / z_b
+        out[0, i] = fx * x_b * per_z + cx
+        out[1, i] = fy * y_b * per_z + cy
+        out[2, i] = scale * rho * per_z
+        out[3, i] = z_b
+
+
+@compiled
+def view_mask(points: Array, destination: Array, mask: Array) -> int:
+    """Mark the samples in view of the destination (in front, inside the distorted image); count them."""
+    depth = points[points.shape[0] - 1]
+    right, bottom = destination[4] - 0.5, destination[5] - 0.5
+    distorted = destination[18] != 0.0
+    count = 0
+    for i in range(points.shape[1]):
+        u, v = points[0, i], points[1, i]
+        if distorted:
+            seen = depth[i] > 0.0 and pixel_in_view(destination, u, v)
+        else:
+            seen = (depth[i] > 0.0) & (u >= -0.5) & (u <= right) & (v >= -0.5) & (v <= bottom)
+        mask[i] = 1.0 if seen else 0.0
+        count += seen
+    return count
+
+
+@compiled_fast
+def weighted_moments(points: Array, weights: Array, total: float, mean: Array, covariance: Array) -> None:
+    """Mean (d,) and covariance (d, d) of the columns of points (>= d, n); overwrites points.
+
+    Columns of weight 0 may hold NaN or infinity.
+    """
+    size = mean.shape[0]
+    samples = points.shape[1]
+    for a in range(size):
+        row = points[a]
+        shift = 0.0
+        for i in range(samples):
+            shift += row[i] * weights[i] if weights[i] > 0.0 else 0.0
+        shift /= total
+        mean[a] = shift
+        for i in range(samples):
+            row[i] = row[i] - shift if weights[i] > 0.0 else 0.0
+    for a in range(size):
+        row = points[a]
+        for b in range(a + 1):
+            other = points[b]
+            second = 0.0
+            for i in range(samples):
+                second += weights[i] * row[i] * other[i]
+            covariance[a, b] = second / total
+            covariance[b, a] = covariance[a, b]
+
+
+@compiled
+def missed_moments(
+    mean: Array,
+    factor: Array,
+    samples: Array,
+    mask: Array,
+    p_detect: float,
+    minimum: int,
+    missed_mean: Array,
+    missed_covariance: Array,
+) -> None:
+    """Gaussian (in its own space) of the part of a component that was not detected (paper VI-C, Fig. 8).
+
+    The samples are weighted by 1 - p_detect in view and 1 outside; where too few effective samples
+    remain to carry a covariance, the Gaussian is kept as it is and only its weight changes.
+    """
+    size = mean.shape[0]
+    count = samples.shape[1]
+    weights = np.empty(count)
+    total = 0.0
+    squares = 0.0
+    for i in range(count):
+        weights[i] = 1.0 - p_detect * mask[i]
+        total += weights[i]
+        squares += weights[i] * weights[i]
+    unit_mean = np.zeros(size)
+    unit_covariance = np.eye(size)
+    if total * total >= minimum * squares and total > 0.0:
+        points = samples[:size].copy()
+        weighted_moments(points, weights, total, unit_mean, unit_covariance)
+    for a in range(size):
+        missed_mean[a] = mean[a]
+        for b in range(a + 1):
+            missed_mean[a] += factor[a, b] * unit_mean[b]
+    for a in range(size):
+        for b in range(a + 1):
+            value = 0.0
+            for c in range(a + 1):
+                for d in range(b + 1):
+                    value += factor[a, c] * unit_covariance[c, d] * factor[b, d]
+            missed_covariance[a, b] = value
+            missed_covariance[b, a] = value
+
+
+@compiled
+def move_components(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    samples: Array,
+    noise: Array,
+    destination: Array,
+    p_detect: float,
+    max_speed: float,
+    minimum: int,
+    moved: MovedArrays,
+) -> None:
+    """Move every component into the destination's space and split it by the field of view.
+
+    Component by component, with no state shared between them: results do not depend on how the
+    components are shared out over threads. Parameters as in `stereophd.disparity.moments.move`;
+    `moved` is the tuple (means, covariances, fraction, status, missed_means, missed_covariances),
+    filled in place.
+    """
+    out_means, out_covariances, fraction, status, missed_means, missed_covariances = moved
+    size = means.shape[1]
+    count = samples.shape[1]
+    points = np.empty((size + 1, count))
+    mask = np.empty(count)
+    factor = np.empty((size, size))
+    scratch = np.empty((size, size))
+    for k in range(means.shape[0]):
+        status[k] = OUT_OF_VIEW
+        fraction[k] = 0.0
+        if not cholesky(covariances[k], factor):
+            continue
+        if size == 6:
+            interval = abs(dts[k])
+            velocity_noise = math.sqrt(interval)
+            position_noise = velocity_noise * dts[k]
+            moving_trips(
+                means[k], factor, samples, noise, position_noise, velocity_noise,
+                homes[k], destination, dts[k], max_speed, points,
+            )  # fmt: skip
+        else:
+            static_trips(means[k], factor, samples, homes[k], destination, points)
+        seen = view_mask(points, destination, mask)
+        if seen < minimum:
+            continue
+        weighted_moments(points, mask, float(seen), out_means[k], out_covariances[k])
+        if not condition(out_covariances[k], scratch):
+            continue
+        fraction[k] = seen / count
+        status[k] = IN_VIEW if seen == count else PARTLY_IN_VIEW
+        if seen < count:
+            missed_moments(
+                means[k], factor, samples, mask, p_detect, minimum, missed_means[k], missed_covariances[k]
+            )
+            if not condition(missed_covariances[k], scratch):
+                missed_means[k] = means[k]
+                missed_covariances[k] = covariances[k]

@@ -1,0 +1,229 @@
+"""Compiled first-order moves between disparity spaces, and moments in the world.
+
+The first-order move is the extended Kalman filter's: the Jacobian of the trip of
+`stereophd.disparity.kernels.moving_trips`, carried column by column (forward differentiation).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.compilation import compiled
+from stereophd.disparity.kernels import (
+    cholesky,
+    condition,
+    disparity_scale,
+    relative_pose,
+    weighted_moments,
+)
+
+Array = NDArray[np.float64]
+
+# White acceleration over dt moves the position by dt^1.5 (xi_1 / 2 + xi_2 / sqrt(12)) and the velocity
+# by dt^0.5 xi_1: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
+POSITION_WITH_VELOCITY = 0.5
+POSITION_ALONE = 1.0 / math.sqrt(12.0)
+
+# In the world a Gaussian in disparity has no moments (1 / d); samples more than this factor further
+# away than the mean disparity are left out of them.
+FARTHEST_SAMPLE = 10.0
+
+
+@compiled
+def linear_move(
+    mean: Array,
+    factor: Array,
+    noise_axes: Array,
+    source: Array,
+    destination: Array,
+    dt: float,
+    max_speed: float,
+    out_mean: Array,
+    out_covariance: Array,
+) -> None:
+    """Carry a Gaussian (6,) over to first order.
+
+    `noise_axes` (3, 3) holds, column by column, the acceleration noise of the world's axes in the
+    destination's axes, scaled by its standard deviation. Other arguments as `moving_trips`.
+    """
+    rotation = np.empty((3, 3))
+    translation = np.empty(3)
+    relative_pose(source, destination, rotation, translation)
+    per = np.array([1.0 / source[0], 1.0 / source[1], 1.0 / disparity_scale(source)])
+    scales = np.array([destination[0], destination[1], disparity_scale(destination)])
+    ray = np.array([(mean[0] - source[2]) * per[0], (mean[1] - source[3]) * per[1], 1.0])
+    rho = mean[2] * per[2]
+    growth = mean[5] * per[2] / (rho if rho != 0.0 else 1e-300)
+    velocity = np.array([mean[3] * per[0] - ray[0] * growth, mean[4] * per[1] - ray[1] * growth, -growth])
+    speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+    slow = max_speed * abs(rho) / speed if speed > max_speed * abs(rho) else 1.0
+    velocity *= slow
+    point = np.zeros(3)
+    moved_velocity = np.zeros(3)
+    for a in range(3):
+        point[a] = rho * translation[a]
+        for b in range(3):
+            point[a] += rotation[a, b] * (ray[b] + dt * velocity[b])
+            moved_velocity[a] += rotation[a, b] * velocity[b]
+    per_z = 1.0 / point[2]
+    x, y, rho_b = point[0] * per_z, point[1] * per_z, rho * per_z
+    x_rate = (moved_velocity[0] - x * moved_velocity[2]) * per_z
+    y_rate = (moved_velocity[1] - y * moved_velocity[2]) * per_z
+    rho_rate = -rho_b * moved_velocity[2] * per_z
+    out_mean[0] = scales[0] * x + destination[2]
+    out_mean[1] = scales[1] * y + destination[3]
+    out_mean[2] = scales[2] * rho_b
+    out_mean[3] = scales[0] * x_rate
+    out_mean[4] = scales[1] * y_rate
+    out_mean[5] = scales[2] * rho_rate
+
+    interval = abs(dt)
+    position_noise = math.sqrt(interval) * dt
+    columns = np.zeros((6, 12))
+    tangent = np.zeros(6)
+    d_ray = np.zeros(3)
+    d_velocity = np.zeros(3)
+    d_point = np.zeros(3)
+    d_moved = np.zeros(3)
+    for c in range(12):
+        for a in range(6):
+            tangent[a] = factor[a, c] if c < 6 else 0.0
+        d_ray[0], d_ray[1] = tangent[0] * per[0], tangent[1] * per[1]
+        d_rho = tangent[2] * per[2]
+        d_growth = (tangent[5] * per[2] - growth * d_rho) / (rho if rho != 0.0 else 1e-300)
+        d_velocity[0] = slow * (tangent[3] * per[0] - d_ray[0] * growth - ray[0] * d_growth)
+        d_velocity[1] = slow * (tangent[4] * per[1] - d_ray[1] * growth - ray[1] * d_growth)
+        d_velocity[2] = -slow * d_growth
+        for a in range(3):
+            d_point[a] = d_rho * translation[a]
+            d_moved[a] = 0.0
+            for b in range(3):
+                d_point[a] += rotation[a, b] * (d_ray[b] + dt * d_velocity[b])
+                d_moved[a] += rotation[a, b] * d_velocity[b]
+            if 6 <= c < 9:
+                d_point[a] += rho * position_noise * POSITION_WITH_VELOCITY * noise_axes[a, c - 6]
+                d_moved[a] += rho * math.sqrt(interval) * noise_axes[a, c - 6]
+            elif c >= 9:
+                d_point[a] += rho * position_noise * POSITION_ALONE * noise_axes[a, c - 9]
+        d_x = (d_point[0] - x * d_point[2]) * per_z
+        d_y = (d_point[1] - y * d_point[2]) * per_z
+        d_rho_b = (d_rho - rho_b * d_point[2]) * per_z
+        columns[0, c] = scales[0] * d_x
+        columns[1, c] = scales[1] * d_y
+        columns[2, c] = scales[2] * d_rho_b
+        vz, d_vz = moved_velocity[2], d_moved[2]
+        columns[3, c] = scales[0] * (d_moved[0] - d_x * vz - x * d_vz - x_rate * d_point[2]) * per_z
+        columns[4, c] = scales[1] * (d_moved[1] - d_y * vz - y * d_vz - y_rate * d_point[2]) * per_z
+        columns[5, c] = scales[2] * (-d_rho_b * vz - rho_b * d_vz - rho_rate * d_point[2]) * per_z
+    for a in range(6):
+        for b in range(6):
+            total = 0.0
+            for c in range(12):
+                total += columns[a, c] * columns[b, c]
+            out_covariance[a, b] = total
+
+
+@compiled
+def linear_components(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    noise_axes: Array,
+    destination: Array,
+    max_speed: float,
+    out_means: Array,
+    out_covariances: Array,
+) -> None:
+    """`linear_move` of every component, overwriting `out_means` (n, d) and `out_covariances` (n, d, d).
+
+    A static component (d = 3) is moved as one with velocity 0. A component whose first-order covariance
+    is not positive definite keeps what the arrays hold.
+    """
+    size = means.shape[1]
+    source_factor = np.empty((size, size))
+    scratch = np.empty((size, size))
+    factor = np.zeros((6, 6))
+    source_mean = np.zeros(6)
+    mean = np.empty(6)
+    covariance = np.empty((6, 6))
+    for k in range(means.shape[0]):
+        if not cholesky(covariances[k], source_factor):
+            continue
+        factor[:size, :size] = source_factor
+        source_mean[:size] = means[k]
+        linear_move(
+            source_mean, factor, noise_axes, homes[k], destination, dts[k], max_speed, mean, covariance
+        )
+        if condition(covariance[:size, :size], scratch):
+            out_means[k] = mean[:size]
+            out_covariances[k] = covariance[:size, :size]
+
+
+@compiled
+def world_components(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    samples: Array,
+    noise: Array,
+    max_speed: float,
+    out_means: Array,
+    out_covariances: Array,
+) -> None:
+    """Mean and covariance in the world (x, y, z, vx, vy, vz) of every component, moved by its dt.
+
+    `noise` (6, n) is the motion noise in the world's axes. Components whose mean disparity is not
+    positive (an object at infinity has no position) are left as NaN.
+    """
+    size = means.shape[1]
+    count = samples.shape[1]
+    points = np.empty((6, count))
+    weights = np.empty(count)
+    factor = np.empty((size, size))
+    mean = np.empty(size)
+    covariance = np.empty((size, size))
+    for k in range(means.shape[0]):
+        out_means[k] = np.nan
+        out_covariances[k] = np.nan
+        home, dt = homes[k], dts[k]
+        if not means[k, 2] > 0.0 or not cholesky(covariances[k], factor):
+            continue
+        scale = disparity_scale(home)
+        velocity_noise = math.sqrt(abs(dt))
+        state = np.zeros(6)
+        total = 0.0
+        for i in range(count):
+            for a in range(size):
+                state[a] = means[k, a]
+                for b in range(a + 1):
+                    state[a] += factor[a, b] * samples[b, i]
+            weights[i] = 1.0 if state[2] * FARTHEST_SAMPLE >= means[k, 2] else 0.0
+            total += weights[i]
+            depth = scale / state[2]
+            x, y = (state[0] - home[2]) / home[0] * depth, (state[1] - home[3]) / home[1] * depth
+            growth = state[5] / state[2]
+            vx = state[3] / home[0] * depth - x * growth
+            vy = state[4] / home[1] * depth - y * growth
+            vz = -depth * growth
+            speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+            slow = max_speed / speed if speed > max_speed else 1.0
+            for a in range(3):
+                velocity = slow * (home[9 + a] * vx + home[12 + a] * vy + home[15 + a] * vz)
+                points[a, i] = (
+                    home[6 + a] + home[9 + a] * x + home[12 + a] * y + home[15 + a] * depth + dt * velocity
+                )
+                points[3 + a, i] = velocity
+                if size == 6:
+                    points[a, i] += velocity_noise * dt * noise[a, i]
+                    points[3 + a, i] += velocity_noise * noise[3 + a, i]
+        weighted_moments(points, weights, total, mean, covariance)
+        out_means[k, :size] = mean
+        out_covariances[k, :size, :size] = covariance
+        out_means[k, size:] = 0.0
+        out_covariances[k, size:, :] = 0.0
+        out_covariances[k, :, size:] = 0.0

@@ -1,0 +1,247 @@
+"""Gaussians carried between disparity spaces: particle, quasi-Monte Carlo, unscented and linear moves.
+
+`move` is the paper's particle prediction and particle move (IV-B a-e, V-B, Algorithm 2) with the split
+of a component into a detected and a missed part by the field of view (VI-C, Fig. 8). The part in view
+is a Gaussian in the destination's space; the part that is not seen keeps a Gaussian in the space and at
+the time that it came from, because beyond the field of view (and behind the camera) the destination's
+space describes it badly. No covariance that leaves this module is rank-deficient.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.disparity import kernels, linear_kernels
+from stereophd.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
+from stereophd.disparity.samples import SampleSets, cubature_points
+from stereophd.motion import ConstantVelocity, Motion
+
+__all__ = ["IN_VIEW", "OUT_OF_VIEW", "PARTLY_IN_VIEW", "Moved", "minimum_in_view", "move", "world_moments"]
+
+Array = NDArray[np.float64]
+
+# A Gaussian refitted from fewer samples than this is rank-deficient or soon overconfident.
+FEWEST_SAMPLES = 24
+# Below this many sample trips a step is over before a second thread has started.
+TRIPS_PER_THREAD = 20_000
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Components carried into the disparity space of one camera at one time.
+
+    Attributes
+    ----------
+    means, covariances : arrays (n, d), (n, d, d)
+        The part in view, in the destination's space; only where `status` is not `OUT_OF_VIEW`.
+    fraction : array (n,)
+        Part of the component that is in view, 0 to 1.
+    status : array (n,) of int
+        `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`.
+    missed_means, missed_covariances : arrays (n, d), (n, d, d)
+        The part that was not detected, in the space and at the time of origin; only where `status` is
+        `PARTLY_IN_VIEW` (of a component wholly in view the missed part has the shape of the whole).
+    """
+
+    means: Array
+    covariances: Array
+    fraction: Array
+    status: NDArray[np.int64]
+    missed_means: Array
+    missed_covariances: Array
+
+
+def minimum_in_view(samples: int) -> int:
+    """Fewest samples in view from which a Gaussian is fitted: 24, or an eighth, of at least 48."""
+    return max(min(FEWEST_SAMPLES, samples // 2), samples // 8)
+
+
+def move(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    destination: Array,
+    motion: Motion,
+    sets: SampleSets,
+    turn: int,
+    p_detect: float = 1.0,
+    threads: int = 1,
+) -> Moved:
+    """Carry Gaussians into the disparity space of a camera, over an interval of time.
+
+    Parameters
+    ----------
+    means, covariances : arrays (n, d), (n, d, d)
+        Gaussians in the disparity spaces of their home cameras; d is 6, or 3 for static objects.
+    homes : array (n, 30)
+        Packed home space of each component (`DisparitySpace.packed`), at the component's time.
+    dts : array (n,)
+        Time from each component to the destination, s; any sign.
+    destination : array (30,)
+        Packed space to go to.
+    motion : Motion
+        How objects move in the world.
+    sets : SampleSets
+        Samples, and with them the method.
+    turn : int
+        Number of the event: picks the set.
+    p_detect : float
+        Probability of detection inside the image, for the missed part.
+    threads : int
+        Components are shared out over this many threads; the result does not depend on it.
+
+    Returns
+    -------
+    Moved
+    """
+    samples = sets.turn(turn)
+    noise = _motion_noise(samples, motion, destination[9:18].reshape(3, 3))
+    moved = _allocate(means)
+    todo = np.arange(len(means))
+    if sets.method in ("unscented", "linear"):
+        todo = _low_order(means, covariances, homes, dts, destination, motion, sets.method, moved)
+    _run(
+        means, covariances, homes, dts, samples, noise, destination, p_detect,
+        _max_speed(motion), moved, todo, threads,
+    )  # fmt: skip
+    return Moved(*moved)
+
+
+def world_moments(
+    means: Array, covariances: Array, homes: Array, dts: Array, motion: Motion, sets: SampleSets, turn: int
+) -> tuple[Array, Array]:
+    """Mean (n, 6) and covariance (n, 6, 6) in the world of Gaussians in disparity space, after `dts`.
+
+    By the moments of the samples. A component whose mean disparity is not positive is at infinity and
+    has no position: its rows are NaN. Samples more than ten times further away than the mean are left
+    out (a Gaussian in disparity has no moments in depth). For static objects the velocity is 0.
+    Parameters as `move`.
+    """
+    samples = sets.turn(turn)
+    noise = _motion_noise(samples, motion, np.eye(3))
+    out_means = np.empty((len(means), 6))
+    out_covariances = np.empty((len(means), 6, 6))
+    linear_kernels.world_components(
+        means, covariances, homes, dts, samples, noise, _max_speed(motion), out_means, out_covariances
+    )
+    return out_means, out_covariances
+
+
+def _max_speed(motion: Motion) -> float:
+    speed = motion.max_speed if isinstance(motion, ConstantVelocity) else None
+    return np.inf if speed is None else float(speed)
+
+
+def _allocate(means: Array) -> kernels.MovedArrays:
+    count, size = means.shape
+    return (
+        np.zeros((count, size)),
+        np.zeros((count, size, size)),
+        np.zeros(count),
+        np.zeros(count, dtype=np.int64),
+        np.zeros((count, size)),
+        np.zeros((count, size, size)),
+    )
+
+
+def _motion_noise(samples: Array, motion: Motion, rotation: Array) -> Array:
+    """Unit motion noise (6, n): position and velocity rows, rotated into the destination's axes."""
+    if not isinstance(motion, ConstantVelocity):
+        return np.zeros((6, 0))
+    axes = rotation * motion.acceleration_std
+    with_velocity, alone = samples[6:9], samples[9:12]
+    position = linear_kernels.POSITION_WITH_VELOCITY * with_velocity + linear_kernels.POSITION_ALONE * alone
+    return np.concatenate([axes @ position, axes @ with_velocity])
+
+
+@cache
+def _cubature(rows: int) -> Array:
+    return cubature_points(rows)
+
+
+def _low_order(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    destination: Array,
+    motion: Motion,
+    method: str,
+    moved: kernels.MovedArrays,
+) -> NDArray[np.intp]:
+    """Move by the unscented or the linear rule; return which components still need samples.
+
+    Those are the components with a point outside the image: a handful of points says nothing about
+    which part of a Gaussian is in view.
+    """
+    points = _cubature(12 if means.shape[1] == 6 else 3)
+    rotation = destination[9:18].reshape(3, 3)
+    noise = _motion_noise(points, motion, rotation)
+    max_speed = _max_speed(motion)
+    kernels.move_components(
+        means, covariances, homes, dts, points, noise, destination, 1.0, max_speed, points.shape[1], moved
+    )
+    if method == "linear":
+        std = motion.acceleration_std if isinstance(motion, ConstantVelocity) else np.zeros(3)
+        axes = np.ascontiguousarray(rotation * std)
+        linear_kernels.linear_components(
+            means, covariances, homes, dts, axes, destination, max_speed, moved[0], moved[1]
+        )
+    return np.flatnonzero(moved[3] != IN_VIEW)
+
+
+def _run(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    samples: Array,
+    noise: Array,
+    destination: Array,
+    p_detect: float,
+    max_speed: float,
+    moved: kernels.MovedArrays,
+    todo: NDArray[np.intp],
+    threads: int,
+) -> None:
+    """Run the sample trips of the components `todo`, in slices over threads, into `moved`."""
+    whole = len(todo) == len(means)
+    if len(todo) == 0:
+        return
+    inputs = (means, covariances, homes, dts)
+    if not whole:
+        inputs = tuple(values[todo] for values in inputs)  # type: ignore[assignment]
+    outputs = moved if whole else _allocate(inputs[0])
+    minimum = minimum_in_view(samples.shape[1])
+
+    def run(part: slice) -> None:
+        kernels.move_components(
+            *(values[part] for values in inputs), samples, noise, destination, p_detect, max_speed, minimum,
+            tuple(values[part] for values in outputs),
+        )  # type: ignore[arg-type, call-arg]  # fmt: skip
+
+    slices = _slices(len(todo), samples.shape[1], threads)
+    if len(slices) == 1:
+        run(slices[0])
+    else:
+        list(_pool(threads).map(run, slices))
+    if not whole:
+        for whole_values, values in zip(moved, outputs, strict=True):
+            whole_values[todo] = values
+
+
+def _slices(count: int, samples: int, threads: int) -> list[slice]:
+    parts = max(1, min(threads, count * samples // TRIPS_PER_THREAD))
+    bounds = np.linspace(0, count, parts + 1).astype(int)
+    return [slice(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads)

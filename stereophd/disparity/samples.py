@@ -1,0 +1,99 @@
+"""Sets of standard-normal samples, shared by all components (and camera hypotheses) of a step.
+
+A set for moving objects has twelve rows: six for the state and six for the motion noise; a set for
+static objects has three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Method = Literal["qmc", "particle", "unscented", "linear"]
+
+# Sets drawn once and used in turn, event by event: enough that a set's own error does not repeat
+# from step to step, few enough to stay in the cache.
+SETS_IN_TURN = 16
+
+
+@dataclass(frozen=True)
+class SampleSets:
+    """Standard-normal sample sets, used in turn.
+
+    Attributes
+    ----------
+    method : {"qmc", "particle", "unscented", "linear"}
+        How Gaussians are carried over (see `stereophd.disparity.moments`).
+    sets : array (s, rows, n)
+        Sample sets; `turn` picks one. For ``unscented`` and ``linear`` they serve the components that
+        lie across the border of the image, which no low-order rule describes.
+    """
+
+    method: Method
+    sets: Array
+
+    def turn(self, index: int) -> Array:
+        """Return the set (rows, n) of event number `index`."""
+        return np.asarray(self.sets[index % len(self.sets)])
+
+    @property
+    def size(self) -> int:
+        """Number of samples of a set."""
+        return int(self.sets.shape[2])
+
+
+def draw_sample_sets(method: Method, samples: int, rows: int, seed: np.random.SeedSequence) -> SampleSets:
+    """Draw the sample sets of a run.
+
+    ``particle`` uses independent pseudo-random draws, as the paper does (IV-B a). Every other method
+    uses scrambled Sobol points, mirrored (so that all odd moments vanish) and whitened, so that the
+    mean is 0 and the covariance is the identity to rounding: a linear map then carries a Gaussian
+    over exactly, and sampling adds noise only where the map is not linear.
+
+    Parameters
+    ----------
+    method : str
+        See `SampleSets`.
+    samples : int
+        Samples per set; a power of two for ``qmc``.
+    rows : int
+        Dimensions of a sample.
+    seed : SeedSequence
+        Source of the scrambling or of the draws.
+
+    Returns
+    -------
+    SampleSets
+    """
+    rngs = [np.random.default_rng(child) for child in seed.spawn(SETS_IN_TURN)]
+    if method == "particle":
+        return SampleSets(method, np.stack([rng.standard_normal((rows, samples)) for rng in rngs]))
+    half = max(samples // 2, 2 * rows)
+    return SampleSets(method, np.stack([_mirrored_sobol(half, rows, rng) for rng in rngs]))
+
+
+def cubature_points(rows: int) -> Array:
+    """Return the points (rows, 2 rows) of the unscented transform without a centre point.
+
+    All weights are equal and positive (kappa = 0; the cubature rule of Arasaratnam and Haykin,
+    2009), so that no covariance can turn indefinite.
+    """
+    points = np.sqrt(rows) * np.eye(rows)
+    return np.concatenate([points, -points], axis=1)
+
+
+def _mirrored_sobol(half: int, rows: int, rng: np.random.Generator) -> Array:
+    """Scrambled Sobol normals (rows, 2 half), mirrored through 0 and whitened."""
+    from scipy.special import ndtri
+    from scipy.stats import qmc  # 0.5 s to import: only where it is needed
+
+    exponent = int(np.ceil(np.log2(half)))
+    uniform = qmc.Sobol(rows, scramble=True, rng=rng).random_base2(exponent)[:half]
+    normal = ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)).T
+    cholesky = np.linalg.cholesky(normal @ normal.T / half)
+    white = np.linalg.solve(cholesky, normal)
+    return np.concatenate([white, -white], axis=1)

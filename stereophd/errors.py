@@ -1,0 +1,25 @@
+"""Errors that carry their exit code.
+
+Every error that a user can cause is an `InputError`: one sentence that names the file, the place in
+it, what was expected and what was found. The command line prints it and exits with its `exit_code`.
+"""
+
+from __future__ import annotations
+
+
+class StereophdError(Exception):
+    """Base of the errors raised on purpose; `exit_code` is what the command line exits with."""
+
+    exit_code = 3
+
+
+class InputError(StereophdError, ValueError):
+    """A configuration, a log, an option or an output folder is not usable (exit code 2)."""
+
+    exit_code = 2
+
+
+class GateError(StereophdError):
+    """The run is done, and a figure is above the limit that the user set (exit code 1)."""
+
+    exit_code = 1

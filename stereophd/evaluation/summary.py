@@ -1,0 +1,134 @@
+"""The figures of a run from the scores of its scans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.metrics.assignment import FloatArray
+from stereophd.metrics.consistency import UNLABELLED, identity_switches, nees, nees_interval
+from stereophd.metrics.rmse import (
+    cardinality_error,
+    error_percentiles,
+    mean_per_group,
+    root_mean_square,
+    root_mean_square_per_group,
+)
+from stereophd.metrics.scans import PointSets, ScanScores
+
+POSITION_DIMENSION = 3
+
+
+@dataclass(frozen=True)
+class PairErrors:
+    """Errors of the matched pairs, in the order of `ScanScores.pair_scan`.
+
+    Attributes
+    ----------
+    position, velocity : (q, 3) arrays
+        Estimate minus truth in the world; NaN where a velocity is unknown.
+    nees : (q,) array
+        Of the position; NaN without a usable covariance.
+    switched : (q,) bool array
+        The true object was matched to another track the last time.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    nees: FloatArray
+    switched: NDArray[np.bool_]
+
+
+def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> PairErrors:
+    """Return the errors of the matched pairs of scored scans."""
+    x, y = scores.pair_estimate, scores.pair_truth
+    position = estimates.position[x] - truth.position[y]
+    normalised = np.full(len(x), np.nan)
+    if estimates.covariance is not None:
+        normalised = nees(position, estimates.covariance[x])
+    return PairErrors(
+        position,
+        estimates.velocity[x] - truth.velocity[y],
+        normalised,
+        identity_switches(scores.pair_scan, truth.label[y], estimates.label[x]),
+    )
+
+
+def per_scan_columns(
+    time_s: FloatArray, estimates: PointSets, truth: PointSets, scores: ScanScores, errors: PairErrors
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of ``per_scan.parquet``, arrays (k,); NaN where a scan has no matched pair."""
+    scans, group = len(time_s), scores.pair_scan
+    return {
+        "time_s": time_s,
+        "ospa": scores.ospa,
+        "ospa_localisation": scores.ospa_localisation,
+        "ospa_cardinality": scores.ospa_cardinality,
+        "gospa": scores.gospa,
+        "n_truth": truth.counts,
+        "n_estimates": estimates.counts,
+        "n_matched": scores.n_matched,
+        "rmse_position": root_mean_square_per_group(errors.position, group, scans),
+        "rmse_velocity": root_mean_square_per_group(errors.velocity, group, scans),
+        "nees_position": mean_per_group(errors.nees, group, scans),
+        "identity_switches": np.bincount(group[errors.switched], minlength=scans).astype(np.int64),
+    }
+
+
+def figures(estimates: PointSets, truth: PointSets, scores: ScanScores, errors: PairErrors) -> dict[str, Any]:
+    """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
+
+    Means of OSPA and GOSPA (and of their parts) are over scans, the others over matched pairs. The parts
+    of a mean distance do not add up to it: only those of a single scan do.
+    """
+    cardinality = cardinality_error(estimates.counts, truth.counts)
+    percentiles = error_percentiles(errors.position)
+    normalised = errors.nees[np.isfinite(errors.nees)]
+    low, high = nees_interval(len(normalised), POSITION_DIMENSION)
+    matched = int(scores.n_matched.sum())
+    labels = estimates.label[estimates.label > UNLABELLED]
+    return {
+        "ospa": {
+            "mean": _mean(scores.ospa),
+            "localisation": _mean(scores.ospa_localisation),
+            "cardinality": _mean(scores.ospa_cardinality),
+        },
+        "gospa": {
+            "mean": _mean(scores.gospa),
+            "localisation": _mean(scores.gospa_localisation),
+            "missed": _mean(scores.gospa_missed),
+            "false": _mean(scores.gospa_false),
+        },
+        "rmse": {
+            "position": root_mean_square(errors.position),
+            "velocity": root_mean_square(errors.velocity),
+        },
+        "position_error": {"median": percentiles.median, "p90": percentiles.p90, "n": percentiles.n},
+        "cardinality": {
+            "bias": cardinality.bias,
+            "mae": cardinality.mae,
+            "mean_truth": _mean(truth.counts),
+            "mean_estimates": _mean(estimates.counts),
+        },
+        "pairs": {
+            "matched": matched,
+            "missed": int(truth.counts.sum()) - matched,
+            "false": int(estimates.counts.sum()) - matched,
+        },
+        # Without labels there are no identities to switch.
+        "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
+        "tracks": len(np.unique(labels)),
+        "nees": {
+            "position": _mean(normalised),
+            "interval_95": [low, high],
+            "dimension": POSITION_DIMENSION,
+            "n": len(normalised),
+        },
+    }
+
+
+def _mean(values: NDArray[Any]) -> float:
+    return float(values.mean()) if len(values) else float("nan")

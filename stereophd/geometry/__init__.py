@@ -1,0 +1,1 @@
+"""Cameras, poses and lenses: from world positions to pixels and back."""

@@ -1,0 +1,200 @@
+"""Pose of a camera in the world, standing still or moving steadily."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+# A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
+LARGEST_ROTATION_DEFECT = 1e-4
+# Rounding of a matrix product; a larger defect (digits typed by hand) is repaired.
+ROTATION_ROUNDING = 1e-12
+
+
+def rotation_from_vector(vector: ArrayLike) -> FloatArray:
+    """Return the rotation matrix of an axis times an angle (Rodrigues' formula).
+
+    Parameters
+    ----------
+    vector : (3,) array_like
+        Axis of rotation times the angle in radians, right-handed.
+
+    Returns
+    -------
+    (3, 3) array
+        exp([vector]_x), the convention of OpenCV's ``Rodrigues``.
+    """
+    v = np.asarray(vector, dtype=np.float64)
+    angle = float(np.linalg.norm(v))
+    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    if angle < 1e-8:
+        # sin(a) / a and (1 - cos a) / a^2 to full precision; the squared term is below rounding.
+        return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross, dtype=np.float64)
+    # 2 sin^2(a / 2) is 1 - cos a without the cancellation at small angles.
+    first = math.sin(angle) / angle
+    second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross, dtype=np.float64)
+
+
+def rotation_to_vector(rotation: ArrayLike) -> FloatArray:
+    """Return the axis times the angle of a rotation matrix, the inverse of `rotation_from_vector`.
+
+    Parameters
+    ----------
+    rotation : (3, 3) array_like
+        A rotation matrix.
+
+    Returns
+    -------
+    (3,) array
+        Axis times angle in radians, angle in [0, pi]; at pi the sign of the axis is arbitrary.
+
+    Notes
+    -----
+    Goes through the unit quaternion with the largest component first, which loses no digits at any
+    angle: S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1 (3), 1978.
+    """
+    r = np.asarray(rotation, dtype=np.float64)
+    # 4 q q^T for the quaternion q = (w, x, y, z), as a function of the matrix.
+    products = np.array(
+        [
+            [1 + r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
+            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]],
+            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]],
+        ]
+    )
+    q = products[int(np.argmax(np.diag(products)))]
+    q = q / np.linalg.norm(q)
+    if q[0] < 0.0:
+        q = -q
+    sine = float(np.linalg.norm(q[1:]))
+    if sine == 0.0:
+        return np.zeros(3)
+    return np.asarray(q[1:] * (2.0 * math.atan2(sine, float(q[0])) / sine), dtype=np.float64)
+
+
+def _frozen(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
+    """Return a read-only float64 copy of the given shape, all of it finite."""
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, found {values!r}")
+    array.setflags(write=False)
+    return array
+
+
+def _nearest_rotation(rotation: FloatArray) -> FloatArray:
+    """Return the matrix itself if it is a rotation to rounding, else the nearest rotation to it."""
+    defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if defect > LARGEST_ROTATION_DEFECT or np.linalg.det(rotation) < 0.0:
+        raise ValueError(
+            "rotation: expected orthonormal rows and determinant +1, found "
+            f"|R R^T - I| up to {defect:.3g} and determinant {np.linalg.det(rotation):.6g}"
+        )
+    if defect <= ROTATION_ROUNDING:
+        return rotation
+    left, _, right = np.linalg.svd(rotation)
+    nearest: FloatArray = left @ right
+    nearest.setflags(write=False)
+    return nearest
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Pose:
+    """Pose of a camera: ``x_camera = rotation @ (x_world - center)``.
+
+    Camera axes: x right, y down, z forward. A moving camera has a constant velocity of its centre and a
+    constant angular velocity about its own axes; `rotation` and `center` hold at `time_s`. Poses are
+    equal when all their values are, and their arrays are read-only.
+
+    Parameters
+    ----------
+    rotation : (3, 3) array_like
+        Rotation from world to camera axes. A matrix given with few digits is replaced by the nearest
+        rotation, so that its transpose is its inverse.
+    center : (3,) array_like
+        Optical centre in the world, length.
+    velocity : (3,) array_like
+        Velocity of the centre in the world, length/s.
+    rotation_rate : (3,) array_like
+        Angular velocity of the camera about its own axes, rad/s, right-handed: (0, w, 0) turns it to
+        the right.
+    time_s : float
+        Time at which rotation and center hold, s.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a value is not finite, or the matrix is not a rotation.
+    """
+
+    rotation: FloatArray
+    center: FloatArray
+    velocity: FloatArray
+    rotation_rate: FloatArray
+    time_s: float
+
+    def __init__(
+        self,
+        rotation: ArrayLike,
+        center: ArrayLike,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        rotation_rate: ArrayLike = (0.0, 0.0, 0.0),
+        time_s: float = 0.0,
+    ) -> None:
+        def assign(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        assign("rotation", _nearest_rotation(_frozen(rotation, (3, 3), "rotation")))
+        assign("center", _frozen(center, (3,), "center"))
+        assign("velocity", _frozen(velocity, (3,), "velocity"))
+        assign("rotation_rate", _frozen(rotation_rate, (3,), "rotation_rate"))
+        assign("time_s", float(time_s))
+
+    def _key(self) -> tuple[bytes, ...]:
+        arrays = (self.rotation, self.center, self.velocity, self.rotation_rate, np.float64(self.time_s))
+        # Adding zero makes -0.0 and 0.0 the same bytes, as they are the same number.
+        return tuple((array + 0.0).tobytes() for array in arrays)
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Pose) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the pose is the same at all times."""
+        return not (self.velocity.any() or self.rotation_rate.any())
+
+    def at(self, time_s: float) -> Pose:
+        """Return the pose moved to a time, s; the pose itself if it is static.
+
+        The rotation is exp(-[rotation_rate]_x (time_s - self.time_s)) @ rotation: the camera turns by the
+        angle about its own axes, so world points turn the other way in its view.
+        """
+        if self.is_static:
+            return self
+        elapsed = time_s - self.time_s
+        return Pose(
+            rotation=rotation_from_vector(-elapsed * self.rotation_rate) @ self.rotation,
+            center=self.center + elapsed * self.velocity,
+            velocity=self.velocity,
+            rotation_rate=self.rotation_rate,
+            time_s=time_s,
+        )
+
+    def to_camera(self, x_world: ArrayLike) -> FloatArray:
+        """Map world positions (n, 3) to camera axes (n, 3), length, at the pose's own time."""
+        x = np.asarray(x_world, dtype=np.float64)
+        return np.asarray((x - self.center) @ self.rotation.T, dtype=np.float64)
+
+    def to_world(self, x_camera: ArrayLike) -> FloatArray:
+        """Map positions in camera axes (n, 3) to the world (n, 3), length, at the pose's own time."""
+        x = np.asarray(x_camera, dtype=np.float64)
+        return np.asarray(x @ self.rotation + self.center, dtype=np.float64)

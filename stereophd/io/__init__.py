@@ -1,0 +1,1 @@
+"""Files: detection logs, tables, provenance, atomic writes, foreign formats."""

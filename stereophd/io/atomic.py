@@ -1,0 +1,362 @@
+"""Outputs that are either there in full or not there at all.
+
+Everything is written under a temporary name on the same file system, flushed to the disk, and moved
+into place with `os.replace`; whatever goes wrong before that (an error, a full disk, Ctrl-C) leaves
+no trace. The user's faults, such as a folder that holds other files or a disk without room, become
+`InputError`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from stereophd.errors import InputError
+
+# Temporary names start so; a folder left behind by a killed process is recognised as ours.
+TEMPORARY_PREFIX = ".stereophd-partial-"
+
+# Failures of a write that come from the place written to, not from the program.
+USER_ERRNOS = frozenset(
+    {
+        errno.ENOSPC,
+        errno.EDQUOT,
+        errno.EFBIG,
+        errno.EACCES,
+        errno.EPERM,
+        errno.EROFS,
+        errno.EIO,
+        errno.ENAMETOOLONG,
+        errno.ENOTDIR,
+        errno.EISDIR,
+        errno.ENOTEMPTY,
+        errno.EEXIST,
+        errno.ELOOP,
+        errno.EMFILE,
+        errno.ENFILE,
+        errno.ETXTBSY,
+        errno.EBUSY,
+    }
+)
+
+
+def write_error(error: OSError, path: Path) -> InputError:
+    """Return the `InputError` that says which output could not be written and why."""
+    return InputError(f"cannot write {path}: {error.strerror or error}")
+
+
+def _sync(path: Path) -> None:
+    """Flush a file or folder to the disk; file systems that cannot sync folders are left to it."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _signals_deferred() -> Iterator[None]:
+    """Hold back SIGINT and SIGTERM for the few milliseconds in which files change places."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+
+    number: int
+    previous: dict[int, Callable[[int, FrameType | None], object] | int] = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handler = signal.getsignal(number)
+        # None: installed outside Python and not restorable from here.
+        if handler is not None:
+            previous[number] = handler
+            signal.signal(number, remember)
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    if received:
+        signal.raise_signal(received[0])
+
+
+@contextlib.contextmanager
+def atomic_write(path: Path | str) -> Iterator[Path]:
+    """Give a temporary path beside `path`; at a clean exit it replaces `path`, else it is removed.
+
+    Parameters
+    ----------
+    path
+        The file to write. Its folder must exist; an existing file is replaced.
+
+    Yields
+    ------
+    Path
+        The temporary file (already there, empty), to be opened and written by the caller.
+
+    Raises
+    ------
+    InputError
+        The place cannot be written to (no room, no permission, ...).
+    """
+    target = Path(path)
+    temporary: Path | None = None
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=target.parent)
+        os.close(descriptor)
+        temporary = Path(name)
+        yield temporary
+        _sync(temporary)
+        with _signals_deferred():
+            # mkstemp makes files that only their owner can read; outputs follow the umask.
+            temporary.chmod(0o666 & ~_umask())
+            os.replace(temporary, target)
+            _sync(target.parent)
+    except OSError as error:
+        if temporary is None or error.errno in USER_ERRNOS:
+            raise write_error(error, target) from error
+        raise
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    """Return the process's umask (it can only be read by setting it)."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+def _matches(relative: Path, names: Iterable[str]) -> bool:
+    """Whether a file below an output folder is one of `names` (patterns, compared part by part)."""
+    parts = relative.parts
+    if parts[0].startswith(TEMPORARY_PREFIX):
+        return True
+    for name in names:
+        patterns = Path(name).parts
+        if len(patterns) == len(parts) and all(map(fnmatchcase, parts, patterns)):
+            return True
+    return False
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Walk all files (and empty folders) below `folder`, as relative paths."""
+    for root, directories, files in os.walk(folder, onerror=_raise):
+        here = Path(root)
+        for name in files:
+            yield (here / name).relative_to(folder)
+        if not files and not directories and here != folder:
+            yield here.relative_to(folder)
+
+
+def _raise(error: OSError) -> None:
+    raise error
+
+
+def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
+    """Check that an output folder may be used, and make it if it is not there.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    force
+        Whether outputs of an earlier run may be replaced.
+    names
+        The files that the command writes, relative to the folder; each part may be a pattern
+        (``run-*/truth.parquet``).
+
+    Returns
+    -------
+    list of Path
+        The files of an earlier run that are there now, relative to the folder.
+
+    Raises
+    ------
+    InputError
+        It is not a folder, holds files that are not ours, holds an earlier run and `force` is not
+        given, or cannot be made or written to.
+    """
+    folder = Path(path)
+    names = list(names)
+    existing: list[Path] = []
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"output folder {folder}: expected a folder, found a file")
+        folder.mkdir(parents=True, exist_ok=True)
+        for relative in _files(folder):
+            if not _matches(relative, names):
+                raise InputError(
+                    f"output folder {folder} exists and is not ours: it holds {relative}, which this command "
+                    "does not write; choose another folder"
+                )
+            existing.append(relative)
+    except OSError as error:
+        raise InputError(f"output folder {folder}: {error.strerror or error}") from error
+    ours = [relative for relative in existing if not relative.parts[0].startswith(TEMPORARY_PREFIX)]
+    if ours and not force:
+        raise InputError(f"output folder {folder} already holds {ours[0]}; use --force to replace it")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"output folder {folder}: no permission to write there")
+    return existing
+
+
+class OutputFolder:
+    """All files of one run, put in place together or not at all.
+
+    ::
+
+        with OutputFolder(out_dir, ["tracks.parquet", "report.json"], force) as out:
+            write(out.path("tracks.parquet"))
+
+    Inside the block the files lie in a temporary folder inside `path`. A clean exit flushes them,
+    moves them into place, and removes what an earlier run (under `force`) left behind, so that the
+    folder holds one run's files only. Any exception removes everything that was written, and the
+    folders that were made.
+
+    Parameters
+    ----------
+    path
+        The output folder; made if it is not there.
+    names
+        Every file that the command may write, as in `output_folder`.
+    force
+        Whether the outputs of an earlier run may be replaced.
+
+    Raises
+    ------
+    InputError
+        As `output_folder`; and, from inside the block, when a write fails because of the disk.
+    """
+
+    def __init__(self, path: Path | str, names: Iterable[str], force: bool = False) -> None:
+        self.folder = Path(path)
+        self._names = list(names)
+        self._force = force
+        self._stale: list[Path] = []
+        self._made: list[Path] = []
+        self._temporary: Path | None = None
+
+    def __enter__(self) -> OutputFolder:
+        try:
+            self._made = [p for p in (self.folder, *self.folder.parents) if not p.exists()]
+            self._stale = output_folder(self.folder, self._force, self._names)
+            self._temporary = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=self.folder))
+        except OSError as error:
+            self._discard()
+            raise write_error(error, self.folder) from error
+        except BaseException:
+            self._discard()
+            raise
+        return self
+
+    def path(self, name: str) -> Path:
+        """Return where to write the file `name` for now; its parent folder exists.
+
+        `name` must be one of the `names` of this folder (else `ValueError`: a fault of the program).
+        """
+        if self._temporary is None:
+            raise ValueError("OutputFolder.path is only valid inside its with block")
+        if not _matches(Path(name), self._names):
+            raise ValueError(f"{name} is not among the names of this output folder: {self._names}")
+        target = self._temporary / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return target
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            try:
+                self._commit()
+            except OSError as failure:
+                self._discard()
+                raise self._explain(failure) from failure
+            except BaseException:
+                self._discard()
+                raise
+            return
+        self._discard()
+        if isinstance(error, OSError) and error.errno in USER_ERRNOS and self._is_ours(error):
+            raise self._explain(error) from error
+
+    def _is_ours(self, error: OSError) -> bool:
+        """Whether an error of the block comes from a write here (a bare ENOSPC names no file)."""
+        if error.filename is None:
+            return True
+        return self._temporary is not None and self._temporary in Path(os.fsdecode(error.filename)).parents
+
+    def _explain(self, error: OSError) -> InputError:
+        """Name the final file, not the temporary one."""
+        path = self.folder
+        if error.filename is not None and self._temporary is not None:
+            written = Path(os.fsdecode(error.filename))
+            if self._temporary in written.parents:
+                path = self.folder / written.relative_to(self._temporary)
+        return write_error(error, path)
+
+    def _commit(self) -> None:
+        """Flush, then move everything into place; on failure take back what was moved."""
+        temporary = self._temporary
+        assert temporary is not None
+        written = [p for p in _files(temporary) if (temporary / p).is_file()]
+        for relative in written:
+            _sync(temporary / relative)
+        moved: list[Path] = []
+        with _signals_deferred():
+            try:
+                for relative in written:
+                    target = self.folder / relative
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    os.replace(temporary / relative, target)
+                    moved.append(target)
+                self._remove_stale(set(written))
+            except OSError:
+                for target in moved:
+                    target.unlink(missing_ok=True)
+                raise
+            shutil.rmtree(temporary, ignore_errors=True)
+            self._temporary = None
+            for folder in {self.folder, *(target.parent for target in moved)}:
+                _sync(folder)
+
+    def _remove_stale(self, written: set[Path]) -> None:
+        """Remove what an earlier run wrote and this one did not, and folders that are empty then."""
+        for relative in self._stale:
+            target = self.folder / relative
+            if relative in written:
+                continue
+            if target.is_dir():
+                target.rmdir()
+            else:
+                target.unlink(missing_ok=True)
+            for parent in relative.parents:
+                with contextlib.suppress(OSError):
+                    if parent != Path():
+                        (self.folder / parent).rmdir()
+
+    def _discard(self) -> None:
+        """Remove the temporary folder, and the folders made for it that hold nothing else."""
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+        for folder in self._made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()

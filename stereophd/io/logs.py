@@ -1,0 +1,378 @@
+"""Detection logs: read frame by frame in the order of true time, and written as a stream.
+
+A log is a Parquet file with one row a detection (see ``docs/formats.md``). It is read in pieces, so
+memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from stereophd.errors import InputError
+from stereophd.io.log_checks import (
+    KINDS,
+    Booleans,
+    Fault,
+    Floats,
+    Integers,
+    OrderState,
+    Rows,
+    duplicate_fault,
+    frame_fault,
+    frame_starts,
+    point_faults,
+    raise_first,
+    time_fault,
+)
+from stereophd.io.provenance import file_sha256
+from stereophd.io.tables import (
+    DETECTIONS,
+    FLOAT,
+    INTEGER,
+    OBJECT_ID,
+    ROW_GROUP_ROWS,
+    TableWriter,
+    check_columns,
+    damaged_is_input_error,
+    open_parquet,
+)
+
+if TYPE_CHECKING:
+    from stereophd.geometry.camera import Camera
+
+REQUIRED = {name: DETECTIONS.field(name).type for name in DETECTIONS.names}
+OPTIONAL = {"sigma_u_px": FLOAT, "sigma_v_px": FLOAT, "object_id": INTEGER}
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """All detections of one camera frame.
+
+    Attributes
+    ----------
+    time_s
+        True time (the camera's clock corrected), s.
+    camera
+        Index in the configuration's order of cameras.
+    frame
+        Frame number.
+    pixels
+        Detections (m, 2), distorted px; m = 0 for an empty frame.
+    sigma
+        Standard deviations (m, 2), px, or None where the log states none.
+    object_id
+        True objects (m,), -1 clutter, or None where the log states none. For evaluation only.
+    """
+
+    time_s: float
+    camera: int
+    frame: int
+    pixels: Floats
+    sigma: Floats | None = None
+    object_id: Integers | None = None
+
+
+class LogReader:
+    """Iterate over the frames of a detection log in the order of true time, ties in camera order.
+
+    All rows of one (time, camera, frame) are one `Frame`, wherever they lie among the rows of that
+    time. A frame whose rows are all bad is dropped: it says nothing about what the camera saw.
+
+    Parameters
+    ----------
+    path
+        The log.
+    cameras
+        The cameras in the configuration's order; their names, image sizes and clocks are used.
+    on_bad_row
+        ``error``: the first bad row raises; ``drop``: bad rows are dropped and counted.
+    image_margin_px
+        A detection further than this outside the image is a bad row.
+
+    Attributes
+    ----------
+    counts
+        Of the last (or running) iteration: ``rows``, ``frames``, ``empty_frames``, ``detections``, one
+        for each kind of bad row (`stereophd.io.log_checks.KINDS`), and ``cameras_without_frames``.
+    num_rows
+        Rows of the file.
+
+    Raises
+    ------
+    InputError
+        At construction: no such file, not Parquet, truncated, no rows, a column missing or of a wrong
+        type. While iterating: damaged data; a bad row under ``error``; no usable row at all.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        cameras: Sequence[Camera],
+        on_bad_row: Literal["error", "drop"] = "error",
+        image_margin_px: float = 10.0,
+    ) -> None:
+        self.path = Path(path)
+        self._cameras = tuple(cameras)
+        self._drop = on_bad_row == "drop"
+        self._margin = image_margin_px
+        self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float).reshape(-1, 2)
+        self.counts: dict[str, int] = {}
+        with open_parquet(self.path, "detection log") as parquet:
+            present = check_columns(parquet.schema_arrow, REQUIRED, OPTIONAL, self.path)
+            self.num_rows: int = parquet.metadata.num_rows
+            self.metadata: Mapping[bytes, bytes] = parquet.schema_arrow.metadata or {}
+        if self.num_rows == 0:
+            raise InputError(f"{self.path}: expected a detection log, found one without rows")
+        if ("sigma_u_px" in present) != ("sigma_v_px" in present):
+            raise InputError(
+                f"{self.path}: expected both of the columns sigma_u_px and sigma_v_px, found one"
+            )
+        self._columns = [*REQUIRED, *present]
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the file."""
+        return file_sha256(self.path)
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
+        self.counts["cameras_without_frames"] = len(self._cameras)
+        seen: set[int] = set()
+        if all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras):
+            frames = self._frames(None)
+        else:
+            # Each camera's clock is monotonic, so each camera's frames are in order by themselves: one
+            # pass over the file for each camera keeps the memory bounded, however far the clocks differ.
+            passes = [self._frames(i) for i in range(len(self._cameras))]
+            frames = heapq.merge(*passes, key=lambda f: (f.time_s, f.camera, f.frame))
+        counts = self.counts
+        for frame in frames:
+            counts["frames"] += 1
+            counts["detections"] += len(frame.pixels)
+            counts["empty_frames"] += not len(frame.pixels)
+            if frame.camera not in seen:
+                seen.add(frame.camera)
+                counts["cameras_without_frames"] -= 1
+            yield frame
+        if not seen:
+            raise InputError(
+                f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad"
+            )
+
+    def _frames(self, only: int | None) -> Iterator[Frame]:
+        """Yield the frames in log order; with `only`, those of that camera, on its true time."""
+        state = OrderState()
+        carry: Rows | None = None
+        for rows in self._good_rows(state, only):
+            if only is not None:
+                rows = rows.take(rows.camera == only)
+            if carry is not None:
+                rows = carry.join(rows)
+            if not len(rows):
+                carry = None
+                continue
+            # The last time may go on in the next piece: its rows wait until it is complete.
+            complete = int(np.searchsorted(rows.time_s, rows.time_s[-1], side="left"))
+            carry = rows.take(slice(complete, None))
+            yield from self._split(rows.take(slice(0, complete)), state)
+        if carry is not None:
+            yield from self._split(carry, state)
+
+    def _good_rows(self, state: OrderState, only: int | None) -> Iterator[Rows]:
+        """Yield pieces of the log without rows that are bad by themselves or too early."""
+        start = 0
+        for batch in self._batches():
+            rows, nulls, half, names = self._decode(batch, start)
+            start += len(rows)
+            # In a pass for one camera only its own rows count; rows of no camera count in the first.
+            counted = np.ones(len(rows), dtype=bool)
+            if only is not None:
+                counted = (rows.camera == only) | ((rows.camera < 0) & (only == 0))
+            self.counts["rows"] += int(counted.sum())
+            faults = list(point_faults(rows, nulls, half, names, self._sizes, self._margin))
+            good = rows.take(self._accept(faults, rows, counted))
+            late = time_fault(good, state)
+            good = good.take(self._accept([late], good, None if only is None else good.camera == only))
+            yield good
+
+    def _accept(self, faults: list[Fault], rows: Rows, counted: Booleans | None = None) -> Booleans:
+        """Return the mask of good rows; count the bad ones, each once, or raise for the first."""
+        if not self._drop:
+            raise_first(faults, rows, self.path)
+        good = np.ones(len(rows), dtype=bool)
+        for fault in faults:
+            new = fault.bad & good
+            good &= ~fault.bad
+            self.counts[fault.kind] += int((new if counted is None else new & counted).sum())
+        return good
+
+    def _batches(self) -> Iterator[pa.RecordBatch]:
+        with open_parquet(self.path, "detection log") as parquet:
+            pieces = parquet.iter_batches(batch_size=ROW_GROUP_ROWS, columns=self._columns, use_threads=False)
+            while True:
+                with damaged_is_input_error(self.path):
+                    batch = next(pieces, None)
+                if batch is None:
+                    return
+                yield batch
+
+    def _decode(self, batch: pa.RecordBatch, start: int) -> tuple[Rows, Booleans, Booleans, list[Any]]:
+        """Turn a piece of the file into arrays: rows, nulls of required columns, half nulls, names."""
+        with damaged_is_input_error(self.path):
+            column = {name: batch.column(name).cast({**REQUIRED, **OPTIONAL}[name]) for name in self._columns}
+        null = {name: np.asarray(array.is_null()) for name, array in column.items()}
+        camera, names = self._camera_index(column["camera"])
+        sigma = object_id = None
+        if "sigma_u_px" in column:
+            sigma = np.stack([_floats(column["sigma_u_px"]), _floats(column["sigma_v_px"])], axis=1)
+        if "object_id" in column:
+            object_id = _integers(column["object_id"], -1)
+        rows = Rows(
+            row=np.arange(start, start + len(batch)),
+            time_s=_floats(column["time_s"]),
+            camera=camera,
+            frame=_integers(column["frame"], 0),
+            pixels=np.stack([_floats(column["u_px"]), _floats(column["v_px"])], axis=1),
+            empty=null["u_px"] & null["v_px"],
+            sigma=sigma,
+            object_id=object_id,
+        )
+        nulls = null["time_s"] | null["camera"] | null["frame"]
+        return rows, nulls, null["u_px"] ^ null["v_px"], names
+
+    def _camera_index(self, column: pa.Array) -> tuple[Integers, Any]:
+        """Return each row's index of the camera, -1 if unknown, and the names as read."""
+        encoded = pc.dictionary_encode(column)
+        known = {camera.name: i for i, camera in enumerate(self._cameras)}
+        index = np.array([known.get(name, -1) for name in encoded.dictionary.to_pylist()] + [-1])
+        codes = np.asarray(encoded.indices.fill_null(len(index) - 1))
+        return index[codes], _Names(column)
+
+    def _split(self, rows: Rows, state: OrderState) -> Iterator[Frame]:
+        """Check the rows against those around them, and yield their frames in order."""
+        if not len(rows):
+            return
+        rows = rows.take(self._accept([frame_fault(rows, state)], rows))
+        rows = rows.take(np.lexsort((rows.row, rows.frame, rows.camera, rows.time_s)))
+        rows = rows.take(self._accept([duplicate_fault(rows)], rows))
+        starts = frame_starts(rows)
+        ends = np.append(starts[1:], len(rows)).tolist()
+        # Plain Python numbers: indexing arrays one element at a time is slow.
+        frames = rows.frame[starts].tolist()
+        cameras = rows.camera[starts].tolist()
+        times = self._true_times(rows.time_s[starts], rows.camera[starts]).tolist()
+        # A duplicate empty row is gone by now, so an empty frame is exactly one empty row.
+        ends = (np.asarray(ends) - rows.empty[starts]).tolist()
+        for time, camera, frame, i, j in zip(times, cameras, frames, starts.tolist(), ends, strict=True):
+            yield Frame(
+                time,
+                camera,
+                frame,
+                rows.pixels[i:j],
+                None if rows.sigma is None else rows.sigma[i:j],
+                None if rows.object_id is None else rows.object_id[i:j],
+            )
+
+    def _true_times(self, time_s: Floats, camera: Integers) -> Floats:
+        offset = np.array([c.clock.offset_s for c in self._cameras])
+        rate = np.array([c.clock.rate for c in self._cameras])
+        true: Floats = offset[camera] + rate[camera] * time_s
+        return true
+
+
+class _Names:
+    """The camera column, looked up only where a message needs it."""
+
+    def __init__(self, column: pa.Array) -> None:
+        self._column = column
+
+    def __getitem__(self, i: int) -> Any:
+        return self._column[i].as_py()
+
+
+def _floats(column: pa.Array) -> Floats:
+    return np.asarray(column.fill_null(np.nan), dtype=np.float64)
+
+
+def _integers(column: pa.Array, null: int) -> Integers:
+    return np.asarray(column.fill_null(null), dtype=np.int64)
+
+
+class LogWriter:
+    """Write a detection log frame by frame, in the order of its times.
+
+    Parameters
+    ----------
+    path
+        The file; usually a temporary one of `stereophd.io.atomic.OutputFolder`.
+    metadata
+        Key-value metadata, as `stereophd.io.provenance.to_metadata` returns them.
+    object_id
+        Whether the log has the column ``object_id``.
+    """
+
+    def __init__(
+        self, path: Path | str, metadata: Mapping[Any, Any] | None = None, object_id: bool = False
+    ) -> None:
+        self._object_id = object_id
+        self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
+
+    @property
+    def rows(self) -> int:
+        """Rows written so far."""
+        return self._table.rows
+
+    def write(
+        self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None
+    ) -> None:
+        """Write one frame.
+
+        Parameters
+        ----------
+        time_s
+            Time on the camera's own clock, s.
+        camera, frame
+            Name of the camera and number of the frame.
+        pixels
+            Detections (m, 2), distorted px; with m = 0 the frame becomes one row of nulls.
+        object_id
+            True objects (m,), -1 clutter; required with ``object_id=True``.
+        """
+        columns: dict[str, Any] = {"time_s": time_s, "camera": camera, "frame": frame}
+        if len(pixels):
+            columns |= {"u_px": pixels[:, 0], "v_px": pixels[:, 1]}
+        else:
+            columns |= {"u_px": [None], "v_px": [None]}
+        if self._object_id:
+            if object_id is None:
+                raise ValueError(
+                    "this log has the column object_id: expected an object_id for each detection"
+                )
+            columns["object_id"] = object_id if len(pixels) else [None]
+        self._table.append(columns)
+
+    def write_rows(self, columns: Mapping[str, Any]) -> None:
+        """Write many rows at once: the columns of the log as `TableWriter.append` takes them."""
+        self._table.append(columns)
+
+    def close(self) -> None:
+        """Write what is left and the footer."""
+        self._table.close()
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._table.__exit__(kind, error, traceback)

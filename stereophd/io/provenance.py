@@ -1,0 +1,128 @@
+"""Where an output comes from: version, command, configuration, seed and hashes of the inputs.
+
+A provenance is a plain dict without paths and without the time of day, so that the same inputs give
+the same bytes. Parquet files carry it as key-value metadata, JSON reports under ``provenance``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import stereophd
+from stereophd.errors import InputError
+
+if TYPE_CHECKING:
+    from stereophd.config_loading import LoadedConfig
+
+METADATA_KEY = b"stereophd"
+LENGTH_UNIT_KEY = b"length_unit"
+
+
+def file_sha256(path: Path | str) -> str:
+    """Return the SHA-256 of a file, read in pieces.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def canonical_json(value: Any) -> str:
+    """Return compact JSON in the order of the keys.
+
+    The keys are not sorted: the order of the cameras decides ties between simultaneous frames and so
+    is part of what is recorded. Resolved configurations come in the order of the models, whatever
+    the order in the file.
+    """
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def sha256_of(value: Any) -> str:
+    """Return the SHA-256 of the `canonical_json` of a value."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+
+
+def provenance(
+    command: str,
+    configuration: LoadedConfig | Mapping[str, Any],
+    seed: int | None = None,
+    inputs: Mapping[str, Path | str] | None = None,
+    length_unit: str | None = None,
+) -> dict[str, Any]:
+    """Return the provenance of a run.
+
+    Parameters
+    ----------
+    command
+        Name of the command, such as ``track``.
+    configuration
+        The loaded configuration, or (of commands without one) their options as JSON-able values.
+    seed
+        Seed of the run; default that of the configuration.
+    inputs
+        Role -> path of the files that were read besides the configuration's own; only their hashes
+        are kept.
+    length_unit
+        Default the configuration's.
+
+    Returns
+    -------
+    dict
+        ``version, command, config, config_sha256, seed, inputs {role: sha256}, units {length}``.
+    """
+    hashes = {role: file_sha256(path) for role, path in (inputs or {}).items()}
+    if isinstance(configuration, Mapping):
+        resolved: dict[str, Any] = dict(configuration)
+        digest = sha256_of(resolved)
+    else:
+        resolved = configuration.resolved
+        digest = configuration.sha256
+        hashes = {**configuration.inputs, **hashes}
+        seed = configuration.config.seed if seed is None else seed
+        length_unit = length_unit or configuration.config.units.length
+    return {
+        "version": stereophd.__version__,
+        "command": command,
+        "config": resolved,
+        "config_sha256": digest,
+        "seed": seed,
+        "inputs": dict(sorted(hashes.items())),
+        "units": {"length": length_unit},
+    }
+
+
+def to_metadata(record: Mapping[str, Any]) -> dict[bytes, bytes]:
+    """Return Parquet key-value metadata: the record as JSON, and the unit of length by itself."""
+    metadata = {METADATA_KEY: canonical_json(record).encode()}
+    unit = record.get("units", {}).get("length")
+    if unit is not None:
+        metadata[LENGTH_UNIT_KEY] = str(unit).encode()
+    return metadata
+
+
+def from_metadata(metadata: Mapping[bytes, bytes] | None) -> dict[str, Any] | None:
+    """Return the provenance that Parquet metadata carry, or None if there is none (or not ours)."""
+    text = (metadata or {}).get(METADATA_KEY)
+    if text is None:
+        return None
+    try:
+        record = json.loads(text)
+    except ValueError:
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def length_unit(metadata: Mapping[bytes, bytes] | None) -> str | None:
+    """Return the unit of length that Parquet metadata name, or None."""
+    unit = (metadata or {}).get(LENGTH_UNIT_KEY)
+    return None if unit is None else unit.decode(errors="replace")

@@ -1,0 +1,1 @@
+"""Metrics of sets of points and of whole runs: OSPA, GOSPA, RMSE, cardinality, NEES, identity switches."""

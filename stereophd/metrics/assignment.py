@@ -1,0 +1,119 @@
+"""Base distances between sets of points, and their optimal assignment, many sets at a time.
+
+OSPA, GOSPA and everything that is counted over matched pairs (RMSE, NEES, identity switches) start
+from the same assignment (paper VIII-C; Schuhmacher, Vo and Vo 2008). Sets of equal sizes are handled
+as one batch; only a set whose nearest neighbours clash goes through the assignment solver.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def euclidean_distances(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the Euclidean distances between the points of two sets.
+
+    Parameters
+    ----------
+    x : (..., m, d) array
+        Estimates, one unit and frame.
+    y : (..., n, d) array
+        Truth, the same unit and frame.
+
+    Returns
+    -------
+    (..., m, n) array
+        Distances in the unit of the points.
+    """
+    difference = x[..., :, None, :] - y[..., None, :, :]
+    return np.asarray(np.sqrt(np.einsum("...d,...d->...", difference, difference)))
+
+
+def mahalanobis_distances(x: FloatArray, y: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return ``sqrt((x - y)^T P^-1 (x - y))`` with P the covariance of the estimate (paper VIII-C).
+
+    Parameters
+    ----------
+    x : (..., m, d) array
+        Estimates.
+    y : (..., n, d) array
+        Truth.
+    covariance : (..., m, d, d) array
+        Covariance of each estimate, positive definite.
+
+    Returns
+    -------
+    (..., m, n) array
+        Distances without unit.
+
+    Raises
+    ------
+    ValueError
+        A covariance is not positive definite.
+    """
+    if not is_positive_definite(covariance).all():
+        raise ValueError("expected positive definite covariances")
+    difference = x[..., :, None, :] - y[..., None, :, :]
+    squared = np.einsum("...mni,...mij,...mnj->...mn", difference, np.linalg.inv(covariance), difference)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
+
+
+def is_positive_definite(covariance: FloatArray) -> NDArray[np.bool_]:
+    """Return which symmetric matrices (..., d, d) are finite and positive definite.
+
+    Sylvester's criterion (all leading minors positive), because one matrix that is not must not hide
+    which one it is, as an exception of a batched Cholesky factorisation would.
+    """
+    good = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
+    safe = np.where(good[..., None, None], covariance, np.eye(covariance.shape[-1]))
+    for size in range(1, covariance.shape[-1] + 1):
+        good &= np.linalg.det(safe[..., :size, :size]) > 0.0
+    return good
+
+
+def optimal_assignment(costs: FloatArray) -> IntArray:
+    """Assign the rows of each cost matrix to distinct columns at the least total cost.
+
+    Parameters
+    ----------
+    costs : (k, m, n) array
+        Finite costs of k problems of one size.
+
+    Returns
+    -------
+    (k, m) array
+        The column of each row; -1 for the rows left over when m > n.
+
+    Raises
+    ------
+    ValueError
+        A cost is not finite.
+
+    Notes
+    -----
+    Where the least entries of the rows lie in distinct columns they are the optimum: their sum is a lower
+    bound of every assignment. Only the other problems are solved (Jonker-Volgenant, as in SciPy).
+    """
+    if not np.isfinite(costs).all():
+        raise ValueError("expected finite costs of assignment")
+    problems, rows, columns = costs.shape
+    if rows == 0 or columns == 0:
+        return np.full((problems, rows), -1, dtype=np.int64)
+    if rows > columns:
+        row_of_column = optimal_assignment(costs.transpose(0, 2, 1))
+        column_of_row = np.full((problems, rows), -1, dtype=np.int64)
+        np.put_along_axis(column_of_row, row_of_column, np.arange(columns)[None, :], axis=1)
+        return column_of_row
+    nearest: IntArray = costs.argmin(axis=2).astype(np.int64)
+    ranked = np.sort(nearest, axis=1)
+    clashes = np.flatnonzero((ranked[:, 1:] == ranked[:, :-1]).any(axis=1))
+    if clashes.size:
+        from scipy.optimize import linear_sum_assignment  # costly to import, often not needed
+
+        for problem in clashes:
+            nearest[problem] = linear_sum_assignment(costs[problem])[1]
+    return nearest

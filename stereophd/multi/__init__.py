@@ -1,0 +1,1 @@
+"""Many objects: intensities as Gaussian mixtures over the cameras' disparity spaces (paper VI)."""

@@ -1,0 +1,166 @@
+"""Truth, estimates and cameras, seen from above and from the side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from stereophd.evaluation.alignment import in_window
+from stereophd.metrics.assignment import FloatArray, IntArray
+from stereophd.metrics.consistency import UNLABELLED
+from stereophd.metrics.scans import PointSets
+from stereophd.report.style import (
+    BLUE,
+    CAMERA_COLOUR,
+    INK,
+    TRACK_COLOURS,
+    Pictures,
+    bracketed,
+    legend_right,
+    unit_text,
+)
+from stereophd.report.views import View, field_of_view, limits, viewing_depth, views
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from stereophd.geometry.camera import Camera
+
+# More than this cannot be told apart on a page, and makes the files large.
+MOST_POINTS_DRAWN = 20_000
+
+
+def draw_views(pictures: Pictures) -> dict[str, Figure]:
+    """Draw truth, estimates and cameras from above (``top``) and from the side (``side``)."""
+    time = pictures.columns["time_s"]
+    rows = in_window(pictures.truth.time_s, float(time[0]), float(time[-1]))
+    points = pictures.truth.position[rows]
+    cameras = [camera.at(float(time[0])) for camera in pictures.cameras]
+    scene = np.concatenate([points, *(camera.pose.center[None] for camera in cameras)])
+    titles = {"top": "From above", "side": "From the side"}
+    return {
+        name: _draw_view(pictures, view, titles[name], rows, cameras, scene)
+        for name, view in views(cameras, scene).items()
+    }
+
+
+def _draw_view(
+    pictures: Pictures, view: View, title: str, rows: Any, cameras: Sequence[Camera], scene: FloatArray
+) -> Figure:
+    across, along = limits(view.project(scene))
+    width, height = across[1] - across[0], along[1] - along[0]
+    scale = min(8.0 / width, 6.5 / height)
+    # Room for labels and for the legend beside the axes.
+    figure = Figure(figsize=(scale * width + 3.6, scale * height + 1.1), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set_aspect("equal")
+    points = pictures.truth.position[rows]
+    for camera in cameras:
+        _draw_field_of_view(axes, camera, viewing_depth(camera, points), view)
+    _draw_cameras(axes, cameras, view, 0.03 * max(width, height))
+    _draw_estimates(axes, pictures.estimates, view, across, along)
+    _draw_truth(axes, pictures, view, rows)
+    axes.set_xlim(across)
+    axes.set_ylim(along[::-1] if view.inverted else along)
+    names = "xyz"
+    unit = bracketed(unit_text(pictures))
+    axes.set_xlabel(f"{names[view.horizontal]}{unit}")
+    axes.set_ylabel(f"{names[view.vertical]}{unit}{' (down)' if view.inverted else ''}")
+    axes.set_title(title)
+    legend_right(axes, ("truth", "start", "estimates", "cameras"))
+    return figure
+
+
+def _draw_field_of_view(axes: Axes, camera: Camera, depth: float, view: View) -> None:
+    if depth > 0:
+        outline = field_of_view(camera, depth, view)
+        axes.fill(*outline.T, facecolor=CAMERA_COLOUR, alpha=0.07, linewidth=0, zorder=1)
+        axes.fill(*outline.T, fill=False, edgecolor=CAMERA_COLOUR, alpha=0.35, linewidth=0.8, zorder=1)
+
+
+def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: View, near: float) -> None:
+    """Draw the centres; cameras that are drawn in the same place share one line of names."""
+    places: list[tuple[FloatArray, list[str]]] = []
+    for camera in cameras:
+        center = view.project(camera.pose.center[None])[0]
+        names = next((names for place, names in places if np.hypot(*(place - center)) < near), None)
+        if names is None:
+            places.append((center, [camera.name]))
+        else:
+            names.append(camera.name)
+    for place, names in places:
+        axes.annotate(
+            ", ".join(names),
+            (float(place[0]), float(place[1])),
+            (0, -15),
+            textcoords="offset points",
+            ha="center",
+            color=CAMERA_COLOUR,
+            fontsize=9,
+            zorder=6,
+        )
+    if places:
+        centers = np.array([view.project(camera.pose.center[None])[0] for camera in cameras])
+        axes.plot(
+            *centers.T,
+            marker="s",
+            markersize=6,
+            color=CAMERA_COLOUR,
+            linestyle="none",
+            zorder=5,
+            label="cameras, views",
+        )
+
+
+def _draw_estimates(
+    axes: Axes, estimates: PointSets, view: View, across: tuple[float, float], along: tuple[float, float]
+) -> None:
+    """Draw the estimates that lie within the limits, and say how many do not."""
+    drawn = view.project(estimates.position)
+    low, high = np.stack([across, along], axis=1)
+    inside = np.asarray(((drawn >= low) & (drawn <= high)).all(axis=1))
+    rows = np.flatnonzero(inside)
+    rows = rows[:: max(1, -(-len(rows) // MOST_POINTS_DRAWN))]
+    labels = estimates.label[rows]
+    labelled = bool((labels > UNLABELLED).any())
+    colours = np.array(TRACK_COLOURS)[_ranks(labels) % len(TRACK_COLOURS)] if labelled else BLUE
+    # Thousands of points make a vector file slow to open: they are an image inside it.
+    axes.scatter(drawn[rows, 0], drawn[rows, 1], s=9, c=colours, linewidths=0, zorder=3, rasterized=True)
+    hidden = int(len(inside) - inside.sum())
+    name = "estimates" + (",\na colour for each track" if labelled else "")
+    name += f",\n{hidden} outside the picture" if hidden else ""
+    axes.plot([], [], marker="o", markersize=4, color=TRACK_COLOURS[0], linestyle="none", label=name)
+
+
+def _ranks(labels: IntArray) -> IntArray:
+    """Number the labels in order of size, so that neighbouring tracks differ in colour."""
+    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
+
+
+def _draw_truth(axes: Axes, pictures: Pictures, view: View, rows: Any) -> None:
+    """Draw the true paths as lines that break at gaps, with a ring where each begins."""
+    truth = pictures.truth
+    time, label, points = truth.time_s[rows], truth.object_id[rows], view.project(truth.position[rows])
+    first = np.append(True, np.diff(label) != 0)[: len(label)]
+    step = max(1, len(label) // MOST_POINTS_DRAWN)
+    keep = first | np.append(first[1:], True)[: len(label)] | (np.arange(len(label)) % step == 0)
+    breaks = first | np.append(False, np.diff(time) > pictures.max_gap_s + 1e-9)[: len(label)]
+    keep |= breaks
+    cuts = np.flatnonzero(breaks[keep])
+    path = np.insert(points[keep], cuts, np.nan, axis=0)
+    axes.plot(*path.T, color=INK, linewidth=1.1, alpha=0.85, zorder=4, label="truth")
+    axes.plot(
+        *points[first].T,
+        marker="o",
+        markersize=5,
+        markerfacecolor="white",
+        markeredgecolor=INK,
+        linestyle="none",
+        zorder=4.5,
+        label="start of a path",
+    )

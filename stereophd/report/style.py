@@ -1,0 +1,100 @@
+"""What the plots have in common: the data, colours, legends, labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from stereophd.evaluation.alignment import Truth
+from stereophd.metrics.scans import PointSets
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from stereophd.geometry.camera import Camera
+
+INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
+# Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.
+TRACK_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#b8a800")
+CAMERA_COLOUR = "#6e40c9"
+
+STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "stereophd",
+    "svg.fonttype": "path",
+    "font.family": "DejaVu Sans",
+    "font.size": 10.0,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "axes.titlesize": 11.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e8eb",
+    "grid.linewidth": 0.8,
+    "legend.frameon": False,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "savefig.dpi": 150.0,
+}
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What is drawn.
+
+    Attributes
+    ----------
+    columns : mapping
+        Columns of ``per_scan.parquet``, arrays over the scored scans.
+    order, cutoff, base
+        Of OSPA.
+    truth : Truth
+        All rows of the truth; those at scored times are drawn.
+    max_gap_s : float
+        Longest interval over which a true path is drawn as a line.
+    estimates : PointSets
+        Estimates of the scored scans.
+    cameras : sequence of Camera
+        May be empty.
+    length_unit : str or None
+        For the labels.
+    """
+
+    columns: Mapping[str, Any]
+    order: float
+    cutoff: float
+    base: str
+    truth: Truth
+    max_gap_s: float
+    estimates: PointSets
+    cameras: Sequence[Camera]
+    length_unit: str | None
+
+
+def legend_right(axes: Axes, order: Sequence[str] = ()) -> None:
+    """Put the legend beside the axes, outside of the data; labels that start as in `order` come first."""
+    handles, labels = axes.get_legend_handles_labels()
+    ranks = [
+        next((i for i, start in enumerate(order) if one.startswith(start)), len(order)) for one in labels
+    ]
+    chosen = sorted(range(len(labels)), key=lambda i: ranks[i])
+    axes.legend(
+        [handles[i] for i in chosen],
+        [labels[i] for i in chosen],
+        loc="upper left",
+        bbox_to_anchor=(1.01, 1.0),
+        borderaxespad=0.0,
+    )
+
+
+def unit_text(pictures: Pictures) -> str:
+    return f" {pictures.length_unit}" if pictures.length_unit else ""
+
+
+def bracketed(unit: str) -> str:
+    return f" [{unit.strip()}]" if unit else ""

@@ -1,0 +1,231 @@
+"""The one filter loop: a detection log in, tracks out, event by event.
+
+Memory does not depend on the length of the log: frames are read as they come, and estimates are
+written as they are made.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.config import BirthConfig, Config, MotionConfig
+from stereophd.disparity.samples import draw_sample_sets
+from stereophd.errors import InputError
+from stereophd.io.atomic import OutputFolder
+from stereophd.io.logs import Frame, LogReader
+from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.tables import SCANS, TRACKS, TableWriter
+from stereophd.motion import ConstantVelocity, Motion, Static
+from stereophd.multi.birth import BirthPrior
+from stereophd.multi.events import make_event, make_rig
+from stereophd.multi.extract import Hysteresis
+from stereophd.multi.intensity import Estimates
+from stereophd.multi.phd import PhdFilter, PhdSettings
+
+if TYPE_CHECKING:
+    from stereophd.config_loading import LoadedConfig
+    from stereophd.geometry.camera import Camera
+
+# Called with (done, total), in rows of the log.
+Progress = Callable[[int, int], None]
+
+FILES = ("tracks.parquet", "scans.parquet", "report.json")
+REPORT_VERSION = 1
+
+# Events between two calls of `progress`.
+PROGRESS_EVERY = 50
+
+
+def track(
+    loaded: LoadedConfig,
+    log_path: Path | str,
+    out_dir: Path | str,
+    force: bool = False,
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Track the objects of a detection log.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a ``filter`` section and cameras.
+    log_path : path
+        Detection log.
+    out_dir : path
+        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written.
+    force : bool
+        Whether the outputs of an earlier run may be replaced.
+    threads : int
+        Threads of the sample trips; the outputs do not depend on it.
+    progress : callable, optional
+        Called with the rows done and their total.
+
+    Returns
+    -------
+    dict
+        The report, as in ``report.json``.
+
+    Raises
+    ------
+    InputError
+        The configuration has no filter or no cameras; the log is not usable; the output folder is not
+        ours or cannot be written.
+    """
+    config = loaded.config
+    cameras = loaded.build_cameras()
+    multi_filter = build_filter(config, cameras, loaded.path, threads)
+    reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
+    with OutputFolder(out_dir, FILES, force) as out:
+        record = provenance("track", loaded, inputs={"detections": log_path})
+        metadata = to_metadata(record)
+        with (
+            TableWriter(out.path("tracks.parquet"), TRACKS, metadata) as tracks,
+            TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
+        ):
+            summary = _run(multi_filter, reader, cameras, tracks, scans, progress)
+        report = {
+            "report_version": REPORT_VERSION,
+            "length_unit": config.units.length,
+            "input": dict(reader.counts),
+            **summary,
+            "provenance": record,
+        }
+        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+        out.path("report.json").write_text(text, encoding="utf-8")
+    return report
+
+
+def build_filter(
+    config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1
+) -> PhdFilter:
+    """Return the multi-object filter that a configuration describes.
+
+    Raises
+    ------
+    InputError
+        The configuration (read from `path`) has no ``filter`` section.
+    """
+    if config.filter is None:
+        raise InputError(f"{path}: filter: expected a filter section for track, found none")
+    settings = PhdSettings(
+        survival_per_s=config.filter.survival_per_s,
+        birth=_birth_prior(config.filter.birth),
+        prune_weight=config.filter.prune_weight,
+        merge_distance=config.filter.merge_distance,
+        max_components=config.filter.max_components,
+        hysteresis=Hysteresis(config.filter.extraction.confirm, config.filter.extraction.release),
+    )
+    motion = build_motion(config.motion)
+    rows = 3 if isinstance(motion, Static) else 12
+    # spawned by purpose: the simulation's random numbers have keys of their own
+    seed = np.random.SeedSequence(config.seed, spawn_key=(SAMPLES_KEY,))
+    sets = draw_sample_sets(config.moments.method, config.moments.samples, rows, seed)
+    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification)
+    return PhdFilter(rig, motion, sets, settings, threads)
+
+
+# Key of the filter's sample sets among the purposes of a seed (simulated runs count from 0).
+SAMPLES_KEY = 2**31
+
+
+def build_motion(config: MotionConfig) -> Motion:
+    """Return the motion model of a configuration."""
+    if config.model == "static":
+        return Static()
+    std = np.broadcast_to(np.asarray(config.acceleration_std, dtype=float), 3)
+    return ConstantVelocity(std, config.max_speed)
+
+
+def _birth_prior(config: BirthConfig) -> BirthPrior:
+    prior = config.disparity
+    disparity = None if prior is None else (prior.mean_px, prior.std_px)
+    return BirthPrior(config.per_frame, disparity, config.depth_range, config.velocity_std)
+
+
+@dataclass
+class _TrackSummary:
+    """Running figures of one identity."""
+
+    first_s: float
+    last_s: float
+    n_estimates: int = 0
+    existence: float = 0.0
+
+
+def _run(
+    multi_filter: PhdFilter,
+    reader: LogReader,
+    cameras: tuple[Camera, ...],
+    tracks: TableWriter,
+    scans: TableWriter,
+    progress: Progress | None,
+) -> dict[str, Any]:
+    """Run the filter over the log; return the figures of the run."""
+    state = multi_filter.init()
+    identities: dict[int, _TrackSummary] = {}
+    log_likelihood = 0.0
+    for number, frame in enumerate(reader):
+        camera = cameras[frame.camera]
+        frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
+        event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
+        state, info, estimates = multi_filter.step(state, event)
+        log_likelihood += info.log_likelihood
+        key = {"time_s": frame.time_s, "camera": camera.name, "frame": frame.frame}
+        scans.append(
+            {
+                **key,
+                "n_detections": np.array([len(frame.pixels)]),
+                "cardinality_mean": info.cardinality_mean,
+                "cardinality_estimate": len(estimates.track_ids),
+                "log_likelihood": info.log_likelihood,
+                "n_components": info.n_components,
+            }
+        )
+        if len(estimates.track_ids):
+            tracks.append({**key, **_columns(estimates)})
+        _summarise(identities, estimates, frame)
+        if progress is not None and number % PROGRESS_EVERY == 0:
+            progress(reader.counts["rows"], reader.num_rows)
+    if progress is not None:
+        progress(reader.num_rows, reader.num_rows)
+    return {
+        "events": state.n_events,
+        "estimates": tracks.rows,
+        "log_likelihood": log_likelihood,
+        "tracks": [
+            {
+                "track_id": track_id,
+                "first_s": summary.first_s,
+                "last_s": summary.last_s,
+                "n_estimates": summary.n_estimates,
+                "mean_existence": summary.existence / summary.n_estimates,
+            }
+            for track_id, summary in sorted(identities.items())
+        ],
+    }
+
+
+def _columns(estimates: Estimates) -> dict[str, Any]:
+    """Columns of ``tracks.parquet`` of one event."""
+    names = ("x", "y", "z", "vx", "vy", "vz")
+    return {
+        "track_id": estimates.track_ids,
+        **{name: estimates.states[:, axis] for axis, name in enumerate(names)},
+        "covariance": estimates.covariances,
+        "existence": estimates.existence,
+    }
+
+
+def _summarise(identities: dict[int, _TrackSummary], estimates: Estimates, frame: Frame) -> None:
+    for track_id, existence in zip(estimates.track_ids.tolist(), estimates.existence.tolist(), strict=True):
+        summary = identities.setdefault(track_id, _TrackSummary(frame.time_s, frame.time_s))
+        summary.last_s = frame.time_s
+        summary.n_estimates += 1
+        summary.existence += existence

@@ -1,0 +1,115 @@
+"""The rules of the house hold: layers, configs, constraints, a light command line."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import stereophd
+from stereophd.config_loading import load_config
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIGS = sorted(ROOT.glob("configs/**/*.yaml"))
+SCHEMA_LINE = re.compile(r"# yaml-language-server: \$schema=(\S+)")
+
+# What `stereophd --help` must not load: each costs more than the help itself.
+HEAVY = ("matplotlib", "numba", "numpy", "pandas", "pyarrow", "pydantic", "scipy")
+
+
+def test_import_contracts_hold() -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    contracts = len(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"])
+    assert f"Contracts: {contracts} kept, 0 broken." in result.stdout
+
+
+def test_there_are_configs() -> None:
+    names = {str(path.relative_to(ROOT / "configs")) for path in CONFIGS}
+    assert {"quickstart.yaml", "drone.yaml", "paper/multi_object.yaml"} <= names
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_config_loads_as_it_stands(path: Path) -> None:
+    first = path.read_text().splitlines()[0]
+    line = SCHEMA_LINE.fullmatch(first)
+    assert line is not None, f"{path.name} starts with {first!r}"
+    assert (path.parent / line[1]).resolve() == ROOT / "configs" / "schema.json"
+    loaded = load_config(path)
+    assert loaded.cameras
+    assert loaded.config.filter is not None
+    assert loaded.config.simulate is not None
+
+
+def test_version_is_one() -> None:
+    assert version("stereophd") == stereophd.__version__
+    assert f"## {stereophd.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_constraints_are_exact_versions_of_all_requirements() -> None:
+    lines = [
+        line
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if line and not line.startswith("#")
+    ]
+    pinned = set()
+    for line in lines:
+        match = re.fullmatch(r"([A-Za-z0-9._-]+)==([0-9][A-Za-z0-9.]*)", line)
+        assert match is not None, line
+        pinned.add(_normalised(match[1]))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = list(project["dependencies"])
+    for extra in ("plot", "dask", "dev"):
+        wanted += project["optional-dependencies"][extra]
+    for requirement in wanted:
+        name = re.match(r"[A-Za-z0-9._-]+", requirement)
+        assert name is not None
+        assert _normalised(name[0]) in pinned
+
+
+def _normalised(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+@pytest.mark.parametrize("module", ["stereophd", "stereophd.cli.app"])
+def test_the_command_line_starts_light(module: str) -> None:
+    code = f"import sys, {module}; print(*sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(result.stdout.split())
+    assert module in loaded
+    assert not loaded.intersection(HEAVY)
+
+
+@pytest.mark.parametrize("target", ["demo", "test"])
+def test_readme_names_the_two_commands_and_the_makefile_has_them(target: str) -> None:
+    assert f"make {target}" in (ROOT / "README.md").read_text()
+    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def test_public_definitions_have_docstrings() -> None:
+
+    bare = []
+    for path in (ROOT / "stereophd").rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        bare += [
+            f"{path.relative_to(ROOT)}: {node.name}"
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef | ast.ClassDef)
+            and not node.name.startswith("_")
+            and not ast.get_docstring(node)
+        ]
+        if not ast.get_docstring(tree):
+            bare.append(f"{path.relative_to(ROOT)}: module")
+    assert not bare
