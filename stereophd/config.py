@@ -36,9 +36,7 @@ class Model(BaseModel):
 class Units(Model):
     """Units of all files of a run."""
 
-    length: Literal["mm", "cm", "m", "km"] = Field(
-        "m", description="unit of length of positions and baselines"
-    )
+    length: Literal["mm", "cm", "m", "km"] = Field("m", description="unit of length of positions and baselines")
 
 
 class IntrinsicsConfig(Model):
@@ -57,9 +55,7 @@ class PoseConfig(Model):
     rotation_matrix: tuple[Vector3, Vector3, Vector3] | None = Field(
         None, description="rows of the rotation from world to camera axes"
     )
-    rotation_vector_deg: Vector3 | None = Field(
-        None, description="the same rotation as axis times angle, degrees"
-    )
+    rotation_vector_deg: Vector3 | None = Field(None, description="the same rotation as axis times angle, degrees")
     velocity: Vector3 = Field((0.0, 0.0, 0.0), description="velocity of the centre in the world, length/s")
     rotation_rate_deg_s: Vector3 = Field(
         (0.0, 0.0, 0.0), description="angular velocity about the camera's own axes, deg/s"
@@ -103,15 +99,9 @@ class PoseConfig(Model):
 class DetectorConfig(Model):
     """What the detector of a camera does: noise, misses and false detections."""
 
-    sigma_px: tuple[Positive, Positive] = Field(
-        description="standard deviation of a detection along u and v, px"
-    )
-    p_detect: Annotated[float, Field(gt=0, le=1)] = Field(
-        description="probability that an object in view is detected"
-    )
-    clutter_per_frame: NonNegative = Field(
-        description="mean number of false detections a frame, uniform in the image"
-    )
+    sigma_px: tuple[Positive, Positive] = Field(description="standard deviation of a detection along u and v, px")
+    p_detect: Annotated[float, Field(gt=0, le=1)] = Field(description="probability that an object in view is detected")
+    clutter_per_frame: NonNegative = Field(description="mean number of false detections a frame, uniform in the image")
 
 
 class NoDistortion(Model):
@@ -258,9 +248,7 @@ class DisparityPrior(Model):
 class BirthConfig(Model):
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
-    per_frame: Positive = Field(
-        0.1, description="expected number of new objects a frame, uniform over the image"
-    )
+    per_frame: Positive = Field(0.1, description="expected number of new objects a frame, uniform over the image")
     disparity: DisparityPrior | None = Field(None, description="prior of the disparity, px at the baseline")
     depth_range: tuple[Positive, Positive] | None = Field(
         None, description="near and far depth, length: two standard deviations either side in disparity"
@@ -279,9 +267,7 @@ class BirthConfig(Model):
 class ExtractionConfig(Model):
     """Which components are reported as objects, with hysteresis."""
 
-    confirm: Annotated[float, Field(gt=0)] = Field(
-        0.5, description="reported from this weight or existence on"
-    )
+    confirm: Annotated[float, Field(gt=0)] = Field(0.5, description="reported from this weight or existence on")
     release: Annotated[float, Field(gt=0)] = Field(
         0.5, description="a reported object stays reported until its weight or existence falls below this"
     )
@@ -302,9 +288,7 @@ class PhdConfig(Model):
     )
     birth: BirthConfig
     prune_weight: Positive = Field(1e-6, description="components below this weight are dropped")
-    merge_distance: NonNegative = Field(
-        7.0, description="squared Mahalanobis distance below which components merge"
-    )
+    merge_distance: NonNegative = Field(7.0, description="squared Mahalanobis distance below which components merge")
     max_components: Annotated[int, Field(ge=1)] = 1000
     extraction: ExtractionConfig = Field(default_factory=ExtractionConfig)
 
@@ -352,17 +336,13 @@ class DrawnObjects(Model):
 
     count: Annotated[int, Field(ge=0)] = Field(description="objects alive at the start")
     box: Range3 = Field(description="positions at the start are uniform in this box")
-    velocity_std: NonNegative = Field(
-        description="standard deviation of each component of velocity, length/s"
-    )
+    velocity_std: NonNegative = Field(description="standard deviation of each component of velocity, length/s")
     stay_in_view: Literal["all", "any", "none"] = Field(
         "all",
         description="draw again until the object is in view of all (any of the) cameras throughout its life",
     )
     births_per_s: NonNegative = Field(0.0, description="further objects appear at this rate")
-    mean_lifetime_s: Positive | None = Field(
-        None, description="exponential lifetime; default to the end of the run"
-    )
+    mean_lifetime_s: Positive | None = Field(None, description="exponential lifetime; default to the end of the run")
 
 
 class SimulateConfig(Model):
@@ -373,15 +353,9 @@ class SimulateConfig(Model):
     frame_rate_hz: Positive = Field(1.0, description="of cameras that state none")
     objects: DrawnObjects | None = None
     given: tuple[GivenObject, ...] = ()
-    acceleration_std: NonNegative | Vector3 = Field(
-        0.0, description="process noise, as motion.acceleration_std"
-    )
-    truth_rate_hz: Positive | None = Field(
-        None, description="of truth.parquet; default every distinct frame time"
-    )
-    object_id: bool = Field(
-        False, description="write the true object_id of each detection (-1 clutter) into the log"
-    )
+    acceleration_std: NonNegative | Vector3 = Field(0.0, description="process noise, as motion.acceleration_std")
+    truth_rate_hz: Positive | None = Field(None, description="of truth.parquet; default every distinct frame time")
+    object_id: bool = Field(False, description="write the true object_id of each detection (-1 clutter) into the log")
 
     @model_validator(mode="after")
     def _some_objects(self) -> SimulateConfig:

@@ -117,9 +117,7 @@ def load_config(
         _apply(tree, ("seed",), Tree(seed, {(): Place("--seed")}))
     config = _validate(Config, tree)
     if unit is not None and unit != config.units.length:
-        raise InputError(
-            f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}"
-        )
+        raise InputError(f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}")
     resolved = config.model_dump(mode="json")
     cameras = config.cameras if isinstance(config.cameras, dict) else {}
     return LoadedConfig(config, cameras, resolved, sha256_of(resolved), source, inputs)
@@ -153,9 +151,7 @@ def _schema(model: type[BaseModel]) -> Mapping[str, Any]:
 
 def _require_mapping(tree: Tree) -> None:
     if not isinstance(tree.data, dict):
-        found = (
-            "an empty file" if tree.data is None else "a list" if isinstance(tree.data, list) else "a value"
-        )
+        found = "an empty file" if tree.data is None else "a list" if isinstance(tree.data, list) else "a value"
         raise InputError(f"{tree.place(())}: expected a mapping of keys to values, found {found}")
 
 
@@ -185,9 +181,7 @@ def _parse_override(text: str) -> tuple[KeyPath, Tree]:
     source = f"--set {text}"
     if not separator or not all(parts):
         raise InputError(f"{source}: expected KEY.PATH=VALUE")
-    return tuple(int(part) if part.isdecimal() else part for part in parts), parse_yaml(
-        value, source, numbered=False
-    )
+    return tuple(int(part) if part.isdecimal() else part for part in parts), parse_yaml(value, source, numbered=False)
 
 
 def _apply(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:
@@ -196,6 +190,5 @@ def _apply(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:
     except TypeError as error:
         where = ".".join(map(str, path))
         raise InputError(
-            f"{value.place(())}: {where}: expected the path of a key, "
-            f"found no mapping or list that has {error}"
+            f"{value.place(())}: {where}: expected the path of a key, found no mapping or list that has {error}"
         ) from None

@@ -136,9 +136,7 @@ class _Builder:
     def build(self, node: yaml.Node, path: KeyPath, key: yaml.Node | None = None) -> Any:
         self._count += 1
         if id(node) in self._open or self._count > MAX_NODES:
-            raise InputError(
-                f"{self._place(node)}: expected a finite document, found aliases that expand without end"
-            )
+            raise InputError(f"{self._place(node)}: expected a finite document, found aliases that expand without end")
         # A value is where its key is; a value that an alias brings in would be elsewhere.
         self.places[path] = self._place(key or node)
         self._open.add(id(node))
@@ -158,9 +156,7 @@ class _Builder:
         try:
             return convert(node.value)
         except ValueError:
-            raise InputError(
-                f"{self._place(node)}: expected a value of {node.tag}, found {node.value!r}"
-            ) from None
+            raise InputError(f"{self._place(node)}: expected a value of {node.tag}, found {node.value!r}") from None
 
     def _mapping(self, node: yaml.MappingNode, path: KeyPath) -> dict[str, Any]:
         result: dict[str, Any] = {}
@@ -176,8 +172,7 @@ class _Builder:
             if name in seen:
                 where = ".".join(map(str, (*path, name)))
                 raise InputError(
-                    f"{self._place(key)}: {where}: expected each key once, "
-                    f"found it again (first at line {seen[name]})"
+                    f"{self._place(key)}: {where}: expected each key once, found it again (first at line {seen[name]})"
                 )
             seen[name] = key.start_mark.line + 1
             result[name] = self.build(value, (*path, name), key)
@@ -218,9 +213,7 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = Place(source, mark.line + 1 if mark and numbered else None)
-        raise InputError(
-            f"{place}: expected YAML, found a syntax error: {error.problem or error.context}"
-        ) from error
+        raise InputError(f"{place}: expected YAML, found a syntax error: {error.problem or error.context}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InputError(f"{source}: expected YAML text, found {str(error).splitlines()[0]}") from error
     except RecursionError as error:

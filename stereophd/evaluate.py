@@ -50,9 +50,7 @@ if TYPE_CHECKING:
     from stereophd.geometry.camera import Camera
 
 REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
-PLOT_NAMES = tuple(
-    f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg")
-)
+PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg"))
 
 
 def evaluate(
@@ -274,9 +272,7 @@ def _common_unit(units: dict[str, str | None], inputs: dict[str, Path]) -> str |
     return next(iter(named.values()), None)
 
 
-def _nothing_to_score(
-    tracks: Tracks, truth: Truth, scans: dict[str, int], options: Options, path: Path
-) -> str:
+def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: Options, path: Path) -> str:
     def span(time_s: NDArray[Any]) -> str:
         return f"{time_s.min():g} to {time_s.max():g} s" if len(time_s) else "none"
 

@@ -139,8 +139,7 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
     if twice.size:
         row, other = sorted((int(order[twice[0]]), int(order[twice[0] + 1])))
         raise InputError(
-            f"{path}: row {other}: object {object_id[twice[0]]} at {time_s[twice[0]]} s "
-            f"is there already in row {row}"
+            f"{path}: row {other}: object {object_id[twice[0]]} at {time_s[twice[0]]} s is there already in row {row}"
         )
     truth = Truth(time_s, object_id, position[order], None if velocity is None else velocity[order])
     return truth, length_unit(table.schema.metadata)
@@ -175,11 +174,12 @@ def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
     camera, names = _names(table)
     if cameras is not None:
         clocks = {one.name: one.clock for one in cameras}
-        for index, name in enumerate(names):
-            if name not in clocks:
-                raise InputError(f"{path}: expected one of the cameras {', '.join(clocks)}, found {name}")
-            rows = camera == index
-            time_s[rows] = clocks[name].to_true(time_s[rows])
+        unknown = [name for name in names if name not in clocks]
+        if unknown:
+            raise InputError(f"{path}: expected the cameras {', '.join(clocks)}, found {unknown[0]}")
+        offset = np.array([clocks[name].offset_s for name in names])
+        rate = np.array([clocks[name].rate for name in names])
+        time_s = offset[camera] + rate[camera] * time_s
     object_id = None
     if "object_id" in table.column_names:
         object_id = np.array(pc.fill_null(table["object_id"], -1), dtype=np.int64)
@@ -216,9 +216,7 @@ def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
     return EventKeys(time_s, number[camera], _integers(table, "frame"))
 
 
-def _events_of_scans(
-    keys: EventKeys, starts: IntArray, ends: IntArray, path: Path, cameras: dict[str, int]
-) -> Events:
+def _events_of_scans(keys: EventKeys, starts: IntArray, ends: IntArray, path: Path, cameras: dict[str, int]) -> Events:
     """Return the events of ``scans.parquet`` and the rows of tracks that belong to each."""
     scans_path = path.with_name(SCANS_NAME)
     scans = _keys(read_table(scans_path, KEY, what="table of scans"), scans_path, cameras)
@@ -229,8 +227,7 @@ def _events_of_scans(
     unknown = np.flatnonzero(event < 0)
     if unknown.size:
         raise InputError(
-            f"{path}: row {starts[unknown[0]]}: its event (time_s, camera, frame) is not in {SCANS_NAME} "
-            "beside it"
+            f"{path}: row {starts[unknown[0]]}: its event (time_s, camera, frame) is not in {SCANS_NAME} beside it"
         )
     disorder = np.flatnonzero(np.diff(event) <= 0)
     if disorder.size:
@@ -241,9 +238,7 @@ def _events_of_scans(
 
 
 def _split_event(path: Path, row: int) -> InputError:
-    return InputError(
-        f"{path}: row {row}: expected all rows of an event together and in the order of the events"
-    )
+    return InputError(f"{path}: row {row}: expected all rows of an event together and in the order of the events")
 
 
 def _integers(table: pa.Table, name: str) -> IntArray:
@@ -260,9 +255,7 @@ def _finite(table: pa.Table, name: str, path: Path) -> FloatArray:
     values = np.array(table[name], dtype=np.float64)
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
-        raise InputError(
-            f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}"
-        )
+        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
     return values
 
 

@@ -118,9 +118,7 @@ def _simulate_runs(
     return counts
 
 
-def _simulate_run(
-    loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None
-) -> dict[str, int]:
+def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None) -> dict[str, int]:
     """Write the three files of one run, and return what they hold."""
     config = loaded.config
     settings = config.simulate
@@ -160,8 +158,7 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     assert settings is not None
     start_s, end_s = settings.start_s, settings.start_s + settings.duration_s
     schedules = tuple(
-        Schedule(camera.frame_rate_hz or settings.frame_rate_hz, start_s, end_s, camera.phase_s)
-        for camera in cameras
+        Schedule(camera.frame_rate_hz or settings.frame_rate_hz, start_s, end_s, camera.phase_s) for camera in cameras
     )
     truth = None if settings.truth_rate_hz is None else Schedule(settings.truth_rate_hz, start_s, end_s)
     grid = TimeGrid(schedules, truth)
@@ -183,22 +180,16 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     return Scene(tuple(cameras), grid, objects, acceleration_std)
 
 
-def _given_objects(
-    settings: SimulateConfig, start_s: float, seed: np.random.SeedSequence
-) -> tuple[MovingObject, ...]:
+def _given_objects(settings: SimulateConfig, start_s: float, seed: np.random.SeedSequence) -> tuple[MovingObject, ...]:
     noise_seeds = np.random.default_rng(seed).integers(0, np.iinfo(np.int64).max, len(settings.given))
     objects = []
     for index, given in enumerate(settings.given):
         birth_s = start_s if given.birth_s is None else given.birth_s
         death_s = np.inf if given.death_s is None else given.death_s
         if death_s < birth_s:
-            raise InputError(
-                f"simulate.given.{index}: expected birth_s <= death_s, found {birth_s:g} > {death_s:g}"
-            )
+            raise InputError(f"simulate.given.{index}: expected birth_s <= death_s, found {birth_s:g} > {death_s:g}")
         position, velocity = np.array(given.position), np.array(given.velocity)
-        objects.append(
-            MovingObject(index, birth_s, float(death_s), position, velocity, int(noise_seeds[index]))
-        )
+        objects.append(MovingObject(index, birth_s, float(death_s), position, velocity, int(noise_seeds[index])))
     return tuple(objects)
 
 

@@ -102,9 +102,7 @@ def track(
     return report
 
 
-def build_filter(
-    config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1
-) -> PhdFilter:
+def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> PhdFilter:
     """Return the multi-object filter that a configuration describes.
 
     Raises

@@ -222,9 +222,7 @@ class TestErrors:
             ),
         ],
     )
-    def test_names_line_key_and_what_was_found(
-        self, path: Path, old: str, new: str, line: int, expected: str
-    ) -> None:
+    def test_names_line_key_and_what_was_found(self, path: Path, old: str, new: str, line: int, expected: str) -> None:
         found = replaced(path, old, new).splitlines()
         assert found[0] == f"{path}:{line}: {expected}"
         # The alias repeats the fault of the camera; nothing else has a second one.
@@ -247,7 +245,7 @@ class TestErrors:
 
     def test_known_keys_of_a_lens_are_those_of_its_model(self, path: Path) -> None:
         found = message(path, "cameras.alpha.distortion={model: radial, k9: 1, k1: 0}")
-        assert found.endswith("cameras.alpha.distortion.k9: unknown key; did you mean k1?")
+        assert found.endswith("cameras.alpha.distortion.k9: unknown key; expected one of model, k1")
         found = message(path, "cameras.alpha.distortion={model: fisheye, tilt: 1}")
         assert found.endswith("unknown key; expected one of model, k1, k2, k3, k4")
 

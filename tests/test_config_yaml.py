@@ -12,7 +12,11 @@ from hypothesis import strategies as st
 from stereophd.config_yaml import parse_yaml
 
 SCALARS = st.one_of(
-    st.none(), st.booleans(), st.integers(-(10**9), 10**9), st.floats(allow_nan=False), st.text("abcé :#-'\"", max_size=8)
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**9), 10**9),
+    st.floats(allow_nan=False),
+    st.text("abcé :#-'\"", max_size=8),
 )
 DATA = st.recursive(
     SCALARS,

@@ -39,9 +39,7 @@ def test_backward_step_undoes_the_forward_one(dt: float, acceleration_std: tuple
     np.testing.assert_allclose(backward @ forward, np.eye(6), rtol=0, atol=1e-12)
     # x(t) = F x(t - dt) + w, hence x(t - dt) = F^-1 x(t) - F^-1 w.
     expected = backward @ forward_covariance @ backward.T
-    np.testing.assert_allclose(
-        backward_covariance, expected, rtol=0, atol=scale(expected, forward_covariance) * 10
-    )
+    np.testing.assert_allclose(backward_covariance, expected, rtol=0, atol=scale(expected, forward_covariance) * 10)
 
 
 @settings(max_examples=200, deadline=None)

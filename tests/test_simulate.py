@@ -115,10 +115,7 @@ def test_truth_has_position_and_velocity_of_living_objects(scenario: LoadedConfi
     assert truth["time_s"][second].min() >= 102.0
     assert truth["time_s"][second].max() <= 104.0
     first = truth["object_id"] == 0
-    assert (
-        truth["time_s"][first].size
-        == 123 - np.intersect1d(np.arange(75) / 12.5, 0.03 + np.arange(48) / 8).size
-    )
+    assert truth["time_s"][first].size == 123 - np.intersect1d(np.arange(75) / 12.5, 0.03 + np.arange(48) / 8).size
     assert not np.ptp(truth["vy"][first])  # no acceleration along y
     assert np.ptp(truth["vx"][first]) > 0.1
 
@@ -150,13 +147,9 @@ def test_same_seed_same_bytes_other_seed_other_scene(scenario: LoadedConfig, tmp
     assert np.intersect1d(here["u_px"], there["u_px"]).size == 0
 
 
-def test_runs_depend_neither_on_their_number_nor_on_the_workers(
-    scenario: LoadedConfig, tmp_path: Path
-) -> None:
+def test_runs_depend_neither_on_their_number_nor_on_the_workers(scenario: LoadedConfig, tmp_path: Path) -> None:
     calls: list[tuple[int, int]] = []
-    summary = simulate(
-        scenario, tmp_path / "two", runs=2, progress=lambda done, total: calls.append((done, total))
-    )
+    summary = simulate(scenario, tmp_path / "two", runs=2, progress=lambda done, total: calls.append((done, total)))
     simulate(scenario, tmp_path / "three", runs=3, jobs=2)
     simulate(scenario, tmp_path / "plain")
     two, three, plain = (digests(tmp_path / name) for name in ("two", "three", "plain"))

@@ -17,9 +17,7 @@ def simulate_command(
     cameras: options.Cameras = None,
     runs: Annotated[
         int | None,
-        typer.Option(
-            "--runs", metavar="N", min=1, help="Make N runs, in folders run-0000, ...", show_default=False
-        ),
+        typer.Option("--runs", metavar="N", min=1, help="Make N runs, in folders run-0000, ...", show_default=False),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes for --runs.")] = 1,
     overrides: options.Set = None,

@@ -26,10 +26,17 @@ from numpy.typing import NDArray
 from stereophd.compilation import compiled, compiled_fast
 from stereophd.disparity.space import BASELINE, VERTICAL
 from stereophd.geometry.kernels import pixel_in_view
+from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE, LENS_NONE, ROTATION, WIDTH
 
 Array = NDArray[np.float64]
 
 MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array]
+
+
+def slice_moved(moved: MovedArrays, part: slice) -> MovedArrays:
+    """Views of the outputs of `move_components` for some of the components."""
+    return moved[0][part], moved[1][part], moved[2][part], moved[3][part], moved[4][part], moved[5][part]
+
 
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 
@@ -82,26 +89,26 @@ def condition(matrix: Array, factor: Array) -> bool:
 def relative_pose(source: Array, destination: Array, rotation: Array, translation: Array) -> None:
     """Pose of the source camera's frame in the destination's: x_B = rotation x_A + translation."""
     for a in range(3):
-        row = 9 + 3 * a
+        row = ROTATION + 3 * a
         for b in range(3):
-            column = 9 + 3 * b
+            column = ROTATION + 3 * b
             rotation[a, b] = (
                 destination[row] * source[column]
                 + destination[row + 1] * source[column + 1]
                 + destination[row + 2] * source[column + 2]
             )
         translation[a] = (
-            destination[row] * (source[6] - destination[6])
-            + destination[row + 1] * (source[7] - destination[7])
-            + destination[row + 2] * (source[8] - destination[8])
+            destination[row] * (source[CENTER] - destination[CENTER])
+            + destination[row + 1] * (source[CENTER + 1] - destination[CENTER + 1])
+            + destination[row + 2] * (source[CENTER + 2] - destination[CENTER + 2])
         )
 
 
 @compiled
 def disparity_scale(space: Array) -> float:
     """Focal length along the baseline times the baseline: d = scale / depth."""
-    focal = space[1] if space[VERTICAL] == 1.0 else space[0]
-    return focal * space[BASELINE]
+    focal = space[FY] if space[VERTICAL] == 1.0 else space[FX]
+    return float(focal * space[BASELINE])
 
 
 @compiled_fast
@@ -146,10 +153,10 @@ def moving_trips(
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     t0, t1, t2 = translation[0], translation[1], translation[2]
-    per_fx, per_fy, per_scale = 1.0 / source[0], 1.0 / source[1], 1.0 / disparity_scale(source)
-    fx, fy, cx, cy = destination[0], destination[1], destination[2], destination[3]
+    per_fx, per_fy, per_scale = 1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)
+    fx, fy, cx, cy = destination[FX], destination[FY], destination[CX], destination[CY]
     scale = disparity_scale(destination)
-    m0, m1, m2, m3, m4, m5 = mean[0] - source[2], mean[1] - source[3], mean[2], mean[3], mean[4], mean[5]
+    m0, m1, m2, m3, m4, m5 = mean[0] - source[CX], mean[1] - source[CY], mean[2], mean[3], mean[4], mean[5]
     # the factor is unrolled into scalars: the loop over samples then has no loop inside it
     l00 = factor[0, 0]
     l10, l11 = factor[1, 0], factor[1, 1]
@@ -208,17 +215,15 @@ def moving_trips(
 
 
 @compiled_fast
-def static_trips(
-    mean: Array, factor: Array, samples: Array, source: Array, destination: Array, out: Array
-) -> None:
+def static_trips(mean: Array, factor: Array, samples: Array, source: Array, destination: Array, out: Array) -> None:
     """Carry the samples of one static object; as `moving_trips` with states (3,) and out (4, n)."""
     rotation = np.empty((3, 3))
     translation = np.empty(3)
     relative_pose(source, destination, rotation, translation)
-    per_fx, per_fy, per_scale = 1.0 / source[0], 1.0 / source[1], 1.0 / disparity_scale(source)
-    fx, fy, cx, cy = destination[0], destination[1], destination[2], destination[3]
+    per_fx, per_fy, per_scale = 1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)
+    fx, fy, cx, cy = destination[FX], destination[FY], destination[CX], destination[CY]
     scale = disparity_scale(destination)
-    m0, m1, m2 = mean[0] - source[2], mean[1] - source[3], mean[2]
+    m0, m1, m2 = mean[0] - source[CX], mean[1] - source[CY], mean[2]
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
         ray_x = (m0 + factor[0, 0] * a0) * per_fx
@@ -238,8 +243,8 @@ def static_trips(
 def view_mask(points: Array, destination: Array, mask: Array) -> int:
     """Mark the samples in view of the destination (in front, inside the distorted image); count them."""
     depth = points[points.shape[0] - 1]
-    right, bottom = destination[4] - 0.5, destination[5] - 0.5
-    distorted = destination[18] != 0.0
+    right, bottom = destination[WIDTH] - 0.5, destination[HEIGHT] - 0.5
+    distorted = destination[LENS_CODE] != LENS_NONE
     count = 0
     for i in range(points.shape[1]):
         u, v = points[0, i], points[1, i]
@@ -376,9 +381,7 @@ def move_components(
         fraction[k] = seen / count
         status[k] = IN_VIEW if seen == count else PARTLY_IN_VIEW
         if seen < count:
-            missed_moments(
-                means[k], factor, samples, mask, p_detect, minimum, missed_means[k], missed_covariances[k]
-            )
+            missed_moments(means[k], factor, samples, mask, p_detect, minimum, missed_means[k], missed_covariances[k])
             if not condition(missed_covariances[k], scratch):
                 missed_means[k] = means[k]
                 missed_covariances[k] = covariances[k]

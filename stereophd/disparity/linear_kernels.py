@@ -19,6 +19,7 @@ from stereophd.disparity.kernels import (
     relative_pose,
     weighted_moments,
 )
+from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 
 Array = NDArray[np.float64]
 
@@ -52,9 +53,9 @@ def linear_move(
     rotation = np.empty((3, 3))
     translation = np.empty(3)
     relative_pose(source, destination, rotation, translation)
-    per = np.array([1.0 / source[0], 1.0 / source[1], 1.0 / disparity_scale(source)])
-    scales = np.array([destination[0], destination[1], disparity_scale(destination)])
-    ray = np.array([(mean[0] - source[2]) * per[0], (mean[1] - source[3]) * per[1], 1.0])
+    per = np.array([1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)])
+    scales = np.array([destination[FX], destination[FY], disparity_scale(destination)])
+    ray = np.array([(mean[0] - source[CX]) * per[0], (mean[1] - source[CY]) * per[1], 1.0])
     rho = mean[2] * per[2]
     growth = mean[5] * per[2] / (rho if rho != 0.0 else 1e-300)
     velocity = np.array([mean[3] * per[0] - ray[0] * growth, mean[4] * per[1] - ray[1] * growth, -growth])
@@ -73,8 +74,8 @@ def linear_move(
     x_rate = (moved_velocity[0] - x * moved_velocity[2]) * per_z
     y_rate = (moved_velocity[1] - y * moved_velocity[2]) * per_z
     rho_rate = -rho_b * moved_velocity[2] * per_z
-    out_mean[0] = scales[0] * x + destination[2]
-    out_mean[1] = scales[1] * y + destination[3]
+    out_mean[0] = scales[0] * x + destination[CX]
+    out_mean[1] = scales[1] * y + destination[CY]
     out_mean[2] = scales[2] * rho_b
     out_mean[3] = scales[0] * x_rate
     out_mean[4] = scales[1] * y_rate
@@ -155,9 +156,7 @@ def linear_components(
             continue
         factor[:size, :size] = source_factor
         source_mean[:size] = means[k]
-        linear_move(
-            source_mean, factor, noise_axes, homes[k], destination, dts[k], max_speed, mean, covariance
-        )
+        linear_move(source_mean, factor, noise_axes, homes[k], destination, dts[k], max_speed, mean, covariance)
         if condition(covariance[:size, :size], scratch):
             out_means[k] = mean[:size]
             out_covariances[k] = covariance[:size, :size]
@@ -205,18 +204,18 @@ def world_components(
             weights[i] = 1.0 if state[2] * FARTHEST_SAMPLE >= means[k, 2] else 0.0
             total += weights[i]
             depth = scale / state[2]
-            x, y = (state[0] - home[2]) / home[0] * depth, (state[1] - home[3]) / home[1] * depth
+            x, y = (state[0] - home[CX]) / home[FX] * depth, (state[1] - home[CY]) / home[FY] * depth
             growth = state[5] / state[2]
-            vx = state[3] / home[0] * depth - x * growth
-            vy = state[4] / home[1] * depth - y * growth
+            vx = state[3] / home[FX] * depth - x * growth
+            vy = state[4] / home[FY] * depth - y * growth
             vz = -depth * growth
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
             slow = max_speed / speed if speed > max_speed else 1.0
             for a in range(3):
-                velocity = slow * (home[9 + a] * vx + home[12 + a] * vy + home[15 + a] * vz)
-                points[a, i] = (
-                    home[6 + a] + home[9 + a] * x + home[12 + a] * y + home[15 + a] * depth + dt * velocity
-                )
+                # column a of the rotation: from the camera's axes back to the world's
+                r0, r1, r2 = home[ROTATION + a], home[ROTATION + 3 + a], home[ROTATION + 6 + a]
+                velocity = slow * (r0 * vx + r1 * vy + r2 * vz)
+                points[a, i] = home[CENTER + a] + r0 * x + r1 * y + r2 * depth + dt * velocity
                 points[3 + a, i] = velocity
                 if size == 6:
                     points[a, i] += velocity_noise * dt * noise[a, i]

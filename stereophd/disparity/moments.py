@@ -12,6 +12,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from stereophd.disparity import kernels, linear_kernels
 from stereophd.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
 from stereophd.disparity.samples import SampleSets, cubature_points
+from stereophd.geometry.layout import ROTATION
 from stereophd.motion import ConstantVelocity, Motion
 
 __all__ = ["IN_VIEW", "OUT_OF_VIEW", "PARTLY_IN_VIEW", "Moved", "minimum_in_view", "move", "world_moments"]
@@ -101,7 +103,7 @@ def move(
     Moved
     """
     samples = sets.turn(turn)
-    noise = _motion_noise(samples, motion, destination[9:18].reshape(3, 3))
+    noise = _motion_noise(samples, motion, _rotation(destination))
     moved = _allocate(means)
     todo = np.arange(len(means))
     if sets.method in ("unscented", "linear"):
@@ -160,6 +162,10 @@ def _motion_noise(samples: Array, motion: Motion, rotation: Array) -> Array:
     return np.concatenate([axes @ position, axes @ with_velocity])
 
 
+def _rotation(space: Array) -> Array:
+    return space[ROTATION : ROTATION + 9].reshape(3, 3)
+
+
 @cache
 def _cubature(rows: int) -> Array:
     return cubature_points(rows)
@@ -181,7 +187,7 @@ def _low_order(
     which part of a Gaussian is in view.
     """
     points = _cubature(12 if means.shape[1] == 6 else 3)
-    rotation = destination[9:18].reshape(3, 3)
+    rotation = _rotation(destination)
     noise = _motion_noise(points, motion, rotation)
     max_speed = _max_speed(motion)
     kernels.move_components(
@@ -214,17 +220,16 @@ def _run(
     whole = len(todo) == len(means)
     if len(todo) == 0:
         return
-    inputs = (means, covariances, homes, dts)
     if not whole:
-        inputs = tuple(values[todo] for values in inputs)  # type: ignore[assignment]
-    outputs = moved if whole else _allocate(inputs[0])
+        means, covariances, homes, dts = means[todo], covariances[todo], homes[todo], dts[todo]
+    outputs = moved if whole else _allocate(means)
     minimum = minimum_in_view(samples.shape[1])
 
     def run(part: slice) -> None:
         kernels.move_components(
-            *(values[part] for values in inputs), samples, noise, destination, p_detect, max_speed, minimum,
-            tuple(values[part] for values in outputs),
-        )  # type: ignore[arg-type, call-arg]  # fmt: skip
+            means[part], covariances[part], homes[part], dts[part], samples, noise, destination, p_detect,
+            max_speed, minimum, kernels.slice_moved(outputs, part),
+        )  # fmt: skip
 
     slices = _slices(len(todo), samples.shape[1], threads)
     if len(slices) == 1:
@@ -239,7 +244,7 @@ def _run(
 def _slices(count: int, samples: int, threads: int) -> list[slice]:
     parts = max(1, min(threads, count * samples // TRIPS_PER_THREAD))
     bounds = np.linspace(0, count, parts + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
 
 
 @cache

@@ -49,9 +49,7 @@ def find_events(wanted: EventKeys, among: EventKeys) -> IntArray:
 
 def _number_equal(*parts: EventKeys) -> IntArray:
     """Number the keys of all parts, one after the other, so that equal keys have equal numbers."""
-    columns = [
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("time_s", "camera", "frame")
-    ]
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("time_s", "camera", "frame")]
     order = np.lexsort(columns[::-1])
     new = np.zeros(len(order), dtype=bool)
     for column in columns:

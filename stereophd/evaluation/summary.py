@@ -21,6 +21,9 @@ from stereophd.metrics.scans import PointSets, ScanScores
 
 POSITION_DIMENSION = 3
 
+# Covariances inverted at once: bounds the memory of a long run.
+PAIRS_AT_ONCE = 65_536
+
 
 @dataclass(frozen=True)
 class PairErrors:
@@ -48,7 +51,9 @@ def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> P
     position = estimates.position[x] - truth.position[y]
     normalised = np.full(len(x), np.nan)
     if estimates.covariance is not None:
-        normalised = nees(position, estimates.covariance[x])
+        for first in range(0, len(x), PAIRS_AT_ONCE):
+            rows = slice(first, first + PAIRS_AT_ONCE)
+            normalised[rows] = nees(position[rows], estimates.covariance[x[rows]])
     return PairErrors(
         position,
         estimates.velocity[x] - truth.velocity[y],

@@ -31,9 +31,7 @@ class Sightings:
     object_id: IntArray | None = None
 
 
-def cameras_that_saw(
-    sightings: Sightings, time_s: FloatArray, object_id: IntArray, within_s: float
-) -> IntArray:
+def cameras_that_saw(sightings: Sightings, time_s: FloatArray, object_id: IntArray, within_s: float) -> IntArray:
     """Count the distinct cameras that detected each object in the seconds up to a time.
 
     Parameters

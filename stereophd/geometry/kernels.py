@@ -200,9 +200,7 @@ def _undistort_radius(code: int, c: FloatArray, max_radius: float, r_d: float) -
 
 
 @compiled
-def _undistort_newton(
-    code: int, c: FloatArray, x_d: float, y_d: float, x: float, y: float
-) -> tuple[float, float]:
+def _undistort_newton(code: int, c: FloatArray, x_d: float, y_d: float, x: float, y: float) -> tuple[float, float]:
     """Refine an undistorted point by Newton's iteration in the plane, halving steps that do not help."""
     for _ in range(MAX_ITERATIONS):
         a, b, j00, j01, j10, j11 = distort_point_jacobian(code, c, x, y)

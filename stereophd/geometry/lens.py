@@ -71,9 +71,7 @@ class Lens:
             if not math.isfinite(value):
                 raise ValueError(f"lens: expected a finite {name}, found {value}")
             if value != 0.0 and name not in PARAMETERS[self.model]:
-                raise ValueError(
-                    f"lens: the model {self.model} has no coefficient {name}, found {name} = {value}"
-                )
+                raise ValueError(f"lens: the model {self.model} has no coefficient {name}, found {name} = {value}")
 
     @property
     def code(self) -> int:

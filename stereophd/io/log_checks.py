@@ -160,9 +160,7 @@ def frame_fault(rows: Rows, state: OrderState) -> Fault:
         time, frame = rows.time_s[mine], rows.frame[mine]
         starts = np.flatnonzero(np.concatenate([[True], time[1:] != time[:-1]]))
         highest = np.maximum.reduceat(frame, starts)
-        earlier = np.maximum.accumulate(
-            np.concatenate([[state.last_frame.get(int(camera), lowest)], highest])
-        )
+        earlier = np.maximum.accumulate(np.concatenate([[state.last_frame.get(int(camera), lowest)], highest]))
         group = np.repeat(np.arange(len(starts)), np.diff(np.concatenate([starts, [len(mine)]])))
         before[mine] = earlier[group]
         # Bad rows lie at or below the maximum, so they do not raise it either.
@@ -175,8 +173,7 @@ def frame_fault(rows: Rows, state: OrderState) -> Fault:
         if rows.frame[i] == before[i]:
             return f"frame: expected a frame of a camera at one time only, found frame {rows.frame[i]} at two"
         return (
-            f"frame: expected frame numbers of a camera to increase with time, found {rows.frame[i]} "
-            f"after {before[i]}"
+            f"frame: expected frame numbers of a camera to increase with time, found {rows.frame[i]} after {before[i]}"
         )
 
     return Fault("frame_out_of_order", bad, say)
@@ -227,6 +224,4 @@ def raise_first(faults: list[Fault], rows: Rows, path: Any) -> None:
             if first is None or rows.row[i] < first[0]:
                 first = (int(rows.row[i]), fault.say(i))
     if first is not None:
-        raise InputError(
-            f"{path}: row {first[0]}: {first[1]} (input.on_bad_row: drop skips and counts bad rows)"
-        )
+        raise InputError(f"{path}: row {first[0]}: {first[1]} (input.on_bad_row: drop skips and counts bad rows)")

@@ -134,9 +134,7 @@ class LogReader:
         if self.num_rows == 0:
             raise InputError(f"{self.path}: expected a detection log, found one without rows")
         if ("sigma_u_px" in present) != ("sigma_v_px" in present):
-            raise InputError(
-                f"{self.path}: expected both of the columns sigma_u_px and sigma_v_px, found one"
-            )
+            raise InputError(f"{self.path}: expected both of the columns sigma_u_px and sigma_v_px, found one")
         self._columns = [*REQUIRED, *present]
 
     @cached_property
@@ -165,9 +163,7 @@ class LogReader:
                 counts["cameras_without_frames"] -= 1
             yield frame
         if not seen:
-            raise InputError(
-                f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad"
-            )
+            raise InputError(f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad")
 
     def _frames(self, only: int | None) -> Iterator[Frame]:
         """Yield the frames in log order; with `only`, those of that camera, on its true time."""
@@ -321,9 +317,7 @@ class LogWriter:
         Whether the log has the column ``object_id``.
     """
 
-    def __init__(
-        self, path: Path | str, metadata: Mapping[Any, Any] | None = None, object_id: bool = False
-    ) -> None:
+    def __init__(self, path: Path | str, metadata: Mapping[Any, Any] | None = None, object_id: bool = False) -> None:
         self._object_id = object_id
         self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
 
@@ -332,9 +326,7 @@ class LogWriter:
         """Rows written so far."""
         return self._table.rows
 
-    def write(
-        self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None
-    ) -> None:
+    def write(self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None) -> None:
         """Write one frame.
 
         Parameters
@@ -355,9 +347,7 @@ class LogWriter:
             columns |= {"u_px": [None], "v_px": [None]}
         if self._object_id:
             if object_id is None:
-                raise ValueError(
-                    "this log has the column object_id: expected an object_id for each detection"
-                )
+                raise ValueError("this log has the column object_id: expected an object_id for each detection")
             columns["object_id"] = object_id if len(pixels) else [None]
         self._table.append(columns)
 

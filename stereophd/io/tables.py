@@ -41,9 +41,7 @@ OBJECT_ID = pa.field("object_id", INTEGER, nullable=True)
 #: One row a true object and time.
 TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **_POSITION, **_VELOCITY})
 #: One row a reported object and event; the covariance is 6x6, row-major, in the world frame.
-TRACKS = _schema(
-    {**_KEY, "track_id": INTEGER, **_POSITION, **_VELOCITY, "covariance": COVARIANCE, "existence": FLOAT}
-)
+TRACKS = _schema({**_KEY, "track_id": INTEGER, **_POSITION, **_VELOCITY, "covariance": COVARIANCE, "existence": FLOAT})
 #: One row an event.
 SCANS = _schema(
     {
@@ -144,9 +142,7 @@ class TableWriter:
         """
         if set(columns) != set(self.schema.names):
             raise ValueError(f"expected the columns {self.schema.names}, found {sorted(columns)}")
-        lengths = {
-            len(value) for value in columns.values() if not isinstance(value, str) and np.ndim(value) > 0
-        }
+        lengths = {len(value) for value in columns.values() if not isinstance(value, str) and np.ndim(value) > 0}
         if len(lengths) != 1:
             raise ValueError(f"expected columns of one length, found {sorted(lengths)}")
         rows = lengths.pop()
@@ -157,9 +153,7 @@ class TableWriter:
                 piece = dict(columns)
             else:
                 piece = {
-                    name: value
-                    if isinstance(value, str) or np.ndim(value) == 0
-                    else value[start : start + take]
+                    name: value if isinstance(value, str) or np.ndim(value) == 0 else value[start : start + take]
                     for name, value in columns.items()
                 }
             self._buffer.append((piece, take))
@@ -173,8 +167,7 @@ class TableWriter:
         if not self._buffered:
             return
         arrays = [
-            _array([(piece[field.name], rows) for piece, rows in self._buffer], field.type)
-            for field in self.schema
+            _array([(piece[field.name], rows) for piece, rows in self._buffer], field.type) for field in self.schema
         ]
         self._buffer, self._buffered = [], 0
         table = pa.Table.from_arrays(arrays, schema=self.schema)
@@ -262,8 +255,7 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
         return pq.ParquetFile(file, memory_map=False)
     except (pa.ArrowException, OSError) as error:
         raise InputError(
-            f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged "
-            f"({_first_line(error)})"
+            f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"
         ) from error
 
 

@@ -181,9 +181,7 @@ def ospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: Arr
     return Ospa(result.distance[0], result.localisation[0], result.cardinality[0])
 
 
-def gospa(
-    x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None
-) -> Gospa:
+def gospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None) -> Gospa:
     """Return the GOSPA distance (alpha = 2) between two sets of points, and its parts.
 
     Parameters and errors are those of `ospa`; the result holds zero-dimensional arrays.

@@ -161,9 +161,7 @@ def score_scans(
         pairs.append((scans[batch], rows[batch, row], columns[batch, matching.truth[batch, row]]))
     scan, estimate, true_point = _in_scan_order(pairs)
     distances = dict(zip(DISTANCE_FIELDS, values, strict=True))
-    return ScanScores(
-        **distances, n_matched=n_matched, pair_scan=scan, pair_estimate=estimate, pair_truth=true_point
-    )
+    return ScanScores(**distances, n_matched=n_matched, pair_scan=scan, pair_estimate=estimate, pair_truth=true_point)
 
 
 def _batches(n_estimates: IntArray, n_truth: IntArray) -> Iterator[tuple[IntArray, int, int]]:

@@ -82,9 +82,7 @@ class Rig:
         return out
 
 
-def make_rig(
-    cameras: Sequence[Camera], baseline: float, rectification: Literal["horizontal", "vertical"]
-) -> Rig:
+def make_rig(cameras: Sequence[Camera], baseline: float, rectification: Literal["horizontal", "vertical"]) -> Rig:
     """Build the rig of these cameras."""
     packed = np.stack([DisparitySpace(c.at(0.0), baseline, rectification).packed() for c in cameras])
     moving = any(not camera.pose.is_static for camera in cameras)
@@ -112,9 +110,7 @@ def make_event(camera: Camera, index: int, time_s: float, pixels: Array, sigma: 
     Event
         Without the detections at which the lens model cannot be inverted.
     """
-    std = np.broadcast_to(
-        np.asarray(camera.detector.sigma, dtype=float) if sigma is None else sigma, pixels.shape
-    )
+    std = np.broadcast_to(np.asarray(camera.detector.sigma, dtype=float) if sigma is None else sigma, pixels.shape)
     if camera.lens.code == 0:
         order = np.lexsort((pixels[:, 1], pixels[:, 0]))
         covariances = np.zeros((len(pixels), 2, 2))

@@ -37,9 +37,7 @@ class Selection:
     next_track: int
 
 
-def select_objects(
-    mixture: GaussianMixture, hysteresis: Hysteresis, next_label: int, next_track: int
-) -> Selection:
+def select_objects(mixture: GaussianMixture, hysteresis: Hysteresis, next_label: int, next_track: int) -> Selection:
     """Choose the components that are reported, and give identities in order of confirmation.
 
     The components of a label are alternatives for one object: their weights add up, and the heaviest
@@ -77,7 +75,7 @@ def select_objects(
 
     group = np.cumsum(first) - 1
     leaders = order[first]
-    totals = np.bincount(group, weights=mixture.weights[order])
+    totals = np.asarray(np.bincount(group, weights=mixture.weights[order]), dtype=np.float64)
     # any part of a label may carry its identity: the heaviest may come from a merged newborn
     tracks = np.maximum.reduceat(mixture.tracks[order], np.flatnonzero(first))
     was_reported = np.logical_or.reduceat(mixture.reported[order], np.flatnonzero(first))

@@ -8,7 +8,7 @@ an event is that of the conditional filter of VII-B.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class PhdSettings:
     prune_weight: float = 1e-6
     merge_distance: float = 7.0
     max_components: int = 1000
-    hysteresis: Hysteresis = Hysteresis(0.5, 0.5)
+    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.5, 0.5))
 
 
 @dataclass(frozen=True)
@@ -143,17 +143,13 @@ class PhdFilter:
         background = (camera.detector.clutter_per_frame + born) * per_area
         joint = detected[components] * densities
         totals = background + np.bincount(detections, weights=joint, minlength=len(event.points))
-        log_likelihood = float(
-            np.log(totals).sum() - camera.detector.clutter_per_frame - born - detected.sum()
-        )
+        log_likelihood = float(np.log(totals).sum() - camera.detector.clutter_per_frame - born - detected.sum())
         weights = joint / totals[detections]
         kept = weights >= settings.prune_weight
         updated = self._updated(prediction, event, components[kept], detections[kept], weights[kept])
-        births = self._births(event, born * per_area / totals, state.next_label)
+        births = self._births(event, np.asarray(born * per_area / totals), state.next_label)
         whole = concatenate([_missed(prediction, event, p_detect), updated, births])
-        reduced = reduce_mixture(
-            whole, settings.prune_weight, settings.merge_distance, settings.max_components
-        )
+        reduced = reduce_mixture(whole, settings.prune_weight, settings.merge_distance, settings.max_components)
         info = Info(log_likelihood, float(reduced.weights.sum()), len(reduced))
         label = state.next_label + len(event.points)
         return PhdState(reduced, event.time_s, state.n_events + 1, label, state.next_track), info
@@ -170,9 +166,7 @@ class PhdFilter:
         )  # fmt: skip
         finite = np.isfinite(means).all(axis=1)
         order = np.flatnonzero(finite)[np.argsort(parts.tracks[finite], kind="stable")]
-        return state, Estimates(
-            parts.tracks[order], means[order], covariances[order], chosen.existence[order]
-        )
+        return state, Estimates(parts.tracks[order], means[order], covariances[order], chosen.existence[order])
 
     def step(self, state: PhdState, event: Event) -> tuple[PhdState, Info, Estimates]:
         """Predict, update and extract for one event."""

@@ -79,9 +79,7 @@ class Pictures:
 def legend_right(axes: Axes, order: Sequence[str] = ()) -> None:
     """Put the legend beside the axes, outside of the data; labels that start as in `order` come first."""
     handles, labels = axes.get_legend_handles_labels()
-    ranks = [
-        next((i for i, start in enumerate(order) if one.startswith(start)), len(order)) for one in labels
-    ]
+    ranks = [next((i for i, start in enumerate(order) if one.startswith(start)), len(order)) for one in labels]
     chosen = sorted(range(len(labels)), key=lambda i: ranks[i])
     axes.legend(
         [handles[i] for i in chosen],

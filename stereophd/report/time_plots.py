@@ -52,9 +52,7 @@ def draw_cardinality(pictures: Pictures) -> Figure:
     time, bins = _time_bins(columns["time_s"])
     if len(time) < len(columns["time_s"]):
         low, high = _bin_ranges(columns["n_estimates"], bins)
-        axes.fill_between(
-            time, low, high, step="mid", color=BLUE, alpha=0.15, linewidth=0, label="least to most"
-        )
+        axes.fill_between(time, low, high, step="mid", color=BLUE, alpha=0.15, linewidth=0, label="least to most")
     for name, label, colour, width in (
         ("n_truth", "truth", INK, 3.2),
         ("n_estimates", "estimates", BLUE, 1.4),

@@ -78,9 +78,7 @@ def simulate_frames(scene: Scene, seed: np.random.SeedSequence) -> Iterator[Simu
     seed : numpy.random.SeedSequence
         One child for each camera.
     """
-    streams = [
-        _camera_frames(scene, index, child) for index, child in enumerate(seed.spawn(len(scene.cameras)))
-    ]
+    streams = [_camera_frames(scene, index, child) for index, child in enumerate(seed.spawn(len(scene.cameras)))]
     return merge(*streams, key=lambda frame: (frame.log_time_s, frame.camera))
 
 
@@ -100,9 +98,7 @@ def _camera_frames(scene: Scene, index: int, seed: np.random.SeedSequence) -> It
         log_times_s = np.asarray(camera.clock.to_log(times_s))
         for position, number in enumerate(numbers):
             rows = order[bounds[position] : bounds[position + 1]]
-            yield SimulatedFrame(
-                float(log_times_s[position]), index, int(number), pixels[rows], identifiers[rows]
-            )
+            yield SimulatedFrame(float(log_times_s[position]), index, int(number), pixels[rows], identifiers[rows])
 
 
 def _detect(
@@ -141,9 +137,7 @@ def _inside_image(camera: Camera, pixels: FloatArray) -> BoolArray:
         return np.asarray(((pixels >= -0.5) & (pixels <= upper)).all(axis=1), dtype=np.bool_)
 
 
-def _clutter(
-    camera: Camera, frames: int, generator: np.random.Generator
-) -> tuple[IntArray, FloatArray, IntArray]:
+def _clutter(camera: Camera, frames: int, generator: np.random.Generator) -> tuple[IntArray, FloatArray, IntArray]:
     """Return frame index (k,), pixels (k, 2) and label (k,) of Poisson clutter, uniform over the image."""
     counts = generator.poisson(camera.detector.clutter_per_frame, frames)
     total = int(counts.sum())

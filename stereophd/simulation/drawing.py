@@ -112,9 +112,7 @@ def _draw_one(
         velocities = drawing.velocity_std * generator.standard_normal((CANDIDATES_PER_BATCH, 3))
         seeds = generator.integers(0, np.iinfo(np.int64).max, CANDIDATES_PER_BATCH)
         last_s = life[1] if acceleration_std.any() else min(life[2], grid.end_s)
-        plausible = _stays_in_view_coarsely(
-            drawing.stay_in_view, cameras, positions, velocities, life[1], last_s
-        )
+        plausible = _stays_in_view_coarsely(drawing.stay_in_view, cameras, positions, velocities, life[1], last_s)
         for index in np.flatnonzero(plausible):
             candidate = MovingObject(*life, positions[index], velocities[index], int(seeds[index]))
             if _stays_in_view(drawing.stay_in_view, cameras, grid, acceleration_std, candidate):

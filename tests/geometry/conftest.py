@@ -15,9 +15,7 @@ LENSES = {
     "radial_barrel": Lens("radial", k1=-0.15),
     "radial_pincushion": Lens("radial", k1=0.12),
     "polynomial": Lens("brown_conrady", k1=0.0375, k2=0.229, p1=0.0008, p2=-0.0006, k3=-0.789),
-    "rational": Lens(
-        "brown_conrady", k1=0.11, k2=-0.05, p1=-0.002, p2=0.003, k3=0.01, k4=0.14, k5=-0.02, k6=0.004
-    ),
+    "rational": Lens("brown_conrady", k1=0.11, k2=-0.05, p1=-0.002, p2=0.003, k3=0.01, k4=0.14, k5=-0.02, k6=0.004),
     "fisheye": Lens("fisheye", k1=-0.012, k2=0.004, k3=-0.003, k4=0.0004),
 }
 
@@ -35,8 +33,6 @@ def make_camera() -> Callable[[Lens], Camera]:
     def make(lens: Lens, pose: Pose | None = None) -> Camera:
         if pose is None:
             pose = Pose(rotation_from_vector([0.3, -0.5, 0.2]), [1.5, -2.0, 0.7])
-        return Camera(
-            "left", 1280, 720, 903.5, 871.25, 655.5, 340.75, pose, lens, Detector((1.5, 0.8), 0.9, 3.0)
-        )
+        return Camera("left", 1280, 720, 903.5, 871.25, 655.5, 340.75, pose, lens, Detector((1.5, 0.8), 0.9, 3.0))
 
     return make

@@ -53,9 +53,7 @@ def test_undistort_pixels_agrees_with_opencv(lens: Lens, make_camera: MakeCamera
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-14)
     k = camera.intrinsic_matrix
     if lens.model == "fisheye":
-        expected = cv2.fisheye.undistortPoints(
-            pixels[:, None], k, lens.coefficients[:4], P=k, criteria=criteria
-        )
+        expected = cv2.fisheye.undistortPoints(pixels[:, None], k, lens.coefficients[:4], P=k, criteria=criteria)
     else:
         expected = cv2.undistortPoints(pixels[:, None], k, lens.coefficients, P=k, criteria=criteria)
     undistorted, _ = camera.undistort_pixels(pixels)
@@ -101,9 +99,7 @@ def test_project_inverts_unproject(
     center: tuple[float, ...],
 ) -> None:
     pose = Pose(rotation_from_vector(vector), center)
-    camera = Camera(
-        "c", 1280, 720, 900.0, 880.0, 640.0, 360.0, pose, Lens("radial", k1=k1), Detector((1, 1), 0.9, 0)
-    )
+    camera = Camera("c", 1280, 720, 900.0, 880.0, 640.0, 360.0, pose, Lens("radial", k1=k1), Detector((1, 1), 0.9, 0))
     x = camera.unproject([[u, v]], [depth])
     np.testing.assert_allclose(camera.pose.to_camera(x)[0, 2], depth, rtol=1e-9, atol=1e-12)
     # Subtracting the centre again loses digits of a near point: 50 / 0.1 times 1e-16 times 900 px.
@@ -179,9 +175,7 @@ def test_packed_layout(make_camera: MakeCamera) -> None:
 
 
 def test_moving_camera_sees_what_passes_by(make_camera: MakeCamera) -> None:
-    pose = Pose(
-        np.eye(3), [0.0, 0.0, 0.0], velocity=[2.0, 0.0, 0.0], rotation_rate=[0.0, 0.0, 0.1], time_s=1.0
-    )
+    pose = Pose(np.eye(3), [0.0, 0.0, 0.0], velocity=[2.0, 0.0, 0.0], rotation_rate=[0.0, 0.0, 0.1], time_s=1.0)
     camera = make_camera(Lens("radial", k1=-0.05), pose)
     moved = camera.at(4.0)
     assert moved.pose == pose.at(4.0)

@@ -75,9 +75,7 @@ def test_undistort_agrees_with_opencv(lens: Lens) -> None:
     xy_d = opencv_distort(lens, xy)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-14)
     if lens.model == "fisheye":
-        expected = cv2.fisheye.undistortPoints(
-            xy_d[:, None], np.eye(3), lens.coefficients[:4], criteria=criteria
-        )
+        expected = cv2.fisheye.undistortPoints(xy_d[:, None], np.eye(3), lens.coefficients[:4], criteria=criteria)
     else:
         expected = cv2.undistortPoints(xy_d[:, None], np.eye(3), lens.coefficients, criteria=criteria)
     result = lens.undistort(xy_d)[0]
@@ -172,9 +170,7 @@ def test_max_radius_in_closed_form(lens: Lens, expected: float) -> None:
 def test_undistort_is_nan_where_nothing_maps() -> None:
     lens = Lens("radial", k1=-0.2)
     largest = lens.distort([[lens.max_radius, 0.0]])[0][0, 0]
-    xy, jacobian = lens.undistort(
-        [[1.001 * largest, 0.0], [0.999 * largest, 0.0], [np.nan, 0.0], [np.inf, 0.0]]
-    )
+    xy, jacobian = lens.undistort([[1.001 * largest, 0.0], [0.999 * largest, 0.0], [np.nan, 0.0], [np.inf, 0.0]])
     assert np.isnan(xy).any(axis=1).tolist() == [True, False, True, True]
     assert np.isnan(jacobian).any(axis=(1, 2)).tolist() == [True, False, True, True]
     # The fisheye model maps the whole half space in front of it into a disc.

@@ -51,8 +51,9 @@ def test_atomic_write_follows_the_umask(tmp_path: Path) -> None:
 
 
 def test_atomic_write_to_a_missing_folder_is_an_input_error(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot write .*nowhere/a\.txt: No such file"), atomic_write(
-        tmp_path / "nowhere" / "a.txt"
+    with (
+        pytest.raises(InputError, match=r"cannot write .*nowhere/a\.txt: No such file"),
+        atomic_write(tmp_path / "nowhere" / "a.txt"),
     ):
         pass
 
@@ -184,9 +185,7 @@ def test_a_failure_while_moving_takes_everything_back(tmp_path: Path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_while_moving_waits_until_all_files_are_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_while_moving_waits_until_all_files_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replace = os.replace
 
     def interrupted(source: Path, target: Path) -> None:

@@ -39,7 +39,9 @@ def log_rows(draw: st.DrawFn) -> list[dict[str, Any]]:
         for frame, time in enumerate(np.cumsum([0, *steps]) * 0.5):
             count = draw(st.integers(0, 4))
             pixels = draw(
-                st.lists(st.tuples(st.integers(0, 639), st.integers(0, 479)), min_size=count, max_size=count, unique=True)
+                st.lists(
+                    st.tuples(st.integers(0, 639), st.integers(0, 479)), min_size=count, max_size=count, unique=True
+                )
             )
             rows += [row(float(time), name, frame * 2, float(u), float(v)) for u, v in pixels]
             rows += [] if pixels else [row(float(time), name, frame * 2)]
@@ -82,9 +84,7 @@ def test_frames_agree_with_plain_grouping(
     assert not any(reader.counts[kind] for kind in KINDS)
 
 
-def test_sigma_and_object_id_stay_with_their_detections(
-    cameras: list[Camera], write_rows: Callable[..., Path]
-) -> None:
+def test_sigma_and_object_id_stay_with_their_detections(cameras: list[Camera], write_rows: Callable[..., Path]) -> None:
     rows = [
         row(0.0, "right", 0, 5.0, 6.0, sigma_u_px=0.5, sigma_v_px=0.6, object_id=4),
         row(0.0, "left", 0, None, None, sigma_u_px=None, sigma_v_px=None, object_id=None),
@@ -241,7 +241,9 @@ def test_every_row_is_accounted_for(tmp_path: Path, data: st.DataObject) -> None
     rows.append(row(9.0, "left", 9))
     pq.write_table(pa.table({k: pa.array([r[k] for r in rows], TYPES[k]) for k in rows[0]}), tmp_path / "log.parquet")
     reader = LogReader(
-        tmp_path / "log.parquet", [make_camera("left", data.draw(st.sampled_from([0.0, 0.5]))), make_camera("right")], "drop"
+        tmp_path / "log.parquet",
+        [make_camera("left", data.draw(st.sampled_from([0.0, 0.5]))), make_camera("right")],
+        "drop",
     )
     frames = list(reader)
     counts = reader.counts

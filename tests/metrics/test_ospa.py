@@ -177,7 +177,5 @@ def test_parts_add_up(x, y, order):
     one = ospa(x, y, order, 20.0)
     assert one.distance**order == pytest.approx(one.localisation**order + one.cardinality**order)
     two = gospa(x, y, order, 20.0)
-    assert two.distance**order == pytest.approx(
-        two.localisation**order + two.missed**order + two.false**order
-    )
+    assert two.distance**order == pytest.approx(two.localisation**order + two.missed**order + two.false**order)
     assert two.distance <= 20.0 * max(len(x) + len(y), 1) + 1e-9

@@ -70,9 +70,7 @@ def scene(
     """A scene from time 0, cameras of 10 Hz unless said otherwise."""
     rates_hz = rates_hz or [10.0] * len(cameras)
     phases_s = phases_s or [0.0] * len(cameras)
-    schedules = [
-        Schedule(rate, 0.0, duration_s, phase) for rate, phase in zip(rates_hz, phases_s, strict=True)
-    ]
+    schedules = [Schedule(rate, 0.0, duration_s, phase) for rate, phase in zip(rates_hz, phases_s, strict=True)]
     return Scene(tuple(cameras), TimeGrid(tuple(schedules)), tuple(objects), np.full(3, acceleration_std))
 
 

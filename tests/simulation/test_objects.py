@@ -39,9 +39,7 @@ def test_without_noise_the_path_is_a_straight_line() -> None:
     item = moving_object((1.0, 2.0, 3.0), (0.1, -0.2, 0.3), birth_s=2.0)
     times = np.array([2.0, 2.5, 7.25])
     states = Path(item, NO_NOISE).states(times)
-    np.testing.assert_allclose(
-        states[:, :3], item.position + (times - 2.0)[:, None] * item.velocity, atol=1e-14
-    )
+    np.testing.assert_allclose(states[:, :3], item.position + (times - 2.0)[:, None] * item.velocity, atol=1e-14)
     np.testing.assert_array_equal(states[:, 3:], np.broadcast_to(item.velocity, (3, 3)))
 
 
@@ -76,9 +74,7 @@ def test_many_small_steps_gain_as_much_as_one_large_step() -> None:
     # 5 standard errors of a variance, sqrt(2 / n).
     times = np.sort(np.random.default_rng(2).uniform(0, 1, 50))
     times[-1] = 1.0
-    ends = [
-        Path(moving_object((0.0, 0.0, 0.0), noise_seed=k), np.ones(3)).states(times)[-1] for k in range(4000)
-    ]
+    ends = [Path(moving_object((0.0, 0.0, 0.0), noise_seed=k), np.ones(3)).states(times)[-1] for k in range(4000)]
     for found, expected in ((np.var(ends, axis=0)[:3], 1 / 3), (np.var(ends, axis=0)[3:], 1.0)):
         assert (np.abs(found / expected - 1) < 5 * np.sqrt(2 / 4000)).all()
 

@@ -53,9 +53,7 @@ def test_cameras_of_30_and_60_hz_share_their_instants_exactly() -> None:
 
 @given(st.lists(st.floats(0.2, 120.0), min_size=1, max_size=4), st.floats(0.5, 300.0))
 def test_windows_of_a_grid_are_contiguous_and_bounded(rates: list[float], duration: float) -> None:
-    grid = TimeGrid(
-        tuple(Schedule(rate, 7.0, 7.0 + duration) for rate in rates), Schedule(33.0, 7.0, 7.0 + duration)
-    )
+    grid = TimeGrid(tuple(Schedule(rate, 7.0, 7.0 + duration) for rate in rates), Schedule(33.0, 7.0, 7.0 + duration))
     windows = list(grid.windows())
     assert windows[0][0] == 7.0
     assert windows[-1][1] == grid.end_s == round(7.0 + duration, 9)

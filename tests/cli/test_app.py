@@ -1,0 +1,201 @@
+"""The command line: help, usage errors, exit codes, and what goes to stdout and stderr."""
+
+from __future__ import annotations
+
+import errno
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import stereophd
+import stereophd.simulate
+from stereophd.errors import GateError, InputError
+
+from .conftest import CONFIG, Outcome, start
+
+Call = Callable[..., Outcome]
+COMMANDS = [
+    [],
+    ["simulate"],
+    ["track"],
+    ["evaluate"],
+    ["config"],
+    *(["config", c] for c in ("show", "check", "schema")),
+]
+
+HEAVY = {"numpy", "numba", "scipy", "pyarrow", "matplotlib", "pandas", "yaml", "joblib"}
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help(call: Call, command: list[str]) -> None:
+    outcome = call(*command, "--help")
+    assert outcome.code == 0
+    assert outcome.out.startswith(f"Usage: {' '.join(['stereophd', *command])}")
+    assert outcome.err == ""
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys; from stereophd.cli.app import run; run(['evaluate', '--help']);"
+        "print(','.join(sorted({name.split('.')[0] for name in sys.modules})), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert not HEAVY & set(done.stderr.strip().split(","))
+
+
+def test_version(call: Call) -> None:
+    assert call("--version") == Outcome(0, f"stereophd {stereophd.__version__}\n", "")
+
+
+@pytest.mark.parametrize("command", [[], ["config"]])
+def test_without_words_the_help_is_shown(call: Call, command: list[str]) -> None:
+    outcome = call(*command)
+    assert outcome.code == 2
+    assert outcome.out == ""
+    assert outcome.err.startswith("Usage: ")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["trakc"], "No such command 'trakc'"),
+        (["track"], "Missing argument 'CONFIG'"),
+        (["track", "a", "b"], "Missing option '--out'"),
+        (["track", "a", "b", "--out", "c", "--treads", "2"], "--treads"),
+        (["track", "a", "b", "--out", "c", "--threads", "0"], "--threads"),
+        (["track", "a", "b", "c", "--out", "d"], "unexpected extra argument"),
+        (["simulate", "a", "--out", "b", "--runs", "0"], "--runs"),
+        (["simulate", "a", "--out", "b", "--seed", "x"], "--seed"),
+        (["evaluate", "a", "b", "--base", "manhattan"], "--base"),
+        (["evaluate", "a", "b", "--at", "noon"], "--at"),
+    ],
+)
+def test_usage_errors(call: Call, words: list[str], expected: str) -> None:
+    outcome = call(*words)
+    assert outcome.code == 2
+    assert outcome.out == ""
+    assert outcome.sentence.startswith("error: ")
+    assert expected in outcome.sentence
+    assert outcome.sentence.endswith("--help')")
+
+
+@pytest.mark.parametrize("limit", ["ospa.mean", "ospa.mean=", "=1", "ospa.mean=nan", "ospa.mean=low"])
+def test_limits_of_evaluate(call: Call, limit: str) -> None:
+    outcome = call("evaluate", "tracks", "truth", "--fail-above", limit)
+    assert outcome.code == 2
+    assert outcome.sentence == f"error: --fail-above {limit}: expected KEY=NUMBER, such as ospa.mean=0.8"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "sentence"),
+    [
+        (InputError("log: row 3: expected this, found that"), 2, "error: log: row 3: expected this, found that"),
+        (GateError("ospa.mean is 3, limit 2"), 1, "error: ospa.mean is 3, limit 2"),
+        (KeyboardInterrupt(), 130, "interrupted; no unfinished output is left"),
+        (SystemExit(143), 143, None),
+        (PermissionError(errno.EACCES, "Permission denied", "a.txt"), 2, "error: a.txt: Permission denied"),
+        (
+            ZeroDivisionError("division\nby zero"),
+            3,
+            "internal error: ZeroDivisionError: division by zero (run with --debug for the traceback)",
+        ),
+        (OSError("odd"), 3, "internal error: OSError: odd (run with --debug for the traceback)"),
+        (MemoryError(), 3, "internal error: MemoryError: no details (run with --debug for the traceback)"),
+    ],
+)
+def test_exit_codes(
+    call: Call,
+    config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    code: int,
+    sentence: str | None,
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(stereophd.simulate, "simulate", fail)
+    outcome = call("simulate", config, "--out", tmp_path / "out")
+    assert outcome.code == code
+    assert outcome.out == ""
+    assert outcome.err == (f"{sentence}\n" if sentence else "")
+
+
+def test_debug_shows_the_traceback(call: Call, tmp_path: Path) -> None:
+    outcome = call("config", "check", tmp_path / "nothing.yaml", "--debug")
+    assert outcome.code == 2
+    assert outcome.err.startswith("Traceback")
+    assert outcome.err.splitlines()[-1] == f"error: {tmp_path / 'nothing.yaml'}: there is no such file"
+
+
+class TestConfig:
+    def test_show_prints_what_loads_to_the_same(self, call: Call, config: Path, tmp_path: Path) -> None:
+        shown = call("config", "show", config, "--set", "filter.merge_distance=4", "--seed", "8")
+        assert shown.code == 0
+        values = yaml.safe_load(shown.out)
+        assert values["filter"]["merge_distance"] == 4.0
+        assert values["seed"] == 8
+        assert values["input"] == {"on_bad_row": "error", "image_margin_px": 10.0}
+        (tmp_path / "copy.yaml").write_text(shown.out)
+        assert call("config", "show", tmp_path / "copy.yaml").out == shown.out
+
+    def test_show_json(self, call: Call, config: Path) -> None:
+        values = json.loads(call("config", "show", config, "--json").out)
+        assert list(values["cameras"]) == ["left", "right"]
+
+    def test_check(self, call: Call, config: Path) -> None:
+        assert call("config", "check", config).out == f"{config}: ok (cameras: left, right; length in cm)\n"
+        assert json.loads(call("config", "check", config, "--json").out)["ok"] is True
+        assert call("config", "check", config, "--quiet") == Outcome(0, "", "")
+
+    def test_schema(self, call: Call) -> None:
+        schema = json.loads(call("config", "schema").out)
+        assert set(CONFIG) <= set(schema["properties"])
+
+
+class TestStreams:
+    def test_json_is_one_document_on_stdout(self, call: Call, config: Path, tmp_path: Path) -> None:
+        outcome = call("simulate", config, "--out", tmp_path / "out", "--json")
+        assert outcome.code == 0
+        assert json.loads(outcome.out)["frames"] == 40
+        assert outcome.err == ""
+
+    def test_quiet_says_nothing(self, call: Call, config: Path, tmp_path: Path) -> None:
+        assert call("simulate", config, "--out", tmp_path / "out", "-q") == Outcome(0, "", "")
+
+    def test_piped_output_has_no_colour_and_no_bar(self, config: Path, tmp_path: Path) -> None:
+        process = start("simulate", config, "--out", tmp_path / "out")
+        out, err = process.communicate()
+        assert process.returncode == 0
+        assert "\x1b" not in out + err
+        assert "frames: 40" in out.splitlines()
+        assert err == ""
+
+    def test_a_closed_pipe_is_no_internal_error(self, config: Path) -> None:
+        process = start("config", "schema")
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.wait() == 141
+        assert process.stderr.read() == ""
+        process.stderr.close()
+
+
+def test_outputs_of_an_earlier_run_need_force(call: Call, config: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert call("simulate", config, "--out", out, "-q").code == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    again = call("simulate", config, "--out", out, "--seed", "9", "-q")
+    assert again.code == 2
+    assert again.sentence.endswith("use --force to replace it")
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert call("simulate", config, "--out", out, "--seed", "9", "--force", "-q").code == 0
+    assert {path.name for path in out.iterdir()} == set(before)
+    assert (out / "truth.parquet").read_bytes() != before["truth.parquet"]

@@ -1,0 +1,74 @@
+"""Interrupting a run leaves no partial file, and exits with 128 + the signal."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stereophd.cli.app import run
+from stereophd.io.logs import Frame, LogReader
+
+from .conftest import start, write_log
+
+GIVE_UP_S = 120
+
+
+def test_ctrl_c_in_the_middle_of_a_log(
+    config: Path, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = LogReader.__iter__
+    seen = []
+
+    def interrupted(self: LogReader) -> Iterator[Frame]:
+        for frame in frames(self):
+            seen.append(frame)
+            if len(seen) == 6:
+                assert list((tmp_path / "out").rglob("tracks.parquet")), "expected a run that has begun to write"
+                raise KeyboardInterrupt
+            yield frame
+
+    monkeypatch.setattr(LogReader, "__iter__", interrupted)
+    assert run(["track", str(config), str(log), "--out", str(tmp_path / "out")]) == 130
+    assert len(seen) == 6
+    assert not (tmp_path / "out").exists()
+    assert capsys.readouterr().err == "interrupted; no unfinished output is left\n"
+
+
+def test_ctrl_c_keeps_the_earlier_run(config: Path, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["track", str(config), str(log), "--out", str(tmp_path / "out"), "-q", "--force"]
+    assert run(words) == 0
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+
+    def interrupted(self: LogReader) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(LogReader, "__iter__", interrupted)
+    assert run(words) == 130
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_process(config: Path, tmp_path: Path, number: signal.Signals) -> None:
+    # Far more frames than are tracked before the signal comes.
+    log = write_log(tmp_path / "long.parquet", frames=50_000, detections=10)
+    out = tmp_path / "out"
+    process = start("track", config, log, "--out", out)
+    try:
+        end = time.monotonic() + GIVE_UP_S
+        while not list(out.rglob("tracks.parquet")) and process.poll() is None:
+            assert time.monotonic() < end, "track did not begin to write"
+            time.sleep(0.02)
+        assert process.poll() is None, process.communicate()
+        process.send_signal(number)
+        _, err = process.communicate(timeout=GIVE_UP_S)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 128 + number, err
+    assert not out.exists()
+    assert "Traceback" not in err
