@@ -267,9 +267,9 @@ class BirthConfig(Model):
 class ExtractionConfig(Model):
     """Which components are reported as objects, with hysteresis."""
 
-    confirm: Annotated[float, Field(gt=0)] = Field(0.5, description="reported from this weight or existence on")
+    confirm: Annotated[float, Field(gt=0)] = Field(0.8, description="reported from this weight or existence on")
     release: Annotated[float, Field(gt=0)] = Field(
-        0.5, description="a reported object stays reported until its weight or existence falls below this"
+        0.001, description="a reported object stays reported until its weight or existence falls below this"
     )
 
     @model_validator(mode="after")
@@ -289,6 +289,10 @@ class PhdConfig(Model):
     birth: BirthConfig
     prune_weight: Positive = Field(1e-6, description="components below this weight are dropped")
     merge_distance: NonNegative = Field(7.0, description="squared Mahalanobis distance below which components merge")
+    merge_rule: Literal["mutual", "vo_ma"] = Field(
+        "mutual",
+        description="mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)",
+    )
     max_components: Annotated[int, Field(ge=1)] = 1000
     extraction: ExtractionConfig = Field(default_factory=ExtractionConfig)
 

@@ -19,7 +19,7 @@ from stereophd.errors import InputError
 KeyPath = tuple[str | int, ...]
 
 # Aliases can make a small file expand without end ("billion laughs"); no real config comes near this.
-MAX_NODES = 1_000_000
+MAX_NODES = 100_000
 
 _TAG = "tag:yaml.org,2002:"
 

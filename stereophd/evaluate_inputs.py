@@ -138,9 +138,8 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
     twice = np.flatnonzero((np.diff(time_s) == 0) & (np.diff(object_id) == 0))
     if twice.size:
         row, other = sorted((int(order[twice[0]]), int(order[twice[0] + 1])))
-        raise InputError(
-            f"{path}: row {other}: object {object_id[twice[0]]} at {time_s[twice[0]]} s is there already in row {row}"
-        )
+        what = f"object {object_id[twice[0]]} at {time_s[twice[0]]} s"
+        raise InputError(f"{path}: row {other}: {what} is there already in row {row}")
     truth = Truth(time_s, object_id, position[order], None if velocity is None else velocity[order])
     return truth, length_unit(table.schema.metadata)
 
@@ -226,9 +225,8 @@ def _events_of_scans(keys: EventKeys, starts: IntArray, ends: IntArray, path: Pa
     event = find_events(keys, scans)
     unknown = np.flatnonzero(event < 0)
     if unknown.size:
-        raise InputError(
-            f"{path}: row {starts[unknown[0]]}: its event (time_s, camera, frame) is not in {SCANS_NAME} beside it"
-        )
+        event_text = "its event (time_s, camera, frame)"
+        raise InputError(f"{path}: row {starts[unknown[0]]}: {event_text} is not in {SCANS_NAME} beside it")
     disorder = np.flatnonzero(np.diff(event) <= 0)
     if disorder.size:
         raise _split_event(path, int(starts[disorder[0] + 1]))

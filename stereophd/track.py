@@ -118,6 +118,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         prune_weight=config.filter.prune_weight,
         merge_distance=config.filter.merge_distance,
         max_components=config.filter.max_components,
+        merge_mutual=config.filter.merge_rule == "mutual",
         hysteresis=Hysteresis(config.filter.extraction.confirm, config.filter.extraction.release),
     )
     motion = build_motion(config.motion)

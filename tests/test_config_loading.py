@@ -187,15 +187,35 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("old", "new", "line", "expected"),
         [
-            ("prune_weight", "prune_wieght", 13, "filter.prune_wieght: unknown key; did you mean prune_weight?"),
+            (
+                "prune_weight",
+                "prune_wieght",
+                13,
+                "filter.prune_wieght: unknown key; did you mean prune_weight?",
+            ),
             ("filter:", "fitler:", 12, "fitler: unknown key; did you mean filter?"),
-            ("velocity_std", "velocity_sdt", 15, "filter.birth.velocity_sdt: unknown key; did you mean velocity_std?"),
+            (
+                "velocity_std",
+                "velocity_sdt",
+                15,
+                "filter.birth.velocity_sdt: unknown key; did you mean velocity_std?",
+            ),
             ("seed: 3", "seed: -3", 3, "seed: expected a number >= 0, found -3"),
             ("seed: 3", "seed: 3.5", 3, "seed: expected an integer, found 3.5"),
             ("seed: 3", "seed: '3'", 3, 'seed: expected an integer, found "3"'),
             ("seed: 3", "seed: true", 3, "seed: expected an integer, found true"),
-            ("velocity_std: 2", "velocity_std: -2", 15, "filter.birth.velocity_std: expected a number > 0, found -2"),
-            ("velocity_std: 2", "velocity_std: yes", 15, 'filter.birth.velocity_std: expected a number, found "yes"'),
+            (
+                "velocity_std: 2",
+                "velocity_std: -2",
+                15,
+                "filter.birth.velocity_std: expected a number > 0, found -2",
+            ),
+            (
+                "velocity_std: 2",
+                "velocity_std: yes",
+                15,
+                'filter.birth.velocity_std: expected a number, found "yes"',
+            ),
             (
                 "velocity_std: 2",
                 "velocity_std: .inf",
@@ -204,9 +224,19 @@ class TestErrors:
             ),
             ("[10, 100]", "[10]", 16, "filter.birth.depth_range.1: expected more values, found [10]"),
             ("[10, 100]", "[10, 20, 30]", 16, "filter.birth.depth_range: expected at most 2 values, found 3"),
-            ("[10, 100]", "[20, 10]", 14, "filter.birth: depth_range: expected near < far, found [20.0, 10.0]"),
+            (
+                "[10, 100]",
+                "[20, 10]",
+                14,
+                "filter.birth: depth_range: expected near < far, found [20.0, 10.0]",
+            ),
             ("    velocity_std: 2\n", "", 14, "filter.birth.velocity_std: expected this key, found none"),
-            ("length: cm", "length: ell", 2, """units.length: expected 'mm', 'cm', 'm' or 'km', found "ell\""""),
+            (
+                "length: cm",
+                "length: ell",
+                2,
+                """units.length: expected 'mm', 'cm', 'm' or 'km', found "ell\"""",
+            ),
             ("units: {length: cm}", "units: cm", 2, 'units: expected a mapping, found "cm"'),
             (
                 "image_size_px: [640, 480]",

@@ -21,7 +21,8 @@ SCALARS = st.one_of(
 DATA = st.recursive(
     SCALARS,
     lambda inner: st.one_of(
-        st.lists(inner, max_size=4), st.dictionaries(st.text("abc_", min_size=1, max_size=5), inner, max_size=4)
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.text("abc_", min_size=1, max_size=5), inner, max_size=4),
     ),
     max_leaves=20,
 )

@@ -33,16 +33,18 @@ def write_tracks(path: Path, rows: list[tuple], *, std: float = 1.0, metadata: d
     """Rows: (time, camera, frame, track, x); all points lie on the x axis and move at 1/s."""
     time, camera, frame, track, x = map(list, zip(*rows, strict=True)) if rows else ([],) * 5
     zeros, count = np.zeros(len(rows)), len(rows)
-    covariance = np.tile(np.eye(6) * std**2, (count, 1, 1)).reshape(-1)
+    # Position and velocity differ, and so do the axes, so that the right part has to be read.
+    variance = np.array([std, 2 * std, 3 * std, 7, 8, 9]) ** 2
+    covariance = np.tile(np.diag(variance), (count, 1, 1)).reshape(-1)
     columns = {
         "time_s": pa.array(time, pa.float64()),
         "camera": pa.array(camera, pa.string()),
         "frame": pa.array(frame, pa.int64()),
         "track_id": pa.array(track, pa.int64()),
         "x": pa.array(x, pa.float64()),
-        **{name: zeros for name in ("y", "z")},
+        **dict.fromkeys(("y", "z"), zeros),
         "vx": zeros + 1.0,
-        **{name: zeros for name in ("vy", "vz")},
+        **dict.fromkeys(("vy", "vz"), zeros),
         "covariance": pa.FixedSizeListArray.from_arrays(pa.array(covariance), type=TRACKS.field("covariance").type),
         "existence": zeros + 1.0,
     }
@@ -118,7 +120,9 @@ def test_events_that_reported_nothing_are_known_from_the_scans(tmp_path):
     tracks = write_tracks(tmp_path / "tracks.parquet", [(0.0, "b", 0, 1, 0.0), (1.0, "a", 1, 1, 0.0)])
     write_scans(tmp_path / "scans.parquet", [(0, "a", 0), (0, "b", 0), (1, "a", 1), (1, "b", 1), (2.5, "a", 2)])
     report = evaluate(tracks, truth, tmp_path / "out", plots=False)
-    assert per_scan(tmp_path / "out")["n_estimates"] == [1, 0, 0]
+    columns = per_scan(tmp_path / "out")
+    assert columns["n_estimates"] == [1, 0, 0]
+    assert columns["rmse_position"] == columns["nees_position"] == [0.0, None, None]
     assert report["ospa"]["mean"] == pytest.approx(40 / 3)
     assert report["pairs"] == {"matched": 1, "missed": 2, "false": 0}
     assert evaluate(tracks, truth, at="events")["scans"]["scored"] == 5
@@ -148,7 +152,10 @@ def test_truth_on_another_grid_gaps_and_ends(tmp_path):
     rows = [(t, "a", i, 1, 2 * t) for i, t in enumerate([0.5, 1.75, 3.0, 5.0, 6.5, 7.5])]
     tracks = write_tracks(tmp_path / "tracks.parquet", rows)
     report = evaluate(tracks, truth, tmp_path / "out", plots=False)
-    assert per_scan(tmp_path / "out")["time_s"] == scored
+    columns = per_scan(tmp_path / "out")
+    assert columns["time_s"] == scored
+    assert columns["rmse_position"] == pytest.approx([0.0] * 3, abs=1e-12)
+    assert columns["rmse_velocity"] == pytest.approx([1.0] * 3)
     assert report["scans"] == {
         "scored": 3,
         "not_scored": 3,
@@ -176,7 +183,7 @@ def test_window(run):
 
 
 def test_mahalanobis_base(run):
-    tracks, truth, folder = run
+    _, truth, folder = run
     rows = [(float(t), "a", t, 8, t + 0.5) for t in range(10)]
     sharp = write_tracks(folder / "sharp" / "tracks.parquet", rows, std=0.1)
     report = evaluate(sharp, truth, base="mahalanobis")
@@ -356,7 +363,7 @@ def test_scans_of_another_run(tmp_path, events, message):
 def test_bad_truth(tmp_path):
     tracks = write_tracks(tmp_path / "tracks.parquet", GOOD)
     twice = write_truth(tmp_path / "twice.parquet", [(0, 3, 0), (1, 3, 0), (0, 3, 0)])
-    with pytest.raises(InputError, match="row 2: object 3 at 0.0 s is there already in row 0"):
+    with pytest.raises(InputError, match=r"row 2: object 3 at 0\.0 s is there already in row 0"):
         evaluate(tracks, twice)
     with pytest.raises(InputError, match="row 1: column x"):
         evaluate(tracks, write_truth(tmp_path / "nan.parquet", [(0, 3, 0), (1, 3, np.nan)]))
@@ -399,9 +406,10 @@ def test_real_truth_and_log(tmp_path):
     rows, times = [], np.array(truth["time_s"])
     seen_at: dict[str, float] = {}
     expected = 0
-    for frame, (time, camera) in enumerate(zip(log["time_s"], log["camera"], strict=True)):
+    for frame, (time, camera, u) in enumerate(zip(log["time_s"], log["camera"], log["u_px"], strict=True)):
         rows.append((time, camera, frame, 1, float(np.interp(time, times, truth["x"])) + 0.01))
-        seen_at[camera] = time
+        if u is not None:  # else an empty frame
+            seen_at[camera] = time
         expected += sum(time - last <= 0.2 for last in seen_at.values()) >= 2
     flat = write(
         tmp_path / "truth.parquet",

@@ -125,8 +125,20 @@ def test_what_is_drawn():
     assert side.get_ylabel() == "y [cm] (down)"
     assert side.get_ylim()[0] > side.get_ylim()[1]
     assert top.get_aspect() == side.get_aspect() == 1.0
-    drawn = [line for line in top.lines if line.get_label() == "truth"][0].get_xydata()
+    drawn = next(line for line in top.lines if line.get_label() == "truth").get_xydata()
     assert drawn[~np.isnan(drawn[:, 0])] == pytest.approx(data.truth.position[:, [0, 2]])
+
+
+def test_lines_break_where_nothing_was_scored():
+    from dataclasses import replace
+
+    from stereophd.report.time_plots import draw_ospa
+
+    data = pictures(60)
+    columns = {**data.columns, "time_s": data.columns["time_s"] + np.where(np.arange(60) < 20, 0, 100)}
+    x, y = draw_ospa(replace(data, columns=columns)).axes[0].lines[0].get_xydata().T
+    assert np.flatnonzero(np.isnan(x)).tolist() == np.flatnonzero(np.isnan(y)).tolist() == [20]
+    assert np.delete(y, 20) == pytest.approx(data.columns["ospa"])
 
 
 def test_long_runs_are_drawn_as_means_and_ranges():
@@ -141,7 +153,14 @@ def test_long_runs_are_drawn_as_means_and_ranges():
 def report(**changes) -> dict:
     values = {
         "length_unit": "cm",
-        "ospa": dict(mean=1.25, localisation=1.0, cardinality=0.5, order=2.0, cutoff=20.0, base="euclidean"),
+        "ospa": {
+            "mean": 1.25,
+            "localisation": 1.0,
+            "cardinality": 0.5,
+            "order": 2.0,
+            "cutoff": 20.0,
+            "base": "euclidean",
+        },
         "gospa": {"mean": 2.5, "alpha": 2.0},
         "rmse": {"position": 0.75, "velocity": None},
         "position_error": {"median": 0.5, "p90": 0.9, "n": 42},

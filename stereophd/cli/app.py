@@ -10,13 +10,12 @@ import errno
 import signal
 import sys
 from collections.abc import Sequence
-from types import FrameType
 from typing import Annotated
 
 import typer
 
 import stereophd
-from stereophd.cli import config, evaluate, simulate, track
+from stereophd.cli import config, evaluate, interrupts, simulate, track
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
 
@@ -86,13 +85,17 @@ def run(arguments: Sequence[str] | None = None) -> int:
             import traceback
 
             traceback.print_exc()
+        interrupted = interrupts.exit_code()
+        if interrupted is not None:
+            # Compiled code may turn the exception of a signal into one of its own.
+            return _interrupted(interrupted)
         return _explain(error)
     return code
 
 
-def _interrupted() -> int:
+def _interrupted(code: int = EXIT_INTERRUPTED) -> int:
     print("interrupted; no unfinished output is left", file=sys.stderr)
-    return EXIT_INTERRUPTED
+    return code
 
 
 def _explain(error: Exception) -> int:
@@ -127,22 +130,14 @@ def _explain_usage(error: Exception) -> None:
 
 def _is_users(error: OSError) -> bool:
     """Whether an error of the operating system is about a file or folder that the user named."""
-    from stereophd.io.atomic import USER_ERRNOS
+    from stereophd.io.disk import USER_ERRNOS
 
     return error.filename is not None and (error.errno in USER_ERRNOS or error.errno == errno.ENOENT)
 
 
-def _exit_on(number: int, frame: FrameType | None) -> None:
-    """End by a signal as an exception, so that unfinished outputs are removed on the way out."""
-    raise SystemExit(128 + number)
-
-
 def main() -> None:
     """Console script."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        # Not where it is ignored on purpose (nohup).
-        if signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, _exit_on)
+    interrupts.install()
     sys.exit(run())
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from stereophd.cli import interrupts
 from stereophd.cli.options import Session
 
 if TYPE_CHECKING:
@@ -98,6 +99,9 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
             continue
         if isinstance(value, Mapping):
             yield from _lines(value, f"{prefix}{key}.")
+        elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+            # A table of its own: it is in the file; here it says how many.
+            yield f"{prefix}{key}: {len(value)}"
         elif isinstance(value, list):
             yield f"{prefix}{key}: {', '.join(map(str, value))}"
         else:
@@ -105,10 +109,10 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None] | None]:
-    """Give a function (done, total) that moves a bar on stderr; None where nobody would see it."""
+def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
+    """Give a function (done, total) for the steps of a run: it moves a bar on stderr if anybody sees it."""
     if session.quiet or not sys.stderr.isatty():
-        yield None
+        yield lambda done, total: interrupts.check()
         return
     from rich.console import Console
     from rich.progress import Progress
@@ -117,6 +121,7 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
         task = bar.add_task(label, total=None)
 
         def advance(done: float, total: float) -> None:
+            interrupts.check()
             bar.update(task, completed=done, total=total)
 
         yield advance

@@ -33,15 +33,15 @@ Array = NDArray[np.float64]
 MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array]
 
 
-def slice_moved(moved: MovedArrays, part: slice) -> MovedArrays:
-    """Views of the outputs of `move_components` for some of the components."""
-    return moved[0][part], moved[1][part], moved[2][part], moved[3][part], moved[4][part], moved[5][part]
-
-
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 
 # A Cholesky pivot below this fraction of its diagonal entry counts as rank-deficient.
 PIVOT_TOLERANCE = 1e-11
+
+
+def slice_moved(moved: MovedArrays, part: slice) -> MovedArrays:
+    """Views of the outputs of `move_components` for some of the components."""
+    return moved[0][part], moved[1][part], moved[2][part], moved[3][part], moved[4][part], moved[5][part]
 
 
 @compiled
@@ -290,6 +290,7 @@ def missed_moments(
     mean: Array,
     factor: Array,
     samples: Array,
+    sample_weights: Array,
     mask: Array,
     p_detect: float,
     minimum: int,
@@ -298,7 +299,7 @@ def missed_moments(
 ) -> None:
     """Gaussian (in its own space) of the part of a component that was not detected (paper VI-C, Fig. 8).
 
-    The samples are weighted by 1 - p_detect in view and 1 outside; where too few effective samples
+    The samples are weighted by their own weight times 1 - p_detect in view and 1 outside; where too few effective samples
     remain to carry a covariance, the Gaussian is kept as it is and only its weight changes.
     """
     size = mean.shape[0]
@@ -307,7 +308,7 @@ def missed_moments(
     total = 0.0
     squares = 0.0
     for i in range(count):
-        weights[i] = 1.0 - p_detect * mask[i]
+        weights[i] = sample_weights[i] * (1.0 - p_detect * mask[i])
         total += weights[i]
         squares += weights[i] * weights[i]
     unit_mean = np.zeros(size)
@@ -336,6 +337,7 @@ def move_components(
     homes: Array,
     dts: Array,
     samples: Array,
+    sample_weights: Array,
     noise: Array,
     destination: Array,
     p_detect: float,
@@ -355,6 +357,8 @@ def move_components(
     count = samples.shape[1]
     points = np.empty((size + 1, count))
     mask = np.empty(count)
+    seen_weights = np.empty(count)
+    whole_weight = sample_weights.sum()
     factor = np.empty((size, size))
     scratch = np.empty((size, size))
     for k in range(means.shape[0]):
@@ -373,15 +377,25 @@ def move_components(
         else:
             static_trips(means[k], factor, samples, homes[k], destination, points)
         seen = view_mask(points, destination, mask)
-        if seen < minimum:
+        seen_weight = 0.0
+        squares = 0.0
+        for i in range(count):
+            seen_weights[i] = mask[i] * sample_weights[i]
+            seen_weight += seen_weights[i]
+            squares += seen_weights[i] * seen_weights[i]
+        fraction[k] = seen_weight / whole_weight
+        # the effective number of samples: their count, where all weigh the same
+        if seen_weight * seen_weight < minimum * squares or seen == 0:
             continue
-        weighted_moments(points, mask, float(seen), out_means[k], out_covariances[k])
+        weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
         if not condition(out_covariances[k], scratch):
             continue
-        fraction[k] = seen / count
         status[k] = IN_VIEW if seen == count else PARTLY_IN_VIEW
         if seen < count:
-            missed_moments(means[k], factor, samples, mask, p_detect, minimum, missed_means[k], missed_covariances[k])
+            missed_moments(
+                means[k], factor, samples, sample_weights, mask, p_detect, minimum,
+                missed_means[k], missed_covariances[k],
+            )  # fmt: skip
             if not condition(missed_covariances[k], scratch):
                 missed_means[k] = means[k]
                 missed_covariances[k] = covariances[k]

@@ -186,6 +186,7 @@ def world_components(
     factor = np.empty((size, size))
     mean = np.empty(size)
     covariance = np.empty((size, size))
+    scratch = np.empty((size, size))
     for k in range(means.shape[0]):
         out_means[k] = np.nan
         out_covariances[k] = np.nan
@@ -221,6 +222,8 @@ def world_components(
                     points[a, i] += velocity_noise * dt * noise[a, i]
                     points[3 + a, i] += velocity_noise * noise[3 + a, i]
         weighted_moments(points, weights, total, mean, covariance)
+        if not condition(covariance, scratch):
+            continue
         out_means[k, :size] = mean
         out_covariances[k, :size, :size] = covariance
         out_means[k, size:] = 0.0

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 # A Gaussian refitted from fewer samples than this is rank-deficient or soon overconfident.
 FEWEST_SAMPLES = 24
+# A component whose disparity is known to better than this fraction has no tail to look for.
+WIDE_DISPARITY = 0.05
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
 
@@ -73,6 +75,7 @@ def move(
     sets: SampleSets,
     turn: int,
     p_detect: float = 1.0,
+    important: NDArray[np.bool_] | None = None,
     threads: int = 1,
 ) -> Moved:
     """Carry Gaussians into the disparity space of a camera, over an interval of time.
@@ -95,6 +98,9 @@ def move(
         Number of the event: picks the set.
     p_detect : float
         Probability of detection inside the image, for the missed part.
+    important : array (n,) of bool, optional
+        Components to look at with more samples when too few are in view: an object at the edge of the
+        field of view would otherwise be taken for a new one.
     threads : int
         Components are shared out over this many threads; the result does not depend on it.
 
@@ -109,9 +115,20 @@ def move(
     if sets.method in ("unscented", "linear"):
         todo = _low_order(means, covariances, homes, dts, destination, motion, sets.method, moved)
     _run(
-        means, covariances, homes, dts, samples, noise, destination, p_detect,
-        _max_speed(motion), moved, todo, threads,
+        means, covariances, homes, dts, samples, np.ones(samples.shape[1]), noise, destination, p_detect,
+        _max_speed(motion), minimum_in_view(samples.shape[1]), moved, todo, threads,
     )  # fmt: skip
+    status, fraction = moved[3], moved[2]
+    if important is not None:
+        wide = covariances[:, 2, 2] > (WIDE_DISPARITY * means[:, 2]) ** 2
+        corner = np.flatnonzero(important & (status == OUT_OF_VIEW) & (wide | (fraction > 0.0)))
+        if len(corner):
+            noise = _motion_noise(sets.reserve, motion, _rotation(destination))
+            _run(
+                means, covariances, homes, dts, sets.reserve, sets.reserve_weights, noise, destination,
+                p_detect, _max_speed(motion), FEWEST_SAMPLES, moved, corner, threads,
+            )  # fmt: skip
+    fraction[status == OUT_OF_VIEW] = 0.0
     return Moved(*moved)
 
 
@@ -191,8 +208,9 @@ def _low_order(
     noise = _motion_noise(points, motion, rotation)
     max_speed = _max_speed(motion)
     kernels.move_components(
-        means, covariances, homes, dts, points, noise, destination, 1.0, max_speed, points.shape[1], moved
-    )
+        means, covariances, homes, dts, points, np.ones(points.shape[1]), noise, destination, 1.0, max_speed,
+        points.shape[1], moved,
+    )  # fmt: skip
     if method == "linear":
         std = motion.acceleration_std if isinstance(motion, ConstantVelocity) else np.zeros(3)
         axes = np.ascontiguousarray(rotation * std)
@@ -208,10 +226,12 @@ def _run(
     homes: Array,
     dts: Array,
     samples: Array,
+    weights: Array,
     noise: Array,
     destination: Array,
     p_detect: float,
     max_speed: float,
+    minimum: int,
     moved: kernels.MovedArrays,
     todo: NDArray[np.intp],
     threads: int,
@@ -223,12 +243,11 @@ def _run(
     if not whole:
         means, covariances, homes, dts = means[todo], covariances[todo], homes[todo], dts[todo]
     outputs = moved if whole else _allocate(means)
-    minimum = minimum_in_view(samples.shape[1])
 
     def run(part: slice) -> None:
         kernels.move_components(
-            means[part], covariances[part], homes[part], dts[part], samples, noise, destination, p_detect,
-            max_speed, minimum, kernels.slice_moved(outputs, part),
+            means[part], covariances[part], homes[part], dts[part], samples, weights, noise, destination,
+            p_detect, max_speed, minimum, kernels.slice_moved(outputs, part),
         )  # fmt: skip
 
     slices = _slices(len(todo), samples.shape[1], threads)

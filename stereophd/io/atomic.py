@@ -9,89 +9,19 @@ no trace. The user's faults, such as a folder that holds other files or a disk w
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import shutil
-import signal
 import tempfile
-import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 
 from stereophd.errors import InputError
+from stereophd.io.disk import USER_ERRNOS, current_umask, signals_deferred, sync, write_error
 
 # Temporary names start so; a folder left behind by a killed process is recognised as ours.
 TEMPORARY_PREFIX = ".stereophd-partial-"
-
-# Failures of a write that come from the place written to, not from the program.
-USER_ERRNOS = frozenset(
-    {
-        errno.ENOSPC,
-        errno.EDQUOT,
-        errno.EFBIG,
-        errno.EACCES,
-        errno.EPERM,
-        errno.EROFS,
-        errno.EIO,
-        errno.ENAMETOOLONG,
-        errno.ENOTDIR,
-        errno.EISDIR,
-        errno.ENOTEMPTY,
-        errno.EEXIST,
-        errno.ELOOP,
-        errno.EMFILE,
-        errno.ENFILE,
-        errno.ETXTBSY,
-        errno.EBUSY,
-    }
-)
-
-
-def write_error(error: OSError, path: Path) -> InputError:
-    """Return the `InputError` that says which output could not be written and why."""
-    return InputError(f"cannot write {path}: {error.strerror or error}")
-
-
-def _sync(path: Path) -> None:
-    """Flush a file or folder to the disk; file systems that cannot sync folders are left to it."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
-            raise
-    finally:
-        os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _signals_deferred() -> Iterator[None]:
-    """Hold back SIGINT and SIGTERM for the few milliseconds in which files change places."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    received: list[int] = []
-
-    def remember(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    number: int
-    previous: dict[int, Callable[[int, FrameType | None], object] | int] = {}
-    for number in (signal.SIGINT, signal.SIGTERM):
-        handler = signal.getsignal(number)
-        # None: installed outside Python and not restorable from here.
-        if handler is not None:
-            previous[number] = handler
-            signal.signal(number, remember)
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-    if received:
-        signal.raise_signal(received[0])
 
 
 @contextlib.contextmanager
@@ -120,12 +50,12 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
         os.close(descriptor)
         temporary = Path(name)
         yield temporary
-        _sync(temporary)
-        with _signals_deferred():
+        sync(temporary)
+        with signals_deferred():
             # mkstemp makes files that only their owner can read; outputs follow the umask.
-            temporary.chmod(0o666 & ~_umask())
+            temporary.chmod(0o666 & ~current_umask())
             os.replace(temporary, target)
-            _sync(target.parent)
+            sync(target.parent)
     except OSError as error:
         if temporary is None or error.errno in USER_ERRNOS:
             raise write_error(error, target) from error
@@ -133,13 +63,6 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    """Return the process's umask (it can only be read by setting it)."""
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
 
 
 def _matches(relative: Path, names: Iterable[str]) -> bool:
@@ -319,9 +242,9 @@ class OutputFolder:
         assert temporary is not None
         written = [p for p in _files(temporary) if (temporary / p).is_file()]
         for relative in written:
-            _sync(temporary / relative)
+            sync(temporary / relative)
         moved: list[Path] = []
-        with _signals_deferred():
+        with signals_deferred():
             try:
                 for relative in written:
                     target = self.folder / relative
@@ -336,7 +259,7 @@ class OutputFolder:
             shutil.rmtree(temporary, ignore_errors=True)
             self._temporary = None
             for folder in {self.folder, *(target.parent for target in moved)}:
-                _sync(folder)
+                sync(folder)
 
     def _remove_stale(self, written: set[Path]) -> None:
         """Remove what an earlier run wrote and this one did not, and folders that are empty then."""

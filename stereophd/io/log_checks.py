@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.errors import InputError
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
+from stereophd.io.log_rows import Booleans, Decoded, Floats, Integers, Rows
 
 #: The kinds of bad rows, in the order in which a row is tested; keys of `LogReader.counts`.
 KINDS = (
@@ -27,37 +23,6 @@ KINDS = (
     "frame_out_of_order",
     "duplicate_row",
 )
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Rows of a log as arrays of length n; `empty` marks the rows of frames without detections."""
-
-    row: Integers
-    time_s: Floats
-    camera: Integers
-    frame: Integers
-    pixels: Floats
-    empty: Booleans
-    sigma: Floats | None
-    object_id: Integers | None
-
-    def take(self, which: Any) -> Rows:
-        """Return some of the rows: a mask, indices, or a slice."""
-        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        values = {name: None if value is None else value[which] for name, value in values.items()}
-        return Rows(**values)
-
-    def join(self, other: Rows) -> Rows:
-        """Return these rows followed by others."""
-        values: dict[str, Any] = {}
-        for f in fields(self):
-            mine, theirs = getattr(self, f.name), getattr(other, f.name)
-            values[f.name] = None if mine is None else np.concatenate([mine, theirs])
-        return Rows(**values)
-
-    def __len__(self) -> int:
-        return len(self.row)
 
 
 @dataclass(frozen=True)
@@ -77,26 +42,21 @@ class OrderState:
     last_frame: dict[int, int] = field(default_factory=dict)
 
 
-def point_faults(
-    rows: Rows, nulls: Booleans, half: Booleans, names: list[Any], sizes: Floats, margin: float
-) -> Iterator[Fault]:
+def point_faults(piece: Decoded, sizes: Floats, margin: float) -> Iterator[Fault]:
     """Yield the faults that a row has by itself.
 
     Parameters
     ----------
-    rows
-        The rows as read; `camera` is -1 where it is not one of the configuration's.
-    nulls, half
-        Rows with a null in a required column; rows with one of u_px, v_px null.
-    names
-        Camera column as read, for the messages.
+    piece
+        The rows as read.
     sizes
         Width and height of each camera's image, (cameras, 2).
     margin
         How far outside the image a detection may be, px.
     """
+    rows = piece.rows
     u, v = rows.pixels[:, 0], rows.pixels[:, 1]
-    yield Fault("null_value", nulls, lambda i: "expected time_s, camera and frame, found null")
+    yield Fault("null_value", piece.nulls, lambda i: "expected time_s, camera and frame, found null")
     yield Fault(
         "non_finite",
         ~np.isfinite(rows.time_s),
@@ -105,9 +65,9 @@ def point_faults(
     yield Fault(
         "unknown_camera",
         rows.camera < 0,
-        lambda i: f"camera: expected one of the configured cameras, found {names[i]!r}",
+        lambda i: f"camera: expected one of the configured cameras, found {piece.names[i].as_py()!r}",
     )
-    yield Fault("half_null", half, lambda i: "expected u_px and v_px both set or both null, found one null")
+    yield Fault("half_null", piece.half, lambda i: "expected u_px and v_px both set or both null, found one null")
     yield Fault(
         "non_finite",
         ~rows.empty & ~(np.isfinite(u) & np.isfinite(v)),

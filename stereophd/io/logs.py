@@ -16,17 +16,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from stereophd.errors import InputError
 from stereophd.io.log_checks import (
     KINDS,
-    Booleans,
     Fault,
-    Floats,
-    Integers,
     OrderState,
-    Rows,
     duplicate_fault,
     frame_fault,
     frame_starts,
@@ -34,11 +29,10 @@ from stereophd.io.log_checks import (
     raise_first,
     time_fault,
 )
+from stereophd.io.log_rows import OPTIONAL, REQUIRED, Booleans, Floats, Integers, Rows, decode
 from stereophd.io.provenance import file_sha256
 from stereophd.io.tables import (
     DETECTIONS,
-    FLOAT,
-    INTEGER,
     OBJECT_ID,
     ROW_GROUP_ROWS,
     TableWriter,
@@ -49,9 +43,6 @@ from stereophd.io.tables import (
 
 if TYPE_CHECKING:
     from stereophd.geometry.camera import Camera
-
-REQUIRED = {name: DETECTIONS.field(name).type for name in DETECTIONS.names}
-OPTIONAL = {"sigma_u_px": FLOAT, "sigma_v_px": FLOAT, "object_id": INTEGER}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +114,7 @@ class LogReader:
     ) -> None:
         self.path = Path(path)
         self._cameras = tuple(cameras)
+        self._index = {camera.name: i for i, camera in enumerate(cameras)}
         self._drop = on_bad_row == "drop"
         self._margin = image_margin_px
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float).reshape(-1, 2)
@@ -188,14 +180,16 @@ class LogReader:
         """Yield pieces of the log without rows that are bad by themselves or too early."""
         start = 0
         for batch in self._batches():
-            rows, nulls, half, names = self._decode(batch, start)
+            with damaged_is_input_error(self.path):
+                piece = decode(batch, start, self._index)
+            rows = piece.rows
             start += len(rows)
             # In a pass for one camera only its own rows count; rows of no camera count in the first.
             counted = np.ones(len(rows), dtype=bool)
             if only is not None:
                 counted = (rows.camera == only) | ((rows.camera < 0) & (only == 0))
             self.counts["rows"] += int(counted.sum())
-            faults = list(point_faults(rows, nulls, half, names, self._sizes, self._margin))
+            faults = list(point_faults(piece, self._sizes, self._margin))
             good = rows.take(self._accept(faults, rows, counted))
             late = time_fault(good, state)
             good = good.take(self._accept([late], good, None if only is None else good.camera == only))
@@ -221,38 +215,6 @@ class LogReader:
                 if batch is None:
                     return
                 yield batch
-
-    def _decode(self, batch: pa.RecordBatch, start: int) -> tuple[Rows, Booleans, Booleans, list[Any]]:
-        """Turn a piece of the file into arrays: rows, nulls of required columns, half nulls, names."""
-        with damaged_is_input_error(self.path):
-            column = {name: batch.column(name).cast({**REQUIRED, **OPTIONAL}[name]) for name in self._columns}
-        null = {name: np.asarray(array.is_null()) for name, array in column.items()}
-        camera, names = self._camera_index(column["camera"])
-        sigma = object_id = None
-        if "sigma_u_px" in column:
-            sigma = np.stack([_floats(column["sigma_u_px"]), _floats(column["sigma_v_px"])], axis=1)
-        if "object_id" in column:
-            object_id = _integers(column["object_id"], -1)
-        rows = Rows(
-            row=np.arange(start, start + len(batch)),
-            time_s=_floats(column["time_s"]),
-            camera=camera,
-            frame=_integers(column["frame"], 0),
-            pixels=np.stack([_floats(column["u_px"]), _floats(column["v_px"])], axis=1),
-            empty=null["u_px"] & null["v_px"],
-            sigma=sigma,
-            object_id=object_id,
-        )
-        nulls = null["time_s"] | null["camera"] | null["frame"]
-        return rows, nulls, null["u_px"] ^ null["v_px"], names
-
-    def _camera_index(self, column: pa.Array) -> tuple[Integers, Any]:
-        """Return each row's index of the camera, -1 if unknown, and the names as read."""
-        encoded = pc.dictionary_encode(column)
-        known = {camera.name: i for i, camera in enumerate(self._cameras)}
-        index = np.array([known.get(name, -1) for name in encoded.dictionary.to_pylist()] + [-1])
-        codes = np.asarray(encoded.indices.fill_null(len(index) - 1))
-        return index[codes], _Names(column)
 
     def _split(self, rows: Rows, state: OrderState) -> Iterator[Frame]:
         """Check the rows against those around them, and yield their frames in order."""
@@ -284,24 +246,6 @@ class LogReader:
         rate = np.array([c.clock.rate for c in self._cameras])
         true: Floats = offset[camera] + rate[camera] * time_s
         return true
-
-
-class _Names:
-    """The camera column, looked up only where a message needs it."""
-
-    def __init__(self, column: pa.Array) -> None:
-        self._column = column
-
-    def __getitem__(self, i: int) -> Any:
-        return self._column[i].as_py()
-
-
-def _floats(column: pa.Array) -> Floats:
-    return np.asarray(column.fill_null(np.nan), dtype=np.float64)
-
-
-def _integers(column: pa.Array, null: int) -> Integers:
-    return np.asarray(column.fill_null(null), dtype=np.int64)
 
 
 class LogWriter:

@@ -1,4 +1,4 @@
-"""Parquet tables: the schemas of the native files, a streaming writer, a checking reader.
+"""Parquet tables: the schemas of the native files, and a streaming writer (reading: `table_reading`).
 
 The layouts are those of ``docs/formats.md``. The bytes of a table depend on its rows and metadata
 only, never on how the rows were handed over, nor on the time of day.
@@ -15,9 +15,33 @@ from typing import Any, BinaryIO
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
-from stereophd.errors import InputError
-from stereophd.io.atomic import write_error
+from stereophd.io.disk import write_error
+from stereophd.io.table_reading import (
+    check_columns,
+    damaged_is_input_error,
+    open_parquet,
+    read_table,
+)
+
+__all__ = [
+    "COVARIANCE",
+    "DETECTIONS",
+    "FLOAT",
+    "INTEGER",
+    "OBJECT_ID",
+    "ROW_GROUP_ROWS",
+    "SCANS",
+    "STRING",
+    "TRACKS",
+    "TRUTH",
+    "TableWriter",
+    "check_columns",
+    "damaged_is_input_error",
+    "open_parquet",
+    "read_table",
+]
 
 FLOAT, INTEGER, STRING = pa.float64(), pa.int64(), pa.string()
 COVARIANCE = pa.list_(pa.field("item", FLOAT, nullable=False), 36)
@@ -55,32 +79,59 @@ SCANS = _schema(
 )
 
 
-def _array(chunks: list[tuple[Any, int]], kind: pa.DataType) -> pa.Array:
-    """Join the buffered chunks (value, rows) of one column; a scalar stands for all its rows."""
+def _array(chunks: list[tuple[Any, int]], field: pa.Field) -> pa.Array:
+    """Join the buffered chunks (value, rows) of one column; a scalar stands for all its rows.
+
+    Arrays are made from buffers: `pyarrow.array` would import pandas where that is installed (0.2 s).
+    """
+    kind = field.type
     if pa.types.is_fixed_size_list(kind):
-        flat = np.concatenate([np.asarray(value, dtype=float).reshape(-1) for value, _ in chunks])
-        return pa.FixedSizeListArray.from_arrays(pa.array(flat), type=kind)
+        flat = np.concatenate([np.asarray(value, dtype=np.float64).reshape(-1) for value, _ in chunks])
+        return pa.FixedSizeListArray.from_arrays(_buffered(flat, kind.value_type), type=kind)
     if pa.types.is_string(kind):
-        texts: list[str] = []
+        texts: list[bytes] = []
         for value, rows in chunks:
-            texts.extend([value] * rows if isinstance(value, str) else value)
-        return pa.array(texts, kind)
-    if all(isinstance(value, (np.ndarray, float, int, np.generic)) for value, _ in chunks):
-        parts = [value if np.ndim(value) else np.full(rows, value) for value, rows in chunks]
-        if not any(isinstance(part, np.ma.MaskedArray) for part in parts):
-            return pa.array(np.concatenate(parts), kind, safe=True)
-    # Chunks with nulls: masked arrays, lists with None, or None for all rows.
-    return pa.concat_arrays([_nullable(value, rows, kind) for value, rows in chunks])
+            texts.extend([value.encode()] * rows if isinstance(value, str) else [text.encode() for text in value])
+        offsets = np.zeros(len(texts) + 1, dtype=np.int32)
+        np.cumsum([len(text) for text in texts], out=offsets[1:])
+        buffers = [None, pa.py_buffer(offsets), pa.py_buffer(b"".join(texts))]
+        return pa.Array.from_buffers(kind, len(texts), buffers)
+    dtype = np.dtype(kind.to_pandas_dtype())
+    nulls = None
+    # Thousands of small chunks make a row group: the usual kinds are joined without a look at each.
+    if all(type(value) in (int, float) for value, _ in chunks):
+        values = np.repeat(np.array([value for value, _ in chunks]), [rows for _, rows in chunks])
+    elif all(type(value) is np.ndarray and value.ndim for value, _ in chunks):
+        values = np.concatenate([value for value, _ in chunks])
+    else:
+        parts = [_with_nulls(value, rows) for value, rows in chunks]
+        values = np.concatenate([part for part, _ in parts])
+        nulls = np.concatenate([mask for _, mask in parts])
+    if nulls is not None and nulls.any() and not field.nullable:
+        raise ValueError(f"column {field.name}: expected values, found null")
+    if dtype.kind == "i" and values.dtype.kind not in "iu":
+        raise ValueError(f"column {field.name}: expected integers, found {values.dtype}")
+    return _buffered(values.astype(dtype), kind, nulls)
 
 
-def _nullable(value: Any, rows: int, kind: pa.DataType) -> pa.Array:
-    if value is None:
-        return pa.nulls(rows, kind)
-    if isinstance(value, np.ma.MaskedArray):
-        return pa.array(np.asarray(value.data), kind, mask=np.ma.getmaskarray(value))
-    if np.ndim(value) == 0:
-        return pa.array([value] * rows, kind)
-    return pa.array(value, kind)
+def _with_nulls(value: Any, rows: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the values of a chunk (0 for nulls) and the mask of its nulls."""
+    nulls = np.zeros(rows, dtype=bool)
+    if value is None or isinstance(value, list):
+        items = [None] * rows if value is None else value
+        nulls = np.array([item is None for item in items], dtype=bool)
+        value = np.array([0 if item is None else item for item in items])
+    elif isinstance(value, np.ma.MaskedArray):
+        nulls = np.ma.getmaskarray(value)
+    return np.broadcast_to(np.asarray(np.ma.getdata(value)), rows), nulls
+
+
+def _buffered(values: NDArray[Any], kind: pa.DataType, nulls: NDArray[np.bool_] | None = None) -> pa.Array:
+    """Return an Arrow array over the memory of a NumPy one."""
+    validity = None
+    if nulls is not None and nulls.any():
+        validity = pa.py_buffer(np.packbits(~nulls, bitorder="little"))
+    return pa.Array.from_buffers(kind, len(values), [validity, pa.py_buffer(np.ascontiguousarray(values))])
 
 
 class TableWriter:
@@ -166,9 +217,7 @@ class TableWriter:
     def _flush(self) -> None:
         if not self._buffered:
             return
-        arrays = [
-            _array([(piece[field.name], rows) for piece, rows in self._buffer], field.type) for field in self.schema
-        ]
+        arrays = [_array([(piece[field.name], rows) for piece, rows in self._buffer], field) for field in self.schema]
         self._buffer, self._buffered = [], 0
         table = pa.Table.from_arrays(arrays, schema=self.schema)
         with self._named_errors():
@@ -219,161 +268,3 @@ class TableWriter:
             self.close()
         else:
             self.abandon()
-
-
-def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
-    """Open a Parquet file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    what
-        What it should be, for the message (``detection log``).
-
-    Raises
-    ------
-    InputError
-        It is not there, not readable, empty, not Parquet, or cut off.
-    """
-    file = Path(path)
-    try:
-        if file.is_dir():
-            raise InputError(f"{file}: expected a {what} (Parquet file), found a folder")
-        size = file.stat().st_size
-        if size == 0:
-            raise InputError(f"{file}: expected a {what} (Parquet file), found an empty file")
-        with open(file, "rb") as stream:
-            magic = stream.read(4)
-    except FileNotFoundError as error:
-        raise InputError(f"{file}: there is no such file; expected a {what}") from error
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
-    if magic != b"PAR1":
-        raise InputError(f"{file}: expected a {what} (Parquet file), found something that is not Parquet")
-    try:
-        return pq.ParquetFile(file, memory_map=False)
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(
-            f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"
-        ) from error
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or ["no details"])[0].rstrip(".")
-
-
-@contextlib.contextmanager
-def damaged_is_input_error(path: Path | str) -> Iterator[None]:
-    """Turn the errors that reading the data of a damaged Parquet file raises into `InputError`."""
-    try:
-        yield
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: the file is damaged or truncated: {_first_line(error)}") from error
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind))
-
-
-def _fits(found: pa.DataType, expected: pa.DataType) -> bool:
-    """Whether a column can be read as `expected` without loss: wider numbers, other kinds of text."""
-    if pa.types.is_floating(expected):
-        return bool(pa.types.is_floating(found) or pa.types.is_integer(found))
-    if pa.types.is_integer(expected):
-        return bool(pa.types.is_integer(found))
-    if pa.types.is_string(expected):
-        return _is_text(found)
-    if pa.types.is_fixed_size_list(expected):
-        return bool(
-            pa.types.is_fixed_size_list(found)
-            and found.list_size == expected.list_size
-            and _fits(found.value_type, expected.value_type)
-        )
-    return bool(found == expected)
-
-
-def _data_type(kind: pa.DataType | str) -> pa.DataType:
-    return pa.type_for_alias(kind) if isinstance(kind, str) else kind
-
-
-def check_columns(
-    schema: pa.Schema,
-    required: Mapping[str, pa.DataType | str],
-    optional: Mapping[str, pa.DataType | str],
-    path: Path | str,
-) -> list[str]:
-    """Check the columns of a table, and return the names of those of `optional` that are there.
-
-    Raises
-    ------
-    InputError
-        A required column is missing, or a column has another type.
-    """
-    missing = [name for name in required if name not in schema.names]
-    if missing:
-        raise InputError(
-            f"{path}: missing column{'s' if len(missing) > 1 else ''} {', '.join(missing)}; "
-            f"expected {', '.join(required)}, found {', '.join(schema.names) or 'none'}"
-        )
-    present = [name for name in optional if name in schema.names]
-    for name in [*required, *present]:
-        if schema.names.count(name) > 1:
-            raise InputError(f"{path}: column {name}: expected one column of this name, found several")
-        expected = _data_type(required[name] if name in required else optional[name])
-        found = schema.field(name).type
-        if not _fits(found, expected):
-            raise InputError(f"{path}: column {name}: expected type {expected}, found {found}")
-    return present
-
-
-def read_table(
-    path: Path | str,
-    required: Mapping[str, pa.DataType | str],
-    optional: Mapping[str, pa.DataType | str] | None = None,
-    what: str = "table",
-) -> pa.Table:
-    """Read columns of a Parquet table, checked and in the expected types.
-
-    Parameters
-    ----------
-    path
-        The file.
-    required, optional
-        Name -> type (`pyarrow.DataType` or its name, such as ``"float64"``). Narrower numbers are
-        widened, any kind of text becomes a string. Other columns are not read.
-    what
-        What the table should be, for the messages.
-
-    Returns
-    -------
-    pyarrow.Table
-        The required columns in their order, then the optional ones that are there; the file's
-        key-value metadata are its ``schema.metadata``.
-
-    Raises
-    ------
-    InputError
-        Not there, not Parquet, damaged, a column missing, of another type, or (required) with nulls.
-    """
-    optional = optional or {}
-    with open_parquet(path, what) as parquet:
-        schema = parquet.schema_arrow
-        present = check_columns(schema, required, optional, path)
-        names = [*required, *present]
-        with damaged_is_input_error(path):
-            table = parquet.read(columns=names).select(names)
-    fields = []
-    for name in names:
-        kind = _data_type(required[name] if name in required else optional[name])
-        fields.append(pa.field(name, kind))
-        nulls = table.column(name).null_count
-        if nulls and name in required:
-            row = table.column(name).is_null().index(True).as_py()
-            raise InputError(f"{path}: row {row}: column {name}: expected a value, found null")
-    try:
-        return table.cast(pa.schema(fields, metadata=schema.metadata))
-    except pa.ArrowException as error:
-        raise InputError(f"{path}: {_first_line(error)}") from error

@@ -25,6 +25,9 @@ from stereophd.multi.reduce import reduce_mixture
 
 Array = NDArray[np.float64]
 
+# Components from this weight on get more samples where only a corner of them is in view.
+IMPORTANT_WEIGHT = 0.01
+
 
 @dataclass(frozen=True)
 class PhdSettings:
@@ -36,7 +39,7 @@ class PhdSettings:
         Probability that an object survives one second.
     birth : BirthPrior
         Prior of new objects.
-    prune_weight, merge_distance, max_components : float, float, int
+    prune_weight, merge_distance, max_components, merge_mutual : float, float, int, bool
         See `stereophd.multi.reduce.reduce_mixture`.
     hysteresis : Hysteresis
         Which components are reported.
@@ -48,6 +51,7 @@ class PhdSettings:
     merge_distance: float = 7.0
     max_components: int = 1000
     hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.5, 0.5))
+    merge_mutual: bool = True
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,7 @@ class PhdFilter:
             self.sets,
             state.n_events,
             self.rig.cameras[event.camera].detector.p_detect,
+            mixture.weights >= IMPORTANT_WEIGHT,
             self.threads,
         )
         return PhdPrediction(mixture, moved)
@@ -149,7 +154,9 @@ class PhdFilter:
         updated = self._updated(prediction, event, components[kept], detections[kept], weights[kept])
         births = self._births(event, np.asarray(born * per_area / totals), state.next_label)
         whole = concatenate([_missed(prediction, event, p_detect), updated, births])
-        reduced = reduce_mixture(whole, settings.prune_weight, settings.merge_distance, settings.max_components)
+        reduced = reduce_mixture(
+            whole, settings.prune_weight, settings.merge_distance, settings.max_components, settings.merge_mutual
+        )
         info = Info(log_likelihood, float(reduced.weights.sum()), len(reduced))
         label = state.next_label + len(event.points)
         return PhdState(reduced, event.time_s, state.n_events + 1, label, state.next_track), info

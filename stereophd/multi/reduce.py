@@ -14,7 +14,11 @@ Integers = NDArray[np.int64]
 
 
 def reduce_mixture(
-    mixture: GaussianMixture, prune_weight: float, merge_distance: float, max_components: int
+    mixture: GaussianMixture,
+    prune_weight: float,
+    merge_distance: float,
+    max_components: int,
+    mutual: bool = True,
 ) -> GaussianMixture:
     """Drop light components, merge near ones, and keep the heaviest.
 
@@ -29,6 +33,10 @@ def reduce_mixture(
         component is merged into a heavier one.
     max_components : int
         The heaviest are kept.
+    mutual : bool
+        Require the distance in the covariance of the heavier component as well. Without it, as in the
+        textbook, a component whose depth is known swallows every light one that knows nothing of
+        depth, and knows as little itself from then on.
 
     Returns
     -------
@@ -47,6 +55,7 @@ def reduce_mixture(
             mixture.cameras,
             mixture.times,
             merge_distance,
+            mutual,
         )
         merged = mixture.take(leaders)
         mixture = GaussianMixture(
@@ -74,9 +83,15 @@ def _squared_distance(difference: Array, factor: Array, scratch: Array) -> float
 
 @compiled
 def merge_sorted(
-    weights: Array, means: Array, covariances: Array, cameras: Integers, times: Array, distance: float
+    weights: Array,
+    means: Array,
+    covariances: Array,
+    cameras: Integers,
+    times: Array,
+    distance: float,
+    mutual: bool,
 ) -> tuple[Array, Array, Array, Integers]:
-    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order.
+    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `mutual` as above.
 
     Returns the merged weights, means and covariances, and the index of the heaviest part of each.
     """
@@ -104,7 +119,10 @@ def merge_sorted(
             for a in range(size):
                 difference[a] = means[k, a] - means[leader, a]
                 # a squared Mahalanobis distance is at least that of each coordinate alone
-                if difference[a] * difference[a] > distance * covariances[k, a, a]:
+                reach = covariances[k, a, a]
+                if mutual:
+                    reach = min(reach, covariances[leader, a, a])
+                if difference[a] * difference[a] > distance * reach:
                     near = False
                     break
             if not near:
@@ -113,7 +131,11 @@ def merge_sorted(
                 factored[k] = cholesky(covariances[k], factors[k])
                 if not factored[k]:
                     continue
-            if _squared_distance(difference, factors[k], scratch) <= distance:
+            if _squared_distance(difference, factors[k], scratch) > distance:
+                continue
+            if mutual and not factored[leader]:
+                factored[leader] = cholesky(covariances[leader], factors[leader])
+            if not mutual or (factored[leader] and _squared_distance(difference, factors[leader], scratch) <= distance):
                 members[found] = k
                 found += 1
         total = 0.0

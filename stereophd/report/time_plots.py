@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from stereophd.metrics.assignment import FloatArray, IntArray
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, Pictures, bracketed, legend_right, unit_text
@@ -19,23 +21,30 @@ if TYPE_CHECKING:
 # More than this cannot be told apart on a page, and makes the files large.
 MOST_SCANS_DRAWN = 1500
 
+# Of a short run every scan gets a dot.
+MOST_SCANS_MARKED = 150
+
+# An interval this many times the usual one between scans is a gap: scans in it were not scored.
+GAP_STEPS = 10
+
 
 def draw_ospa(pictures: Pictures) -> Figure:
     """Draw OSPA over time, and below it its two parts."""
     columns = pictures.columns
     unit = unit_text(pictures) if pictures.base == "euclidean" else ""
     figure, (whole, parts) = _time_axes(2)
-    time, bins = _time_bins(columns["time_s"])
-    if len(time) < len(columns["time_s"]):
-        whole.fill_between(time, *_bin_ranges(columns["ospa"], bins), color=GREY, alpha=0.3, linewidth=0)
+    bins = _bins(columns["time_s"])
+    if bins.count.max() > 1:
+        low, high = bins.least(columns["ospa"]), bins.most(columns["ospa"])
+        whole.fill_between(bins.time_s, low, high, color=GREY, alpha=0.3, linewidth=0, label="least to most")
     mean = float(columns["ospa"].mean())
-    whole.plot(time, _bin_means(columns["ospa"], bins), color=INK, linewidth=1.4, label="OSPA")
+    whole.plot(bins.time_s, bins.mean(columns["ospa"]), color=INK, linewidth=1.4, label="OSPA", **bins.style)
     whole.axhline(mean, color=INK, linewidth=1, linestyle=(0, (4, 3)), label=f"mean {mean:.3g}{unit}")
     for name, label, colour in (
         ("ospa_cardinality", "cardinality part", ORANGE),
         ("ospa_localisation", "localisation part", BLUE),
     ):
-        parts.plot(time, _bin_means(columns[name], bins), color=colour, linewidth=1.4, label=label)
+        parts.plot(bins.time_s, bins.mean(columns[name]), color=colour, linewidth=1.4, label=label, **bins.style)
     for axes in (whole, parts):
         axes.set_ylim(bottom=0)
         legend_right(axes)
@@ -49,16 +58,25 @@ def draw_cardinality(pictures: Pictures) -> Figure:
     """Draw the number of true objects and of estimates over time."""
     columns = pictures.columns
     figure, (axes,) = _time_axes(1)
-    time, bins = _time_bins(columns["time_s"])
-    if len(time) < len(columns["time_s"]):
-        low, high = _bin_ranges(columns["n_estimates"], bins)
-        axes.fill_between(time, low, high, step="mid", color=BLUE, alpha=0.15, linewidth=0, label="least to most")
+    bins = _bins(columns["time_s"])
+    if bins.count.max() > 1:
+        low, high = bins.least(columns["n_estimates"]), bins.most(columns["n_estimates"])
+        axes.fill_between(
+            bins.time_s, low, high, step="mid", color=BLUE, alpha=0.15, linewidth=0, label="least to most"
+        )
     for name, label, colour, width in (
         ("n_truth", "truth", INK, 3.2),
         ("n_estimates", "estimates", BLUE, 1.4),
     ):
-        values = _bin_means(columns[name], bins)
-        axes.plot(time, values, color=colour, linewidth=width, label=label, drawstyle="steps-mid")
+        axes.plot(
+            bins.time_s,
+            bins.mean(columns[name]),
+            color=colour,
+            linewidth=width,
+            label=label,
+            drawstyle="steps-mid",
+            **bins.style,
+        )
     axes.set_ylim(0, max(float(columns[name].max()) for name in ("n_truth", "n_estimates")) + 1)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylabel("number of objects")
@@ -76,16 +94,55 @@ def _time_axes(rows: int) -> tuple[Figure, Sequence[Axes]]:
     return figure, list(axes)
 
 
-def _time_bins(time_s: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return mean times and first scans of bins of equally many scans; each scan by itself if few."""
-    count = min(len(time_s), MOST_SCANS_DRAWN)
-    bins = np.arange(count, dtype=np.int64) * len(time_s) // max(count, 1)
-    return _bin_means(time_s, bins), bins
+@dataclass(frozen=True)
+class _Bins:
+    """Neighbouring scans that are drawn as one point; each scan by itself in a short run.
+
+    Attributes
+    ----------
+    start : (b,) array
+        First scan of each bin.
+    count : (b,) array
+        Its number of scans.
+    gap : (g,) array
+        Bins before which nothing was scored for a while: lines break there.
+    time_s : (b + g,) array
+        Mean times, NaN at the breaks.
+    """
+
+    start: IntArray
+    count: IntArray
+    gap: IntArray
+    time_s: FloatArray
+
+    def mean(self, values: NDArray[Any]) -> FloatArray:
+        """Return the mean of each bin, as it is drawn over `time_s`."""
+        return self._broken(np.add.reduceat(values, self.start) / self.count)
+
+    def least(self, values: NDArray[Any]) -> FloatArray:
+        """Return the least value of each bin."""
+        return self._broken(np.minimum.reduceat(values, self.start))
+
+    def most(self, values: NDArray[Any]) -> FloatArray:
+        """Return the greatest value of each bin."""
+        return self._broken(np.maximum.reduceat(values, self.start))
+
+    def _broken(self, values: NDArray[Any]) -> FloatArray:
+        return np.insert(values.astype(np.float64), self.gap, np.nan)
+
+    @property
+    def style(self) -> dict[str, Any]:
+        """Points that lines alone would not show: between two gaps, or the only one."""
+        return {"marker": "."} if len(self.start) <= MOST_SCANS_MARKED else {}
 
 
-def _bin_means(values: Any, bins: IntArray) -> FloatArray:
-    return np.asarray(np.add.reduceat(values, bins) / np.diff(np.append(bins, len(values))))
-
-
-def _bin_ranges(values: Any, bins: IntArray) -> tuple[FloatArray, FloatArray]:
-    return np.minimum.reduceat(values, bins), np.maximum.reduceat(values, bins)
+def _bins(time_s: FloatArray) -> _Bins:
+    scans = len(time_s)
+    step = np.diff(time_s)
+    gaps = np.flatnonzero(step > GAP_STEPS * np.median(step)) + 1 if scans > 1 else np.zeros(0, dtype=int)
+    drawn = min(scans, MOST_SCANS_DRAWN)
+    # Bins of equally many scans, cut where there are gaps.
+    start = np.union1d(np.arange(drawn) * scans // drawn, gaps).astype(np.int64)
+    count = np.diff(np.append(start, scans))
+    gap = np.searchsorted(start, gaps).astype(np.int64)
+    return _Bins(start, count, gap, np.insert(np.add.reduceat(time_s, start) / count, gap, np.nan))

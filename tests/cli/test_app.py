@@ -95,7 +95,11 @@ def test_limits_of_evaluate(call: Call, limit: str) -> None:
 @pytest.mark.parametrize(
     ("error", "code", "sentence"),
     [
-        (InputError("log: row 3: expected this, found that"), 2, "error: log: row 3: expected this, found that"),
+        (
+            InputError("log: row 3: expected this, found that"),
+            2,
+            "error: log: row 3: expected this, found that",
+        ),
         (GateError("ospa.mean is 3, limit 2"), 1, "error: ospa.mean is 3, limit 2"),
         (KeyboardInterrupt(), 130, "interrupted; no unfinished output is left"),
         (SystemExit(143), 143, None),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import time
 from collections.abc import Iterator
@@ -10,6 +11,8 @@ from typing import Any
 
 import pytest
 
+import stereophd.simulate
+from stereophd.cli import interrupts
 from stereophd.cli.app import run
 from stereophd.io.logs import Frame, LogReader
 
@@ -19,7 +22,11 @@ GIVE_UP_S = 120
 
 
 def test_ctrl_c_in_the_middle_of_a_log(
-    config: Path, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    config: Path,
+    log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     frames = LogReader.__iter__
     seen = []
@@ -50,6 +57,54 @@ def test_ctrl_c_keeps_the_earlier_run(config: Path, log: Path, tmp_path: Path, m
     monkeypatch.setattr(LogReader, "__iter__", interrupted)
     assert run(words) == 130
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+@pytest.fixture
+def installed() -> Iterator[None]:
+    """The handlers of the console script, in this process."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [signal.getsignal(number) for number in numbers]
+    interrupts.install()
+    yield
+    # Once more, for it forgets the signal that the test sent.
+    interrupts.install()
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_got_lost_counts_at_the_next_step(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    steps = []
+
+    def lose(*_: Any, progress: Any, **__: Any) -> None:
+        # As in a callback from compiled code, where Python prints and drops exceptions.
+        with contextlib.suppress(BaseException):
+            signal.raise_signal(number)
+        steps.append("after the signal")
+        progress(1, 2)
+        steps.append("never")
+
+    monkeypatch.setattr(stereophd.simulate, "simulate", lose)
+    assert run(["simulate", str(config), "--out", str(tmp_path / "out")]) == 128 + number
+    assert steps == ["after the signal"]
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_compiled_code_made_into_another_error(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    def disguise(*_: Any, **__: Any) -> None:
+        try:
+            signal.raise_signal(number)
+        except BaseException as error:
+            raise SystemError("returned a result with an exception set") from error
+
+    monkeypatch.setattr(stereophd.simulate, "simulate", disguise)
+    assert run(["simulate", str(config), "--out", str(tmp_path / "out")]) == 128 + number
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -51,7 +51,9 @@ def write_rows(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that writes rows (dicts) as a log, with Arrow directly: not the code under test."""
 
     def write(
-        rows: Sequence[Mapping[str, Any]], types: Mapping[str, pa.DataType] | None = None, name: str = "log.parquet"
+        rows: Sequence[Mapping[str, Any]],
+        types: Mapping[str, pa.DataType] | None = None,
+        name: str = "log.parquet",
     ) -> Path:
         kinds = {**TYPES, **(types or {})}
         names = list(rows[0]) if rows else list(TYPES)[:5]

@@ -19,6 +19,7 @@ import stereophd.io.logs as logs
 from stereophd.errors import InputError
 from stereophd.geometry.camera import Camera
 from stereophd.io.log_checks import KINDS
+from stereophd.io.log_rows import decode
 from stereophd.io.logs import Frame, LogReader, LogWriter
 
 from .conftest import TYPES, make_camera, row
@@ -40,7 +41,10 @@ def log_rows(draw: st.DrawFn) -> list[dict[str, Any]]:
             count = draw(st.integers(0, 4))
             pixels = draw(
                 st.lists(
-                    st.tuples(st.integers(0, 639), st.integers(0, 479)), min_size=count, max_size=count, unique=True
+                    st.tuples(st.integers(0, 639), st.integers(0, 479)),
+                    min_size=count,
+                    max_size=count,
+                    unique=True,
                 )
             )
             rows += [row(float(time), name, frame * 2, float(u), float(v)) for u, v in pixels]
@@ -256,6 +260,20 @@ def test_every_row_is_accounted_for(tmp_path: Path, data: st.DataObject) -> None
         last[frame.camera] = frame.frame
 
 
+def test_a_slice_of_rows_decodes_like_the_rows_themselves() -> None:
+    rows = [*GOOD, row(3.0, None, None, np.nan, None, sigma_u_px=1.0, sigma_v_px=None)] * 3
+    batch = pa.record_batch({key: pa.array([r[key] for r in rows], TYPES[key]) for key in rows[0]})
+    cameras = {"left": 0, "right": 1}
+    part = decode(batch.slice(5, 11), 5, cameras)
+    whole = decode(batch, 0, cameras)
+    for name in ("row", "time_s", "camera", "frame", "pixels", "empty", "sigma"):
+        np.testing.assert_array_equal(getattr(part.rows, name), getattr(whole.rows, name)[5:16], name)
+    np.testing.assert_array_equal(part.nulls, [r["camera"] is None for r in rows[5:16]])
+    np.testing.assert_array_equal(part.half, [(r["u_px"] is None) != (r["v_px"] is None) for r in rows[5:16]])
+    np.testing.assert_array_equal(part.rows.empty, [r["u_px"] is None and r["v_px"] is None for r in rows[5:16]])
+    assert part.names.to_pylist() == [r["camera"] for r in rows[5:16]]
+
+
 def test_a_log_of_bad_rows_only_is_an_error(cameras: list[Camera], write_rows: Callable[..., Path]) -> None:
     path = write_rows([row(0.0, "other", 0, 1.0, 1.0)])
     with pytest.raises(InputError, match="all 1 rows are bad"):
@@ -313,7 +331,14 @@ def test_writer_and_reader_agree(tmp_path: Path, cameras: list[Camera]) -> None:
         writer.write(0.0, "left", 0, pixels, np.array([3, -1]))
         writer.write(0.0, "right", 0, np.empty((0, 2)), np.empty(0, int))
         writer.write_rows(
-            {"time_s": 1.0, "camera": "left", "frame": [1, 1], "u_px": [1.0, 2.0], "v_px": [1.0, 2.0], "object_id": 5}
+            {
+                "time_s": 1.0,
+                "camera": "left",
+                "frame": [1, 1],
+                "u_px": [1.0, 2.0],
+                "v_px": [1.0, 2.0],
+                "object_id": 5,
+            }
         )
         assert writer.rows == 5
     reader = LogReader(tmp_path / "log.parquet", cameras)
@@ -329,5 +354,8 @@ def test_writer_and_reader_agree(tmp_path: Path, cameras: list[Camera]) -> None:
 
 
 def test_object_ids_are_required_where_announced(tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "log.parquet", object_id=True) as writer, pytest.raises(ValueError, match="object_id"):
+    with (
+        LogWriter(tmp_path / "log.parquet", object_id=True) as writer,
+        pytest.raises(ValueError, match="object_id"),
+    ):
         writer.write(0.0, "left", 0, np.zeros((1, 2)))

@@ -81,6 +81,15 @@ def test_nulls_and_scalars(tmp_path: Path, u: Any, expected: list[float | None])
     assert pq.read_table(tmp_path / "log.parquet")["u_px"].to_pylist() == expected
 
 
+def test_rows_are_written_as_they_come(tmp_path: Path) -> None:
+    with TableWriter(tmp_path / "t.parquet", TRACKS, row_group_rows=10) as writer:
+        for size in (4, 25, 1, 10):
+            writer.append(track_columns(size))
+            assert writer._buffered < 10
+            assert sum(rows for _, rows in writer._buffer) == writer._buffered
+        assert writer.rows == 40
+
+
 def test_a_table_without_rows_has_its_columns(tmp_path: Path) -> None:
     TableWriter(tmp_path / "scans.parquet", SCANS).close()
     assert pq.read_table(tmp_path / "scans.parquet").schema.equals(SCANS)
@@ -155,7 +164,11 @@ def test_read_gives_the_optional_columns_that_are_there(tmp_path: Path) -> None:
 def good_bytes(path: Path) -> bytes:
     n = 5000
     rng = np.random.default_rng(1)
-    columns = {"time_s": pa.array(rng.random(n)), "object_id": pa.array(range(n)), "x": pa.array(rng.random(n))}
+    columns = {
+        "time_s": pa.array(rng.random(n)),
+        "object_id": pa.array(range(n)),
+        "x": pa.array(rng.random(n)),
+    }
     return write(path, columns).read_bytes()
 
 
@@ -166,7 +179,10 @@ def good_bytes(path: Path) -> bytes:
         (lambda content: b"time_s,x\n1,2\n", "found something that is not Parquet"),
         (lambda content: content[: len(content) // 2], "truncated or damaged"),
         (lambda content: content[:-1], "truncated or damaged"),
-        (lambda content: content[:4] + b"\xff" * (len(content) // 2) + content[4 + len(content) // 2 :], "damaged"),
+        (
+            lambda content: content[:4] + b"\xff" * (len(content) // 2) + content[4 + len(content) // 2 :],
+            "damaged",
+        ),
     ],
 )
 def test_files_that_are_not_whole_parquet(tmp_path: Path, damage: Callable[[bytes], bytes], message: str) -> None:

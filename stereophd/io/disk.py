@@ -1,0 +1,76 @@
+"""The disk and the signals below atomic writes."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+
+from stereophd.errors import InputError
+
+# Failures of a write that come from the place written to, not from the program.
+USER_ERRNOS = frozenset(
+    getattr(errno, name)
+    for name in (
+        *("ENOSPC", "EDQUOT", "EFBIG", "EACCES", "EPERM", "EROFS", "EIO", "ENAMETOOLONG", "ENOTDIR", "EISDIR"),
+        *("ENOTEMPTY", "EEXIST", "ELOOP", "EMFILE", "ENFILE", "ETXTBSY", "EBUSY"),
+    )
+    if hasattr(errno, name)
+)
+
+
+def write_error(error: OSError, path: Path) -> InputError:
+    """Return the `InputError` that says which output could not be written and why."""
+    return InputError(f"cannot write {path}: {error.strerror or error}")
+
+
+def sync(path: Path) -> None:
+    """Flush a file or folder to the disk; file systems that cannot sync folders are left to it."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def signals_deferred() -> Iterator[None]:
+    """Hold back SIGINT and SIGTERM for the few milliseconds in which files change places."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+
+    number: int
+    previous: dict[int, Callable[[int, FrameType | None], object] | int] = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handler = signal.getsignal(number)
+        # None: installed outside Python and not restorable from here.
+        if handler is not None:
+            previous[number] = handler
+            signal.signal(number, remember)
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    if received:
+        signal.raise_signal(received[0])
+
+
+def current_umask() -> int:
+    """Return the process's umask (it can only be read by setting it)."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,170 @@
+"""Read Parquet tables with checks: every way in which a file can be wrong is a clear `InputError`."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from stereophd.errors import InputError
+
+
+def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
+    """Open a Parquet file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        What it should be, for the message (``detection log``).
+
+    Raises
+    ------
+    InputError
+        It is not there, not readable, empty, not Parquet, or cut off.
+    """
+    file = Path(path)
+    try:
+        if file.is_dir():
+            raise InputError(f"{file}: expected a {what} (Parquet file), found a folder")
+        size = file.stat().st_size
+        if size == 0:
+            raise InputError(f"{file}: expected a {what} (Parquet file), found an empty file")
+        with open(file, "rb") as stream:
+            magic = stream.read(4)
+    except FileNotFoundError as error:
+        raise InputError(f"{file}: there is no such file; expected a {what}") from error
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
+    if magic != b"PAR1":
+        raise InputError(f"{file}: expected a {what} (Parquet file), found something that is not Parquet")
+    try:
+        return pq.ParquetFile(file, memory_map=False)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"
+        ) from error
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or ["no details"])[0].rstrip(".")
+
+
+@contextlib.contextmanager
+def damaged_is_input_error(path: Path | str) -> Iterator[None]:
+    """Turn the errors that reading the data of a damaged Parquet file raises into `InputError`."""
+    try:
+        yield
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: the file is damaged or truncated: {_first_line(error)}") from error
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind))
+
+
+def _fits(found: pa.DataType, expected: pa.DataType) -> bool:
+    """Whether a column can be read as `expected` without loss: wider numbers, other kinds of text."""
+    if pa.types.is_floating(expected):
+        return bool(pa.types.is_floating(found) or pa.types.is_integer(found))
+    if pa.types.is_integer(expected):
+        return bool(pa.types.is_integer(found))
+    if pa.types.is_string(expected):
+        return _is_text(found)
+    if pa.types.is_fixed_size_list(expected):
+        return bool(
+            pa.types.is_fixed_size_list(found)
+            and found.list_size == expected.list_size
+            and _fits(found.value_type, expected.value_type)
+        )
+    return bool(found == expected)
+
+
+def _data_type(kind: pa.DataType | str) -> pa.DataType:
+    return pa.type_for_alias(kind) if isinstance(kind, str) else kind
+
+
+def check_columns(
+    schema: pa.Schema,
+    required: Mapping[str, pa.DataType | str],
+    optional: Mapping[str, pa.DataType | str],
+    path: Path | str,
+) -> list[str]:
+    """Check the columns of a table, and return the names of those of `optional` that are there.
+
+    Raises
+    ------
+    InputError
+        A required column is missing, or a column has another type.
+    """
+    missing = [name for name in required if name not in schema.names]
+    if missing:
+        raise InputError(
+            f"{path}: missing column{'s' if len(missing) > 1 else ''} {', '.join(missing)}; "
+            f"expected {', '.join(required)}, found {', '.join(schema.names) or 'none'}"
+        )
+    present = [name for name in optional if name in schema.names]
+    for name in [*required, *present]:
+        if schema.names.count(name) > 1:
+            raise InputError(f"{path}: column {name}: expected one column of this name, found several")
+        expected = _data_type(required[name] if name in required else optional[name])
+        found = schema.field(name).type
+        if not _fits(found, expected):
+            raise InputError(f"{path}: column {name}: expected type {expected}, found {found}")
+    return present
+
+
+def read_table(
+    path: Path | str,
+    required: Mapping[str, pa.DataType | str],
+    optional: Mapping[str, pa.DataType | str] | None = None,
+    what: str = "table",
+) -> pa.Table:
+    """Read columns of a Parquet table, checked and in the expected types.
+
+    Parameters
+    ----------
+    path
+        The file.
+    required, optional
+        Name -> type (`pyarrow.DataType` or its name, such as ``"float64"``). Narrower numbers are
+        widened, any kind of text becomes a string. Other columns are not read.
+    what
+        What the table should be, for the messages.
+
+    Returns
+    -------
+    pyarrow.Table
+        The required columns in their order, then the optional ones that are there; the file's
+        key-value metadata are its ``schema.metadata``.
+
+    Raises
+    ------
+    InputError
+        Not there, not Parquet, damaged, a column missing, of another type, or (required) with nulls.
+    """
+    optional = optional or {}
+    with open_parquet(path, what) as parquet:
+        schema = parquet.schema_arrow
+        present = check_columns(schema, required, optional, path)
+        names = [*required, *present]
+        with damaged_is_input_error(path):
+            table = parquet.read(columns=names).select(names)
+    fields = []
+    for name in names:
+        kind = _data_type(required[name] if name in required else optional[name])
+        fields.append(pa.field(name, kind))
+        nulls = table.column(name).null_count
+        if nulls and name in required:
+            row = table.column(name).is_null().index(True).as_py()
+            raise InputError(f"{path}: row {row}: column {name}: expected a value, found null")
+    try:
+        return table.cast(pa.schema(fields, metadata=schema.metadata))
+    except pa.ArrowException as error:
+        raise InputError(f"{path}: {_first_line(error)}") from error
