@@ -76,14 +76,14 @@ def moving_case(acceleration: float) -> LinearCase:
     """Objects so far before so long a lens that the change of depth has no effect on (u, v).
 
     At a distance of fx lengths a velocity of 1 is 1 px/s, and 1e-18 of the distance. With process noise, which
-    is multiplied by the disparity, the disparity must be certain for the map to be linear (to 4e-6, of which
+    is multiplied by the disparity, the disparity must be certain for the map to be linear (to 3e-6, of which
     the square counts); without, it may be anything.
     """
     focal = (2.0**60, 0.75 * 2.0**60)
     camera = linear_camera(focal)
     mean, distance = 8.0, 2.0**60
     baseline = mean * distance / focal[0]
-    std = 4e-6 * mean if acceleration else 0.1 * mean
+    std = 3e-6 * mean if acceleration else 0.1 * mean
     # from the world's axes to px and px/s, at the mean disparity
     scale = np.array([focal[0], focal[1], mean]) / distance
     powers = np.array([1.0, 1.0, -1.0])
