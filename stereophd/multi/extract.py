@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.multi.intensity import GaussianMixture
+from stereophd.multi.intensity import UNLABELLED, GaussianMixture
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,7 @@ def select_objects(mixture: GaussianMixture, hysteresis: Hysteresis, next_label:
     """
     labels = mixture.labels.copy()
     order = np.lexsort((-mixture.weights, labels))
+    order = order[labels[order] != UNLABELLED]
     first = np.ones(len(order), dtype=bool)
     first[1:] = labels[order][1:] != labels[order][:-1]
     apart = order[~first & (mixture.weights[order] >= hysteresis.confirm)]
@@ -69,6 +70,7 @@ def select_objects(mixture: GaussianMixture, hysteresis: Hysteresis, next_label:
         tracks[apart], reported[apart] = -1, False
         mixture = replace(mixture, labels=labels, tracks=tracks, reported=reported)
         order = np.lexsort((-mixture.weights, labels))
+        order = order[labels[order] != UNLABELLED]
         first[1:] = labels[order][1:] != labels[order][:-1]
     if len(order) == 0:
         return Selection(mixture, np.empty(0, dtype=np.intp), np.empty(0), next_label, next_track)
@@ -83,7 +85,7 @@ def select_objects(mixture: GaussianMixture, hysteresis: Hysteresis, next_label:
     fresh = np.flatnonzero(shown & (tracks < 0))
     tracks[fresh] = next_track + np.arange(len(fresh))
 
-    new_tracks, new_reported = np.empty_like(mixture.tracks), np.empty_like(mixture.reported)
+    new_tracks, new_reported = np.full_like(mixture.tracks, UNLABELLED), np.zeros_like(mixture.reported)
     new_tracks[order], new_reported[order] = tracks[group], shown[group]
     mixture = replace(mixture, tracks=new_tracks, reported=new_reported)
     return Selection(mixture, leaders[shown], totals[shown], next_label, next_track + len(fresh))

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+# Label of components that stand for objects never detected; identity of labels never reported.
+UNLABELLED = -1
+
 
 @dataclass(frozen=True)
 class GaussianMixture:
@@ -27,7 +30,7 @@ class GaussianMixture:
     cameras, times : arrays (n,)
         Home camera (index in the rig) and time, s.
     labels : array (n,) of int
-        Components that descend from one detection share its label.
+        Components that descend from one detection share its label; -1 for objects never detected.
     tracks : array (n,) of int
         Identity under which the label was first reported, -1 before.
     reported : array (n,) of bool

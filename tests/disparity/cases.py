@@ -81,7 +81,9 @@ def unit_noise(samples: Array, motion: Motion) -> Array:
     return np.concatenate([position, velocity]).T * np.tile(motion.acceleration_std, 2)
 
 
-def oracle_world(mean: Array, covariance: Array, samples: Array, home: DisparitySpace, dt: float, motion: Motion) -> Array:
+def oracle_world(
+    mean: Array, covariance: Array, samples: Array, home: DisparitySpace, dt: float, motion: Motion
+) -> Array:
     """Samples (n, d) of a Gaussian in a disparity space, in the world and moved by dt."""
     size = len(mean)
     states = mean + samples[:size].T @ np.linalg.cholesky(covariance).T

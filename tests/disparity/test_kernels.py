@@ -173,15 +173,17 @@ def test_weighted_moments(size: int, count: int) -> None:
 
 
 @pytest.mark.parametrize("p_detect", [0.4, 0.95, 1.0])
-def test_missed_moments(p_detect: float) -> None:
+@pytest.mark.parametrize("own_weights", [False, True])
+def test_missed_moments(p_detect: float, own_weights: bool) -> None:
     rng = np.random.default_rng(6)
     mean, covariance = rng.standard_normal(6) * 100.0, random_covariance(rng, [5.0, 4.0, 1.0, 2.0, 2.0, 0.1])
     factor = np.linalg.cholesky(covariance)
     samples = rng.standard_normal((12, 400))
     mask = (samples[0] + 0.3 * samples[4] > 0.4).astype(float)
-    expected = weighted(mean + samples[:6].T @ factor.T, 1.0 - p_detect * mask)
+    sample_weights = rng.uniform(0.2, 3.0, 400) if own_weights else np.ones(400)
+    expected = weighted(mean + samples[:6].T @ factor.T, sample_weights * (1.0 - p_detect * mask))
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
-    kernels.missed_moments(mean, factor, samples, mask, p_detect, 50, found_mean, found_covariance)
+    kernels.missed_moments(mean, factor, samples, sample_weights, mask, p_detect, 50, found_mean, found_covariance)
     np.testing.assert_allclose(found_mean, expected[0], rtol=1e-12)
     np.testing.assert_allclose(found_covariance, expected[1], rtol=1e-10, atol=1e-10)
 
@@ -195,7 +197,7 @@ def test_missed_moments_of_too_few_samples_keep_the_whole(seen: int, kept: bool)
     mask = (np.arange(400) < seen).astype(float)
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
     factor = np.linalg.cholesky(covariance)
-    kernels.missed_moments(mean, factor, samples, mask, 1.0, 24, found_mean, found_covariance)
+    kernels.missed_moments(mean, factor, samples, np.ones(400), mask, 1.0, 24, found_mean, found_covariance)
     whole = bool(np.allclose(found_mean, mean, rtol=0, atol=1e-12))
     assert whole == kept
     if kept:

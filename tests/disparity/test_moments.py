@@ -53,16 +53,14 @@ class Case:
     dt: float
     motion: Motion
 
-    def move(self, sets: SampleSets, turn: int = 0, p_detect: float = 1.0) -> Moved:
+    def move(self, sets: SampleSets, turn: int = 0, p_detect: float = 1.0, important: bool = False) -> Moved:
         return move(
             self.mean[None], self.covariance[None], self.home.packed()[None], np.array([self.dt]),
-            self.destination.packed(), self.motion, sets, turn, p_detect,
+            self.destination.packed(), self.motion, sets, turn, p_detect, np.array([important]),
         )  # fmt: skip
 
     def trip(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return oracle_trip(
-            self.mean, self.covariance, samples, self.home, self.destination, self.dt, self.motion
-        )
+        return oracle_trip(self.mean, self.covariance, samples, self.home, self.destination, self.dt, self.motion)
 
     def reference(self) -> tuple[np.ndarray, np.ndarray]:
         return self.trip(np.random.default_rng(99).standard_normal((12, REFERENCE_SAMPLES)))
@@ -350,6 +348,59 @@ def test_status_by_the_number_of_samples_in_view() -> None:
         assert moved.fraction[0] == (needed / 64 if status == PARTLY_IN_VIEW else 0.0)
 
 
+def tail_in_view(size: int, place: float) -> Case:
+    """A newborn of the left camera, of whose wide depths the right camera sees one end only."""
+    home, destination = converging(20.0, 0.26)
+    mean = np.array([place, 300.0, 7.0, 0.0, 0.0, 0.0])[:size]
+    covariance = np.diag([1.4, 1.4, 3.0, 9.0, 9.0, 1.0])[:size, :size] ** 2
+    motion: Motion = ConstantVelocity([0.01] * 3, max_speed=6.0) if size == 6 else Static()
+    return Case(mean, covariance, home, destination, 0.5, motion)
+
+
+@pytest.mark.parametrize("size", [3, 6])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("place", [650.0, 700.0, 750.0])
+def test_a_tail_in_view_is_found_where_it_matters(method: str, size: int, place: float) -> None:
+    """Too few of 64 samples in view: out of view, unless important; then close to a large sample."""
+    case, p_detect = tail_in_view(size, place), 0.95
+    sets = sample_sets(method, 64, case.motion)
+    assert case.move(sets, 0, p_detect).status[0] == OUT_OF_VIEW
+    moved = case.move(sets, 0, p_detect, important=True)
+    assert moved.status[0] == PARTLY_IN_VIEW
+    samples = np.random.default_rng(99).standard_normal((12, REFERENCE_SAMPLES))
+    points, seen = case.trip(samples)
+    share = seen.mean()
+    assert 0.01 < share < 0.375
+    # the reserve's own size, its weights, and the samples that count: all in the effective number in view
+    reserve, seen_there = case.trip(sets.reserve)
+    weights = sets.reserve_weights * seen_there
+    effective = weights.sum() ** 2 / (weights**2).sum()
+    assert abs(moved.fraction[0] - share) < 5.0 * share / np.sqrt(effective)
+    mean, covariance = weighted(points, seen.astype(float))
+    margin, variance_margin = monte_carlo_margins(points[seen], effective)
+    assert in_deviations(moved.means[0] - mean, covariance).max() < margin
+    assert (np.abs(np.diag(moved.covariances[0]) / np.diag(covariance) - 1.0) < variance_margin).all()
+    # exactly, against NumPy on the same weighted samples
+    expected_mean, expected = weighted(reserve, weights)
+    assert moved.fraction[0] == pytest.approx(weights.sum() / sets.reserve_weights.sum(), rel=1e-12)
+    np.testing.assert_allclose(moved.means[0], expected_mean, rtol=1e-8)
+    assert in_deviations(moved.covariances[0] - expected, expected).max() < 1e-8
+    states = case.mean + sets.reserve[:size].T @ np.linalg.cholesky(case.covariance).T
+    missed_mean, missed = weighted(states, sets.reserve_weights * (1.0 - p_detect * seen_there))
+    np.testing.assert_allclose(moved.missed_means[0], missed_mean, rtol=1e-8, atol=1e-8)
+    assert in_deviations(moved.missed_covariances[0] - missed, missed).max() < 1e-8
+
+
+@pytest.mark.parametrize("size", [3, 6])
+def test_importance_changes_nothing_that_is_well_in_view(size: int) -> None:
+    for case in (nearly_linear(size), figure_7(size)):
+        sets = sample_sets("qmc", 64, case.motion)
+        one, other = case.move(sets, 0, 0.9), case.move(sets, 0, 0.9, important=True)
+        assert one.status[0] != OUT_OF_VIEW
+        for name in ("means", "covariances", "fraction", "status", "missed_means", "missed_covariances"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
 wide = st.floats(-6.0, 4.0).map(lambda exponent: 10.0**exponent)
 
 
@@ -366,6 +417,7 @@ wide = st.floats(-6.0, 4.0).map(lambda exponent: 10.0**exponent)
     acceleration=st.sampled_from([0.0, 1e-3, 10.0]),
     p_detect=st.sampled_from([0.5, 0.95, 1.0]),
     close=st.booleans(),
+    important=st.booleans(),
 )
 def test_no_rank_deficient_covariance_leaves(
     seed: int,
@@ -379,6 +431,7 @@ def test_no_rank_deficient_covariance_leaves(
     acceleration: float,
     p_detect: float,
     close: bool,
+    important: bool,
 ) -> None:
     rng = np.random.default_rng(seed)
     spread = 0.05 if close else 1.5
@@ -388,7 +441,7 @@ def test_no_rank_deficient_covariance_leaves(
     covariance = random_covariance(rng, stds[:size])
     motion: Motion = ConstantVelocity([acceleration] * 3, max_speed) if size == 6 else Static()
     sets = sample_sets(method, samples, motion, seed=0)
-    moved = Case(mean, covariance, home, destination, dt, motion).move(sets, seed % 16, p_detect)
+    moved = Case(mean, covariance, home, destination, dt, motion).move(sets, seed % 16, p_detect, important)
     if moved.status[0] == OUT_OF_VIEW:
         assert moved.fraction[0] == 0.0
     else:
@@ -417,10 +470,18 @@ def test_threads_do_not_change_a_bit(method: str, size: int, monkeypatch: pytest
     motion: Motion = ConstantVelocity([0.1] * 3, 6.0) if size == 6 else Static()
     sets = sample_sets(method, 64, motion)
     count = 101
-    world = np.column_stack([rng.uniform(-60, 60, (count, 2)), rng.uniform(60, 300, count), rng.normal(0, 2, (count, 3))])
+    world = np.column_stack(
+        [rng.uniform(-60, 60, (count, 2)), rng.uniform(60, 300, count), rng.normal(0, 2, (count, 3))]
+    )
     means = home.from_world(world[:, :size])
     covariances = np.stack([random_covariance(rng, [6.0, 6.0, 0.5, 9.0, 9.0, 0.2][:size]) for _ in range(count)])
-    arguments = (means, covariances, np.tile(home.packed(), (count, 1)), rng.uniform(-1, 1, count), destination.packed())
+    arguments = (
+        means,
+        covariances,
+        np.tile(home.packed(), (count, 1)),
+        rng.uniform(-1, 1, count),
+        destination.packed(),
+    )
     parts = moments._slices(count, 64, 3)
     assert len(parts) == 3  # the threads are really used
     assert [k for part in parts for k in range(count)[part]] == list(range(count))
@@ -443,7 +504,9 @@ def test_components_do_not_influence_one_another(method: str) -> None:
     together = move(means, covariances, homes, dts, destination.packed(), motion, sets, 2, 0.95)
     for k in range(3):
         part = slice(k, k + 1)
-        alone = move(means[part], covariances[part], homes[part], dts[part], destination.packed(), motion, sets, 2, 0.95)
+        alone = move(
+            means[part], covariances[part], homes[part], dts[part], destination.packed(), motion, sets, 2, 0.95
+        )
         assert together.status[k] == alone.status[0]
         assert together.fraction[k] == alone.fraction[0]
         if alone.status[0] != OUT_OF_VIEW:
@@ -472,7 +535,7 @@ def test_world_moments_against_sampling(method: str, rectification: str, dt: flo
     motion = ConstantVelocity([0.5, 0.1, 0.3], max_speed=8.0)
     sets = sample_sets(method, 4096, motion)
     for std in (0.3, 4.0):
-        mean = state_in(space, space.camera.pose.to_world([[3.0, -2.0, 120.0]])[0].tolist() + [1.0, 2.0, -1.0])
+        mean = state_in(space, [*space.camera.pose.to_world([[3.0, -2.0, 120.0]])[0].tolist(), 1.0, 2.0, -1.0])
         covariance = random_covariance(np.random.default_rng(10), [2.0, 2.0, std, 4.0, 4.0, 0.2])
         samples = np.random.default_rng(11).standard_normal((12, REFERENCE_SAMPLES))
         disparity = mean[2] + samples[:6].T @ np.linalg.cholesky(covariance)[2]
@@ -494,7 +557,7 @@ def test_world_moments_of_the_same_samples() -> None:
     space = make_space(make_camera((0.2, -0.3, 0.1), (5.0, 6.0, 7.0)), 0.5, "vertical")
     motion = ConstantVelocity([0.5, 0.1, 0.3], max_speed=3.0)
     sets = sample_sets("qmc", 64, motion)
-    mean = state_in(space, space.camera.pose.to_world([[3.0, -2.0, 120.0]])[0].tolist() + [1.0, 2.0, -1.0])
+    mean = state_in(space, [*space.camera.pose.to_world([[3.0, -2.0, 120.0]])[0].tolist(), 1.0, 2.0, -1.0])
     covariance = random_covariance(np.random.default_rng(10), [2.0, 2.0, 0.3, 4.0, 4.0, 0.2])
     for dt in (0.0, 1.5, -0.5):
         world = oracle_world(mean, covariance, sets.turn(7), space, dt, motion)

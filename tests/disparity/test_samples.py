@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
-from stereophd.disparity.samples import SETS_IN_TURN, cubature_points, draw_sample_sets
+from stereophd.disparity.samples import (
+    RESERVE_SAMPLES,
+    RESERVE_WIDTH,
+    SETS_IN_TURN,
+    cubature_points,
+    draw_sample_sets,
+)
 
 QUASI = ("qmc", "unscented", "linear")
 
@@ -41,9 +48,7 @@ def test_particles_are_the_pseudo_random_draws_of_the_seed() -> None:
 
 @pytest.mark.parametrize("method", ["qmc", "particle"])
 def test_sets_depend_on_the_seed_only(method: str) -> None:
-    first, second, other = (
-        draw_sample_sets(method, 64, 12, np.random.SeedSequence(seed)).sets for seed in (4, 4, 5)
-    )
+    first, second, other = (draw_sample_sets(method, 64, 12, np.random.SeedSequence(seed)).sets for seed in (4, 4, 5))
     np.testing.assert_array_equal(first, second)
     assert not np.array_equal(first, other)
 
@@ -70,3 +75,28 @@ def test_cubature_points(rows: int) -> None:
     assert np.abs(points.sum(axis=1)).max() == 0.0
     np.testing.assert_allclose(points @ points.T / (2 * rows), np.eye(rows), rtol=0, atol=1e-14)
     assert np.count_nonzero(points) == 2 * rows
+
+
+@pytest.mark.parametrize("method", ["qmc", "particle"])
+def test_reserve_is_a_weighted_standard_normal(method: str) -> None:
+    """Wider in the third coordinate, and weighted so that the moments are still those of a standard normal."""
+    sets = draw_sample_sets(method, 64, 12, np.random.SeedSequence(8))
+    points, weights = sets.reserve, sets.reserve_weights
+    assert points.shape == (12, RESERVE_SAMPLES)
+    assert (weights > 0.0).all()
+    assert weights.mean() == pytest.approx(1.0, rel=1e-12)
+    assert points[2].std() == pytest.approx(RESERVE_WIDTH, rel=0.1)
+    # by the densities: a standard normal's over that of the wider one
+    ratio = norm.pdf(points[2]) / norm.pdf(points[2], scale=RESERVE_WIDTH)
+    np.testing.assert_allclose(weights, ratio / ratio.mean(), rtol=1e-10)
+    # five standard errors of as many weighted samples
+    margin = 5.0 * np.sqrt((weights**2).mean() / RESERVE_SAMPLES)
+    assert np.abs(points @ weights / RESERVE_SAMPLES).max() < margin
+    second = (points * weights) @ points.T / RESERVE_SAMPLES
+    assert np.abs(second - np.eye(12)).max() < margin * np.sqrt(3.0)
+
+
+@pytest.mark.parametrize(("samples", "expected"), [(64, RESERVE_SAMPLES), (4096, 4096)])
+def test_reserve_is_never_smaller_than_a_set(samples: int, expected: int) -> None:
+    sets = draw_sample_sets("particle", samples, 3, np.random.SeedSequence(9))
+    assert sets.reserve.shape == (3, expected)

@@ -80,9 +80,7 @@ def test_disparity_is_focal_length_times_baseline_over_depth(
     # rounding of the world coordinates, relative to the depth
     rtol = 1e-12 * (1.0 + 200.0 / depth)
     np.testing.assert_allclose(state[2], focal * space.baseline / depth, rtol=rtol)
-    np.testing.assert_allclose(
-        state[:2], [898.9 * ray[0] + 400.0, 880.0 * ray[1] + 300.0], rtol=0, atol=2000.0 * rtol
-    )
+    np.testing.assert_allclose(state[:2], [898.9 * ray[0] + 400.0, 880.0 * ray[1] + 300.0], rtol=0, atol=2000.0 * rtol)
 
 
 @settings(max_examples=200, deadline=None)

@@ -69,14 +69,12 @@ def test_kalman_updates(size: int) -> None:
 @pytest.mark.parametrize("components", [0, 3])
 @pytest.mark.parametrize("count", [0, 4])
 def test_nothing_to_pair(components: int, count: int) -> None:
-    arguments = pairs_of(np.random.default_rng(6), 6, components, count)if count and components else (
+    arguments = (
         np.zeros((components, 6)), np.tile(np.eye(6), (components, 1, 1)), np.ones(components, dtype=bool),
         np.zeros((count, 2)), np.tile(np.eye(2), (count, 1, 1)), np.ones(count),
-    )
+    )  # fmt: skip
     found, detections, densities = pair_likelihoods(*arguments)
-    assert len(found) == len(detections) == len(densities)
-    if not (components and count):
-        assert len(found) == 0
+    assert len(found) == len(detections) == len(densities) == components * count
 
 
 @pytest.mark.parametrize("lens", list(LENSES))
@@ -94,5 +92,5 @@ def test_densities_are_per_distorted_pixel(lens: str) -> None:
     )
     # 1 %: the noise, carried through the lens, varies a little over the component
     assert densities.sum() == pytest.approx(1.0, abs=0.01)
-    if lens != "none":
-        assert abs((densities / event.areas).sum() - 1.0) > 0.02 or abs(event.areas.mean() - 1.0) < 0.02
+    # the lenses do change areas here: without `areas` the sum would be off
+    assert (abs(event.areas.mean() - 1.0) > 0.03) == (lens != "none")

@@ -16,7 +16,7 @@ PIXELS = np.array([[10.0, 15.0], [400.0, 300.0], [790.0, 40.0]])
 def sampled(space: DisparitySpace, point: np.ndarray, prior: tuple[float, float], speed: float) -> np.ndarray:
     """States (n, 6): depth drawn from the prior on disparity, velocity from N(0, speed^2 I) in the world."""
     rng = np.random.default_rng(1)
-    count = 1_000_000
+    count = 300_000
     disparity = prior[0] + prior[1] * rng.standard_normal(count)
     states = np.column_stack([np.tile(point, (count, 1)), disparity])
     world = space.to_world(states)
@@ -38,10 +38,10 @@ def test_moments_are_those_of_depth_and_velocity(rectification: str, lens: str) 
         np.testing.assert_allclose(means[k, :3], [*event.points[k], 7.0], rtol=1e-12)
         assert not means[k, 3:].any()
         std = np.sqrt(np.diag(expected))
-        # standard errors of a million samples are 0.1 % of a deviation; five of them
-        assert (np.abs(states.mean(axis=0) - means[k]) <= 0.005 * std + 1e-9).all()
+        # standard errors of 300,000 samples are 0.18 % of a deviation; five of them
+        assert (np.abs(states.mean(axis=0) - means[k]) <= 0.0092 * std + 1e-9).all()
         # squares of products of normals have heavy tails: three times the error of a normal's variance
-        assert (np.abs(covariances[k] - expected) <= 0.02 * np.outer(std, std) + 1e-12).all()
+        assert (np.abs(covariances[k] - expected) <= 0.04 * np.outer(std, std) + 1e-12).all()
         np.linalg.cholesky(covariances[k])
 
 

@@ -101,8 +101,7 @@ def test_empty_mixture() -> None:
 def test_order_of_components_does_not_matter(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     labels = rng.integers(0, 4, count)
-    known = rng.permutation(4) * (rng.random(4) < 0.5) - (rng.random(4) < 0.5)  # identities of labels, or -1
-    tracks = np.where(known[labels] > 0, known[labels], -1)
+    tracks = np.where(rng.random(4) < 0.5, rng.permutation(4), -1)[labels]
     mixture = make_mixture(rng.random(count), labels=labels, tracks=tracks, reported=(tracks >= 0))
     order = rng.permutation(count)
     one = select_objects(mixture, SLOW, 4, 10)

@@ -1,0 +1,183 @@
+"""What the multi-object filters share: state, prediction by particle move, extraction.
+
+A filter is ``init / predict / update / extract`` over a frozen state; `DisparityFilter.step` is the
+three in a row that an event takes. The filters differ in their update.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.disparity.moments import IN_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
+from stereophd.disparity.samples import SampleSets
+from stereophd.motion import Motion, Static
+from stereophd.multi.birth import BirthPrior, birth_moments
+from stereophd.multi.events import Event, Rig
+from stereophd.multi.extract import Hysteresis, select_objects
+from stereophd.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info, empty_mixture
+
+Array = NDArray[np.float64]
+
+# Components from this weight or existence on get more samples where only a corner of them is in view.
+IMPORTANT_WEIGHT = 0.01
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """State after an event.
+
+    Attributes
+    ----------
+    mixture : GaussianMixture
+        The intensity (PHD), or the tracks and the intensity of undetected objects (PMB).
+    time_s : float or None
+        Time of the last event, None before the first.
+    n_events : int
+        Events so far: picks the sample set.
+    next_label, next_track : int
+        First unused label and identity.
+    """
+
+    mixture: GaussianMixture
+    time_s: float | None
+    n_events: int
+    next_label: int
+    next_track: int
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The surviving components, at home and carried into the event's disparity space."""
+
+    mixture: GaussianMixture
+    moved: Moved
+
+
+@dataclass(frozen=True)
+class DisparityFilter(ABC):
+    """A multi-object filter on disparity space.
+
+    Attributes
+    ----------
+    rig : Rig
+    motion : Motion
+    sets : SampleSets
+        Shared by all components of a step.
+    survival_per_s : float
+        Probability that an object survives one second.
+    birth : BirthPrior
+        Prior of new objects.
+    hysteresis : Hysteresis
+        Which objects are reported.
+    threads : int
+        Threads of the sample trips; results do not depend on it.
+    """
+
+    rig: Rig
+    motion: Motion
+    sets: SampleSets
+    survival_per_s: float
+    birth: BirthPrior
+    hysteresis: Hysteresis
+    threads: int
+
+    @abstractmethod
+    def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
+        """Update with the detections of an event."""
+
+    @property
+    def state_size(self) -> int:
+        """Size of the states: 6, or 3 for static objects."""
+        return 3 if isinstance(self.motion, Static) else 6
+
+    def init(self) -> FilterState:
+        """Return the state before the first event: no objects."""
+        return FilterState(empty_mixture(self.state_size), None, 0, 0, 0)
+
+    def predict(self, state: FilterState, event: Event) -> Prediction:
+        """Let objects survive, move and come into the event's disparity space."""
+        elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
+        mixture = state.mixture
+        mixture = mixture.with_weights(mixture.weights * self.survival_per_s**elapsed)
+        moved = move(
+            mixture.means,
+            mixture.covariances,
+            self.rig.spaces(mixture.cameras, mixture.times),
+            event.time_s - mixture.times,
+            self.rig.space(event.camera, event.time_s),
+            self.motion,
+            self.sets,
+            state.n_events,
+            self.rig.cameras[event.camera].detector.p_detect,
+            mixture.weights >= IMPORTANT_WEIGHT,
+            self.threads,
+        )
+        return Prediction(mixture, moved)
+
+    def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
+        """Report the objects of a state, in the world at the state's time."""
+        chosen = select_objects(state.mixture, self.hysteresis, state.next_label, state.next_track)
+        state = FilterState(chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track)
+        parts = chosen.mixture.take(chosen.index)
+        time_s = 0.0 if state.time_s is None else state.time_s
+        means, covariances = world_moments(
+            parts.means,
+            parts.covariances,
+            self.rig.spaces(parts.cameras, parts.times),
+            time_s - parts.times,
+            self.motion,
+            self.sets,
+            state.n_events,
+        )
+        finite = np.isfinite(means).all(axis=1)
+        order = np.flatnonzero(finite)[np.argsort(parts.tracks[finite], kind="stable")]
+        return state, Estimates(parts.tracks[order], means[order], covariances[order], chosen.existence[order])
+
+    def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
+        """Predict, update and extract for one event."""
+        state, info = self.update(state, self.predict(state, event), event)
+        state, estimates = self.extract(state)
+        return state, info, estimates
+
+    def births(self, event: Event, weights: Array, next_label: int) -> GaussianMixture:
+        """Return one new component a detection, with these weights and fresh labels."""
+        space = self.rig.space(event.camera, event.time_s)
+        means, covariances = birth_moments(event, space, self.birth, self.state_size)
+        count = len(weights)
+        return GaussianMixture(
+            weights,
+            means,
+            covariances,
+            np.full(count, event.camera),
+            np.full(count, event.time_s),
+            next_label + np.arange(count),
+            np.full(count, UNLABELLED),
+            np.zeros(count, dtype=bool),
+        )
+
+
+def missed_states(prediction: Prediction, event: Event) -> GaussianMixture:
+    """Components as they are if the event did not detect them, with the weights of the prediction.
+
+    Components wholly in view move to the event's space; others stay at home, where they are Gaussian.
+    """
+    mixture, moved = prediction.mixture, prediction.moved
+    whole = moved.status == IN_VIEW
+    partly = moved.status == PARTLY_IN_VIEW
+    means, covariances = mixture.means.copy(), mixture.covariances.copy()
+    means[whole], covariances[whole] = moved.means[whole], moved.covariances[whole]
+    means[partly], covariances[partly] = moved.missed_means[partly], moved.missed_covariances[partly]
+    return GaussianMixture(
+        mixture.weights,
+        means,
+        covariances,
+        np.where(whole, event.camera, mixture.cameras),
+        np.where(whole, event.time_s, mixture.times),
+        mixture.labels,
+        mixture.tracks,
+        mixture.reported,
+    )
