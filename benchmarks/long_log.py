@@ -2,7 +2,8 @@
 
 Simulates both with the command line (objects come and go, so that the scene is as busy at the end as at
 the start), tracks both in processes of their own and prints the peak of their memory and their times.
-The ratio of the times is also given without the start-up, which is that of a log of a few frames.
+The ratio of the times is also given without the start-up, which is the time of a log of a few frames. With a
+short log (under some 100,000 detections) it says little: the filter's mixture is still growing.
 
     python benchmarks/long_log.py [--detections 2000000] [--json]
 """
@@ -45,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         pilot = _simulate(options, PILOT_S, folder / "pilot")
-        few = _simulate(options, FEW_FRAMES_S, folder / "few")
+        _simulate(options, FEW_FRAMES_S, folder / "few")
         _track(options, folder / "few")  # compiles what is not compiled yet
         start_up = min((_track(options, folder / "few") for _ in range(3)), key=lambda run: run["wall_s"])
         duration_s = options.detections / (pilot["detections"] / PILOT_S)
@@ -60,13 +61,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "start_up_s": start_up["wall_s"],
         "frames_ratio": long["frames"] / short["frames"],
         "wall_ratio": long["wall_s"] / short["wall_s"],
-        "wall_ratio_without_start_up": (long["wall_s"] - start_up["wall_s"])
-        / (short["wall_s"] - start_up["wall_s"]),
+        "wall_ratio_without_start_up": (long["wall_s"] - start_up["wall_s"]) / (short["wall_s"] - start_up["wall_s"]),
         "cpu_ratio_without_start_up": (long["cpu_s"] - start_up["cpu_s"]) / (short["cpu_s"] - start_up["cpu_s"]),
         "targets": {"peak_mb": TARGET_PEAK_MB, "ratio": TARGET_RATIO},
     }
     print(json.dumps(report, indent=2) if options.json else _table(report))
-    linear = TARGET_RATIO[0] <= report["wall_ratio_without_start_up"] <= TARGET_RATIO[1]
+    # of the processor times: they do not tell how busy the machine was with other things
+    linear = TARGET_RATIO[0] <= report["cpu_ratio_without_start_up"] <= TARGET_RATIO[1]
     return 0 if linear and all(run["peak_mb"] < TARGET_PEAK_MB for run in runs) else 1
 
 
@@ -122,7 +123,8 @@ def _run(command: list[str]) -> tuple[str, dict[str, float]]:
 
 def _line(run: dict[str, Any]) -> str:
     return (
-        f"{run['detections']:>10,} detections, {run['frames']:>8,} frames: track {run['wall_s']:7.1f} s, "
+        f"{run['detections']:>10,} detections, {run['frames']:>8,} frames: track {run['wall_s']:6.1f} s "
+        f"(processor {run['cpu_s']:.1f} s), "
         f"peak {run['peak_mb']:4.0f} MB (simulate {run['simulate_s']:.1f} s, {run['simulate_peak_mb']:.0f} MB)"
     )
 
@@ -132,9 +134,9 @@ def _table(report: dict[str, Any]) -> str:
         [
             *map(_line, report["runs"]),
             f"start-up {report['start_up_s']:.2f} s; peak: target below {TARGET_PEAK_MB:g} MB",
-            f"times the frames {report['frames_ratio']:.2f}, times the time {report['wall_ratio']:.2f}, without "
-            f"start-up {report['wall_ratio_without_start_up']:.2f} (target {TARGET_RATIO[0]:g} to "
-            f"{TARGET_RATIO[1]:g}), processor time {report['cpu_ratio_without_start_up']:.2f}",
+            f"times the frames {report['frames_ratio']:.2f}, times the time {report['wall_ratio']:.2f}; without "
+            f"start-up {report['wall_ratio_without_start_up']:.2f}, processor time without start-up "
+            f"{report['cpu_ratio_without_start_up']:.2f} (target {TARGET_RATIO[0]:g} to {TARGET_RATIO[1]:g})",
         ]
     )
 

@@ -1,8 +1,8 @@
-"""Time per event of the PHD filter, beside its floor and beside plain NumPy, on one thread.
+"""Time per event of the multi-object filter, beside its floor and beside plain NumPy, on one thread.
 
-Three ways through the same log, repeated in turn within one process:
+Three ways through the same log, repeated in turn within one process (processor time, the best counts):
 
-- filter: `PhdFilter.step` over events that are already in memory;
+- filter: `DisparityFilter.step` over events that are already in memory;
 - floor: as many sample trips as the filter's prediction makes, of the same components, through the bare
   kernels (`moving_trips`, `view_mask`, `weighted_moments`), and nothing else;
 - numpy: those trips in plain NumPy, vectorised over all components of an event.
@@ -30,8 +30,10 @@ from pathlib import Path
 from typing import Any
 
 # One thread, whatever NumPy was built with: before NumPy is imported.
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
-    os.environ[variable] = "1"
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MKL_NUM_THREADS"] = "1"
+os.environ["VECLIB_MAXIMUM_THREADS"] = "1"
 
 import numba
 import numpy as np
@@ -43,8 +45,8 @@ from stereophd.disparity.moments import move
 from stereophd.disparity.space import DisparitySpace
 from stereophd.io.logs import LogReader
 from stereophd.motion import ConstantVelocity
+from stereophd.multi.base import DisparityFilter
 from stereophd.multi.events import Event, make_event
-from stereophd.multi.phd import PhdFilter
 from stereophd.track import build_filter
 
 Array = NDArray[np.float64]
@@ -138,7 +140,7 @@ def _scene(options: argparse.Namespace, folder: Path) -> tuple[LoadedConfig, Pat
     return loaded, folder / "simulated" / "detections.parquet"
 
 
-def _load(loaded: LoadedConfig, log: Path, most: int) -> tuple[PhdFilter, list[Event]]:
+def _load(loaded: LoadedConfig, log: Path, most: int) -> tuple[DisparityFilter, list[Event]]:
     """Build the filter and read the events into memory."""
     cameras = loaded.build_cameras()
     multi_filter = build_filter(loaded.config, cameras, loaded.path)
@@ -153,7 +155,7 @@ def _load(loaded: LoadedConfig, log: Path, most: int) -> tuple[PhdFilter, list[E
     return multi_filter, events
 
 
-def _record(multi_filter: PhdFilter, events: list[Event]) -> tuple[list[Workload], float]:
+def _record(multi_filter: DisparityFilter, events: list[Event]) -> tuple[list[Workload], float]:
     """Run the filter once (which compiles it) and keep what each prediction works on.
 
     Returns the workloads, and the mean number of components after reduction.
@@ -169,7 +171,7 @@ def _record(multi_filter: PhdFilter, events: list[Event]) -> tuple[list[Workload
     return workloads, components / len(events)
 
 
-def _workload(multi_filter: PhdFilter, mixture: Any, event: Event, turn: int) -> Workload:
+def _workload(multi_filter: DisparityFilter, mixture: Any, event: Event, turn: int) -> Workload:
     rig, motion = multi_filter.rig, multi_filter.motion
     keys = list(zip(mixture.cameras.tolist(), mixture.times.tolist(), strict=True))
     distinct = sorted(set(keys)) if rig.moving else sorted({(camera, 0.0) for camera, _ in keys})
@@ -194,7 +196,7 @@ def _workload(multi_filter: PhdFilter, mixture: Any, event: Event, turn: int) ->
     )
 
 
-def _run_filter(multi_filter: PhdFilter, events: list[Event]) -> None:
+def _run_filter(multi_filter: DisparityFilter, events: list[Event]) -> None:
     state = multi_filter.init()
     for event in events:
         state, _, _ = multi_filter.step(state, event)
@@ -227,7 +229,7 @@ def _floor(
             weighted_moments(points, mask, float(seen), out_means[k], out_covariances[k])
 
 
-def _run_floor(multi_filter: PhdFilter, workloads: list[Workload]) -> None:
+def _run_floor(multi_filter: DisparityFilter, workloads: list[Workload]) -> None:
     limit = _max_speed(multi_filter)
     for w in workloads:
         means, covariances = np.empty_like(w.means), np.empty_like(w.covariances)
@@ -236,17 +238,17 @@ def _run_floor(multi_filter: PhdFilter, workloads: list[Workload]) -> None:
         )  # fmt: skip
 
 
-def _max_speed(multi_filter: PhdFilter) -> float:
+def _max_speed(multi_filter: DisparityFilter) -> float:
     limit = multi_filter.motion.max_speed
     return math.inf if limit is None else limit
 
 
-def _run_numpy(multi_filter: PhdFilter, workloads: list[Workload]) -> None:
+def _run_numpy(multi_filter: DisparityFilter, workloads: list[Workload]) -> None:
     for workload in workloads:
         numpy_moments(workload, multi_filter)
 
 
-def numpy_moments(w: Workload, multi_filter: PhdFilter) -> tuple[Array, Array, NDArray[np.int64]]:
+def numpy_moments(w: Workload, multi_filter: DisparityFilter) -> tuple[Array, Array, NDArray[np.int64]]:
     """Means (n, 6), covariances (n, 6, 6) and numbers of samples (n,) in view, in plain NumPy.
 
     The text of paper IV-B a-e: sample, to the world, move, to the other disparity space, moments.
@@ -284,7 +286,7 @@ def numpy_moments(w: Workload, multi_filter: PhdFilter) -> tuple[Array, Array, N
     return means, covariances, seen.sum(axis=1)
 
 
-def _disagreement(multi_filter: PhdFilter, workloads: list[Workload]) -> float:
+def _disagreement(multi_filter: DisparityFilter, workloads: list[Workload]) -> float:
     """Largest difference between the means by NumPy and by the package, in standard deviations.
 
     Over the components that lie wholly in view: only those does `move` take from these samples alone.
@@ -309,27 +311,27 @@ def _measure(ways: dict[str, Callable[[], None]], repetitions: int) -> dict[str,
     gc.disable()
     for _ in range(repetitions):
         for name, way in ways.items():
-            start = time.perf_counter()
+            start = time.process_time()
             way()
-            best[name] = min(best[name], time.perf_counter() - start)
+            best[name] = min(best[name], time.process_time() - start)
     gc.enable()
     return best
 
 
-def _parts(multi_filter: PhdFilter, events: list[Event], repetitions: int) -> dict[str, float]:
+def _parts(multi_filter: DisparityFilter, events: list[Event], repetitions: int) -> dict[str, float]:
     """Best time (ms per event) of the filter's three steps."""
     best = {"predict": math.inf, "update": math.inf, "extract": math.inf}
     for _ in range(repetitions):
         spent = dict.fromkeys(best, 0.0)
         state = multi_filter.init()
         for event in events:
-            t0 = time.perf_counter()
+            t0 = time.process_time()
             prediction = multi_filter.predict(state, event)
-            t1 = time.perf_counter()
+            t1 = time.process_time()
             state, _ = multi_filter.update(state, prediction, event)
-            t2 = time.perf_counter()
+            t2 = time.process_time()
             state, _ = multi_filter.extract(state)
-            t3 = time.perf_counter()
+            t3 = time.process_time()
             spent["predict"] += t1 - t0
             spent["update"] += t2 - t1
             spent["extract"] += t3 - t2

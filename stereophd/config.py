@@ -279,37 +279,6 @@ class ExtractionConfig(Model):
         return self
 
 
-class PhdConfig(Model):
-    """Gaussian-mixture PHD filter (paper VI, Table III)."""
-
-    kind: Literal["phd"] = "phd"
-    survival_per_s: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.99, description="probability that an object survives one second"
-    )
-    birth: BirthConfig
-    prune_weight: Positive = Field(1e-6, description="components below this weight are dropped")
-    merge_distance: NonNegative = Field(7.0, description="squared Mahalanobis distance below which components merge")
-    merge_rule: Literal["mutual", "vo_ma"] = Field(
-        "mutual",
-        description="mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)",
-    )
-    max_components: Annotated[int, Field(ge=1)] = 1000
-    extraction: ExtractionConfig = Field(default_factory=ExtractionConfig)
-
-
-class InputConfig(Model):
-    """How a detection log is read."""
-
-    on_bad_row: Literal["error", "drop"] = Field(
-        "error",
-        description="error: the first bad row ends the run; drop: bad rows are dropped, counted and reported",
-    )
-    image_margin_px: NonNegative = Field(
-        10.0,
-        description="a detection further than this outside the image is a bad row (noise may reach over the edge)",
-    )
-
-
 class Range3(Model):
     """An axis-aligned box in the world."""
 
@@ -324,6 +293,93 @@ class Range3(Model):
             if low > high:
                 raise ValueError(f"{axis}: expected low <= high, found [{low}, {high}]")
         return self
+
+
+class RegionConfig(Model):
+    """Where objects can be: a box in the world, a range of depth before the cameras, or both."""
+
+    box: Range3 | None = None
+    depth: tuple[NonNegative, Positive] | None = Field(
+        None, description="nearest and farthest depth before the camera that saw the object last, length"
+    )
+
+    @model_validator(mode="after")
+    def _order(self) -> RegionConfig:
+        if self.depth is not None and self.depth[0] >= self.depth[1]:
+            raise ValueError(f"depth: expected near < far, found {list(self.depth)}")
+        return self
+
+
+class PhdConfig(Model):
+    """Gaussian-mixture PHD filter (paper VI, Table III)."""
+
+    kind: Literal["phd"]
+    survival_per_s: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.99, description="probability that an object survives one second"
+    )
+    birth: BirthConfig
+    prune_weight: Positive = Field(1e-6, description="components below this weight are dropped")
+    merge_distance: NonNegative = Field(7.0, description="squared Mahalanobis distance below which components merge")
+    merge_rule: Literal["mutual", "vo_ma"] = Field(
+        "mutual",
+        description="mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)",
+    )
+    max_components: Annotated[int, Field(ge=1)] = 1000
+    extraction: ExtractionConfig = Field(default_factory=ExtractionConfig)
+
+
+class PmbExtractionConfig(ExtractionConfig):
+    """Thresholds of existence between which a track is reported."""
+
+    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.95, description="reported from this existence on")
+    release: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.01, description="a reported track stays reported until its existence falls below this"
+    )
+
+
+class PmbConfig(Model):
+    """Poisson multi-Bernoulli filter (Williams 2015): labelled tracks."""
+
+    kind: Literal["pmb"]
+    survival_per_s: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.99, description="probability that an object survives one second"
+    )
+    birth: BirthConfig
+    recycle_below: Positive = Field(
+        1e-3, description="tracks of a smaller existence join the intensity of undetected objects"
+    )
+    prune_weight: Positive = Field(1e-5, description="components of that intensity below this weight are dropped")
+    merge_distance: NonNegative = Field(
+        4.0, description="squared Mahalanobis distance, in both covariances, below which two tracks are one"
+    )
+    max_components: Annotated[int, Field(ge=1)] = Field(1000, description="the most probable tracks are kept")
+    extraction: PmbExtractionConfig = Field(default_factory=PmbExtractionConfig)
+
+
+FilterConfig = Annotated[PhdConfig | PmbConfig, Field(discriminator="kind")]
+
+
+class ReportConfig(Model):
+    """Which estimates are written."""
+
+    max_position_std: Positive | None = Field(
+        None,
+        description="leave out estimates whose position is less certain (square root of the trace of its "
+        "covariance), length: depth is not seen while one camera alone sees an object",
+    )
+
+
+class InputConfig(Model):
+    """How a detection log is read."""
+
+    on_bad_row: Literal["error", "drop"] = Field(
+        "error",
+        description="error: the first bad row ends the run; drop: bad rows are dropped, counted and reported",
+    )
+    image_margin_px: NonNegative = Field(
+        10.0,
+        description="a detection further than this outside the image is a bad row (noise may reach over the edge)",
+    )
 
 
 class GivenObject(Model):
@@ -379,6 +435,8 @@ class Config(Model):
     disparity: DisparityConfig = Field(default_factory=DisparityConfig)
     motion: MotionConfig = Field(default_factory=MotionConfig)
     moments: MomentsConfig = Field(default_factory=MomentsConfig)
-    filter: PhdConfig | None = Field(None, description="the multi-object filter (track)")
+    region: RegionConfig | None = Field(None, description="where objects can be (track)")
+    filter: FilterConfig | None = Field(None, description="the multi-object filter (track)")
     input: InputConfig = Field(default_factory=InputConfig)
+    report: ReportConfig = Field(default_factory=ReportConfig)
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")

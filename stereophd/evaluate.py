@@ -1,4 +1,4 @@
-"""Score the tracks of a run against the truth: OSPA, GOSPA, RMSE, cardinality, identities, consistency."""
+"""Score the tracks of a run against the truth: OSPA, OSPA(2), GOSPA, RMSE, cardinality, identities, NEES."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from stereophd.evaluation.alignment import (
     in_window,
     last_event_of_each_time,
 )
-from stereophd.evaluation.summary import figures, pair_errors, per_scan_columns
+from stereophd.evaluation.summary import figures, pair_errors, per_scan_columns, track_ospa
 from stereophd.evaluation.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.provenance import provenance, to_metadata
@@ -68,6 +68,7 @@ def evaluate(
     log_path: Path | str | None = None,
     seen_by: int | None = None,
     within_s: float | None = None,
+    ospa2_window: int = 10,
     fail_above: Mapping[str, float] | None = None,
     cameras_path: Path | str | None = None,
     force: bool = False,
@@ -99,6 +100,8 @@ def evaluate(
         Score only objects that at least `seen_by` cameras detected in the last `within_s` seconds, as the log
         says (by its ``object_id``, else any detection counts). Other objects and the estimates assigned to
         them are left out.
+    ospa2_window : int
+        Number of scored scans in a window of OSPA(2).
     fail_above : mapping, optional
         Limits of figures, such as ``{"ospa.mean": 0.8}``.
     cameras_path : path, optional
@@ -122,7 +125,7 @@ def evaluate(
         A figure is above its limit (or is not a number). Everything has been written; the error carries the
         report as `report`.
     """
-    options = Options(order, cutoff, base, from_s, to_s, max_gap_s, at, seen_by, within_s)
+    options = Options(order, cutoff, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window)
     check_options(options, log_path)
     inputs = _input_paths(tracks_path, truth_path, log_path, cameras_path)
     if out_dir is None:
@@ -214,11 +217,12 @@ def _score(
     if len(time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
     scores = score_scans(estimates, points, options.order, options.cutoff, mahalanobis=mahalanobis)
+    ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
     return Scored(
-        figures=figures(estimates, points, scores, errors),
+        figures=figures(estimates, points, scores, ospa2, errors),
         scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
-        columns=per_scan_columns(time_s, estimates, points, scores, errors),
+        columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,
     )
 

@@ -23,6 +23,7 @@ class Options:
     at: Literal["times", "events"]
     seen_by: int | None
     within_s: float | None
+    ospa2_window: int
 
 
 def check_options(options: Options, log_path: Path | str | None) -> None:
@@ -47,3 +48,5 @@ def check_options(options: Options, log_path: Path | str | None) -> None:
         raise InputError("seen_by: expected seen_by, within_s and a log together, found only some of them")
     if options.seen_by is not None and options.seen_by < 1:
         raise InputError(f"seen_by: expected at least one camera, found {options.seen_by}")
+    if options.ospa2_window < 1:
+        raise InputError(f"ospa2_window: expected at least one scan, found {options.ospa2_window}")

@@ -62,6 +62,7 @@ def build_report(
     parameters = {"order": options.order, "cutoff": options.cutoff, "base": options.base}
     result = dict(scored.figures)
     result["ospa"] = {**result["ospa"], **parameters}
+    result["ospa2"] = {**result["ospa2"], "window_scans": options.ospa2_window}
     result["gospa"] = {**result["gospa"], "alpha": 2.0}
     visible = None
     if options.seen_by is not None:

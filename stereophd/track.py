@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stereophd.config import BirthConfig, Config, MotionConfig
+from stereophd.config import BirthConfig, Config, MotionConfig, PmbConfig, RegionConfig, ReportConfig
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
@@ -22,11 +23,13 @@ from stereophd.io.logs import Frame, LogReader
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import SCANS, TRACKS, TableWriter
 from stereophd.motion import ConstantVelocity, Motion, Static
+from stereophd.multi.base import DisparityFilter
 from stereophd.multi.birth import BirthPrior
 from stereophd.multi.events import make_event, make_rig
 from stereophd.multi.extract import Hysteresis
 from stereophd.multi.intensity import Estimates
 from stereophd.multi.phd import PhdFilter, PhdSettings
+from stereophd.multi.pmb import PmbFilter, PmbSettings
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -89,7 +92,7 @@ def track(
             TableWriter(out.path("tracks.parquet"), TRACKS, metadata) as tracks,
             TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
         ):
-            summary = _run(multi_filter, reader, cameras, tracks, scans, progress)
+            summary = _run(multi_filter, reader, config.report, tracks, scans, progress)
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": config.units.length,
@@ -102,7 +105,7 @@ def track(
     return report
 
 
-def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> PhdFilter:
+def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
     """Return the multi-object filter that a configuration describes.
 
     Raises
@@ -110,24 +113,38 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     InputError
         The configuration (read from `path`) has no ``filter`` section.
     """
-    if config.filter is None:
+    settings = config.filter
+    if settings is None:
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
-    settings = PhdSettings(
-        survival_per_s=config.filter.survival_per_s,
-        birth=_birth_prior(config.filter.birth),
-        prune_weight=config.filter.prune_weight,
-        merge_distance=config.filter.merge_distance,
-        max_components=config.filter.max_components,
-        merge_mutual=config.filter.merge_rule == "mutual",
-        hysteresis=Hysteresis(config.filter.extraction.confirm, config.filter.extraction.release),
-    )
     motion = build_motion(config.motion)
     rows = 3 if isinstance(motion, Static) else 12
     # spawned by purpose: the simulation's random numbers have keys of their own
     seed = np.random.SeedSequence(config.seed, spawn_key=(SAMPLES_KEY,))
     sets = draw_sample_sets(config.moments.method, config.moments.samples, rows, seed)
-    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification)
-    return PhdFilter(rig, motion, sets, settings, threads)
+    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
+    birth = _birth_prior(settings.birth)
+    hysteresis = Hysteresis(settings.extraction.confirm, settings.extraction.release)
+    if isinstance(settings, PmbConfig):
+        pmb = PmbSettings(
+            survival_per_s=settings.survival_per_s,
+            birth=birth,
+            recycle_below=settings.recycle_below,
+            prune_weight=settings.prune_weight,
+            merge_distance=settings.merge_distance,
+            max_components=settings.max_components,
+            hysteresis=hysteresis,
+        )
+        return PmbFilter(rig, motion, sets, pmb, threads)
+    phd = PhdSettings(
+        survival_per_s=settings.survival_per_s,
+        birth=birth,
+        prune_weight=settings.prune_weight,
+        merge_distance=settings.merge_distance,
+        merge_mutual=settings.merge_rule == "mutual",
+        max_components=settings.max_components,
+        hysteresis=hysteresis,
+    )
+    return PhdFilter(rig, motion, sets, phd, threads)
 
 
 # Key of the filter's sample sets among the purposes of a seed (simulated runs count from 0).
@@ -140,6 +157,18 @@ def build_motion(config: MotionConfig) -> Motion:
         return Static()
     std = np.broadcast_to(np.asarray(config.acceleration_std, dtype=float), 3)
     return ConstantVelocity(std, config.max_speed)
+
+
+def build_region(config: RegionConfig | None) -> NDArray[np.float64] | None:
+    """Return the packed region (8,) of a configuration, infinite where it sets no limit."""
+    if config is None:
+        return None
+    limits = np.tile([-np.inf, np.inf], 4)
+    if config.box is not None:
+        limits[:6] = [*config.box.x, *config.box.y, *config.box.z]
+    if config.depth is not None:
+        limits[6:] = config.depth
+    return limits
 
 
 def _birth_prior(config: BirthConfig) -> BirthPrior:
@@ -159,9 +188,9 @@ class _TrackSummary:
 
 
 def _run(
-    multi_filter: PhdFilter,
+    multi_filter: DisparityFilter,
     reader: LogReader,
-    cameras: tuple[Camera, ...],
+    reporting: ReportConfig,
     tracks: TableWriter,
     scans: TableWriter,
     progress: Progress | None,
@@ -171,10 +200,12 @@ def _run(
     identities: dict[int, _TrackSummary] = {}
     log_likelihood = 0.0
     for number, frame in enumerate(reader):
-        camera = cameras[frame.camera]
+        camera = multi_filter.rig.cameras[frame.camera]
         frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
         event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
         state, info, estimates = multi_filter.step(state, event)
+        if reporting.max_position_std is not None:
+            estimates = estimates.certain(reporting.max_position_std)
         log_likelihood += info.log_likelihood
         key = {"time_s": frame.time_s, "camera": camera.name, "frame": frame.frame}
         scans.append(

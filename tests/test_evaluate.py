@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -203,8 +204,115 @@ def test_identity_switches(tmp_path):
     assert report["identity_switches"] == 3
     assert per_scan(tmp_path / "out")["identity_switches"] == [0, 0, 2, 1]
     assert report["tracks"] == 3
-    unlabelled = [(t, camera, frame, -1, x) for t, camera, frame, _, x in rows]
-    assert evaluate(write_tracks(tmp_path / "tracks.parquet", unlabelled), truth)["identity_switches"] is None
+    # Track 5 follows object 0 twice, then object 1; 6 object 1 twice, then object 0 twice; 7 object 1.
+    assert report["purity"]["mean"] == pytest.approx((2 / 3 + 1 / 2 + 1) / 3)
+    assert report["purity"]["table"][0] == {
+        "track_id": 5,
+        "object_id": 0,
+        "estimates": 3,
+        "matched": 3,
+        "matched_dominant": 2,
+        "purity": pytest.approx(2 / 3),
+    }
+    assert report["completeness"]["table"][1] == {
+        "object_id": 1,
+        "track_id": 6,
+        "scans": 4,
+        "matched": 4,
+        "matched_dominant": 2,
+        "completeness": 1.0,
+        "completeness_dominant": 0.5,
+        "fragmentation": 3,
+        "identity_switches": 2,
+    }
+    means = {key: value for key, value in report["completeness"].items() if key != "table"}
+    assert means == {"mean": 1.0, "mean_dominant": 0.5, "fragmentation": 2.5}
+    # Scan 2: each track is right at 2 of 3 scans, base c/3.
+    assert per_scan(tmp_path / "out")["ospa2"][:3] == pytest.approx([0.0, 0.0, 20 / 3])
+
+
+def test_without_identities_there_are_no_figures_of_tracks(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 4, 0) for t in range(4)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, -1, 0.0) for t in range(3)])
+    write_scans(tmp_path / "scans.parquet", [(t, "a", t) for t in range(4)])
+    report = evaluate(tracks, truth, tmp_path / "out", plots=False)
+    assert report["identity_switches"] is report["ospa2"]["mean"] is None
+    assert per_scan(tmp_path / "out")["ospa2"] == [None] * 4
+    assert report["purity"] == {"mean": None, "table": []}
+    assert report["completeness"] == {
+        "mean": 0.75,
+        "mean_dominant": None,
+        "fragmentation": None,
+        "table": [
+            {
+                "object_id": 4,
+                "track_id": None,
+                "scans": 4,
+                "matched": 3,
+                "matched_dominant": None,
+                "completeness": 0.75,
+                "completeness_dominant": None,
+                "fragmentation": None,
+                "identity_switches": None,
+            }
+        ],
+    }
+
+
+def test_ospa2_over_windows_of_scored_scans(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(6)])
+    rows = [(float(t), "a", t, 1 if t < 3 else 2, 0.0) for t in range(6)]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows)
+    options = {"cutoff": 6.0, "order": 1.0, "plots": False}
+    report = evaluate(tracks, truth, tmp_path / "out", ospa2_window=2, **options)
+    # Only the window of times 2 and 3 holds both tracks: (c / 2 + c) / 2.
+    assert per_scan(tmp_path / "out")["ospa2"] == pytest.approx([0, 0, 0, 4.5, 0, 0])
+    assert report["ospa"]["mean"] == 0.0
+    assert report["ospa2"] == {
+        "mean": pytest.approx(4.5 / 6),
+        "localisation": pytest.approx(1.5 / 6),
+        "cardinality": pytest.approx(3 / 6),
+        "window_scans": 2,
+    }
+    assert report["provenance"]["config"]["ospa2_window"] == 2
+    assert evaluate(tracks, truth, ospa2_window=1, **options)["ospa2"]["mean"] == 0.0
+    assert evaluate(tracks, truth, **options)["ospa2"]["window_scans"] == 10
+    with pytest.raises(GateError, match=r"ospa2\.mean is 0\.75"):
+        evaluate(
+            tracks, truth, ospa2_window=2, fail_above={"ospa2.mean": 0.7, "completeness.fragmentation": 2}, **options
+        )
+
+
+def documented_keys(section: str) -> set[str]:
+    """Return what the first column of the tables of a section of docs/formats.md names, without braces."""
+    text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
+    body = text.split(f"### {section}\n")[1].split("\n#")[0]
+    keys: set[str] = set()
+    for cell in re.findall(r"^\| (`.*?`) \|", body, re.MULTILINE):
+        for name in re.findall(r"`([^`]+)`", cell):
+            head, brace, tail = name.partition("{")
+            keys |= {head + one for one in tail.rstrip("}").split(",")} if brace else {head}
+    return keys
+
+
+def keys_of(report: dict) -> set[str]:
+    keys: set[str] = set()
+    for key, value in report.items():
+        if isinstance(value, dict) and key != "provenance":
+            for inner, part in value.items():
+                rows = part if inner == "table" else []
+                keys |= {f"{key}.table.{name}" for row in rows for name in row} or {f"{key}.{inner}"}
+        else:
+            keys.add(key)
+    return keys
+
+
+def test_all_keys_and_columns_are_documented(run):
+    tracks, truth, folder = run
+    log = write(folder / "log.parquet", log_columns([(t, "a", 3) for t in range(10)], False))
+    report = evaluate(tracks, truth, folder / "out", plots=False, log_path=log, seen_by=1, within_s=0.5)
+    assert documented_keys("`report.json` of `evaluate`") == keys_of(report)
+    assert documented_keys("`per_scan.parquet`") == set(per_scan(folder / "out"))
 
 
 def log_columns(rows: list[tuple], object_id: bool) -> dict:
@@ -302,6 +410,7 @@ def test_plots_without_matplotlib(run, monkeypatch):
         ({"at": "frames"}, "at"),
         ({"from_s": 3.0, "to_s": 2.0}, "from_s <= to_s"),
         ({"max_gap_s": -1.0}, "max_gap_s"),
+        ({"ospa2_window": 0}, "ospa2_window"),
         ({"seen_by": 2}, "together"),
         ({"seen_by": 2, "within_s": 0.2}, "together"),
         ({"fail_above": {"ospa.mean": float("nan")}}, "expected a number"),

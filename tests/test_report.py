@@ -161,6 +161,7 @@ def report(**changes) -> dict:
             "cutoff": 20.0,
             "base": "euclidean",
         },
+        "ospa2": {"mean": 3.125, "localisation": 2.0, "cardinality": 1.5, "window_scans": 10},
         "gospa": {"mean": 2.5, "alpha": 2.0},
         "rmse": {"position": 0.75, "velocity": None},
         "position_error": {"median": 0.5, "p90": 0.9, "n": 42},
@@ -168,6 +169,8 @@ def report(**changes) -> dict:
         "pairs": {"matched": 42, "missed": 3, "false": 1},
         "identity_switches": 2,
         "tracks": 7,
+        "purity": {"mean": 0.875, "table": []},
+        "completeness": {"mean": 0.96, "mean_dominant": 0.91, "fragmentation": 1.17, "table": []},
         "nees": {"position": 3.5, "interval_95": [2.5, 3.6], "dimension": 3, "n": 42},
         "scans": {"scored": 8, "not_scored": 2, "outside_truth": 0, "truth_gap": 2, "unseen": 0},
         "window": {"from_s": 50.0, "to_s": None, "at": "times"},
@@ -191,6 +194,12 @@ def test_the_table_says_the_figures_with_units():
         "42 matched pairs",
         "3 / 1",
         "from 50 s",
+        "3.125 cm",
+        "windows of 10 scans",
+        "0.875",
+        "0.96",
+        "by one track 0.91",
+        "1.17",
     ):
         assert expected in text
     assert "2 in a gap of the truth" in text
@@ -201,7 +210,10 @@ def test_the_table_says_the_figures_with_units():
 
 def test_the_table_of_a_run_without_identities_or_covariances():
     nees = {"position": None, "interval_95": [None, None], "dimension": 3, "n": 0}
-    text = printed(report(identity_switches=None, nees=nees, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
+    purity = {"mean": None, "table": []}
+    completeness = {"mean": 0.5, "mean_dominant": None, "fragmentation": None, "table": []}
+    changes = {"identity_switches": None, "purity": purity, "completeness": completeness, "nees": nees}
+    text = printed(report(**changes, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
     assert "no identities" in text
     assert "seen by 2 cameras within 0.2 s" in text
     assert " cm" not in text

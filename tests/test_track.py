@@ -66,8 +66,8 @@ UNEVEN = (
     "cameras.left.frame_rate_hz=3.1",
     "cameras.left.phase_s=0.13",
     "cameras.left.clock={offset_s: 4.0, rate: 1.001}",
-    "cameras.right.pose.velocity=[0.2, 0.0, -0.1]",
-    "cameras.right.pose.rotation_rate_deg_s=[0.0, -0.05, 0.0]",
+    "cameras.right.pose.velocity=[0.6, 0.0, -0.3]",
+    "cameras.right.pose.rotation_rate_deg_s=[0.0, -0.2, 0.0]",
     "cameras.right.distortion={model: radial, k1: -0.1}",
     "disparity.rectification=vertical",
 )

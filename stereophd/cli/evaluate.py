@@ -91,6 +91,10 @@ def evaluate_command(
         float | None,
         typer.Option("--within", metavar="S", help="Seconds of --seen-by.", show_default=False),
     ] = None,
+    ospa2_window: Annotated[
+        int,
+        typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2)."),
+    ] = 10,
     cameras: Annotated[
         Path | None,
         typer.Option(
@@ -123,7 +127,7 @@ def evaluate_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Score tracks against the truth: OSPA, GOSPA, RMSE, cardinality, identity switches, NEES."""
+    """Score tracks against the truth: OSPA, OSPA(2), GOSPA, RMSE, cardinality, identities, NEES."""
     session = begin(context)
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
@@ -145,6 +149,7 @@ def evaluate_command(
             log_path=log,
             seen_by=seen_by,
             within_s=within,
+            ospa2_window=ospa2_window,
             fail_above=limits,
             cameras_path=cameras,
             force=force,

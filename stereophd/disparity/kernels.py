@@ -30,7 +30,7 @@ from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE,
 
 Array = NDArray[np.float64]
 
-MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array]
+MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
 
 
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
@@ -38,10 +38,16 @@ OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 # A Cholesky pivot below this fraction of its diagonal entry counts as rank-deficient.
 PIVOT_TOLERANCE = 1e-11
 
+# A component of which this share is inside the region counts as inside.
+REGION_SLACK = 0.8
+
 
 def slice_moved(moved: MovedArrays, part: slice) -> MovedArrays:
     """Views of the outputs of `move_components` for some of the components."""
-    return moved[0][part], moved[1][part], moved[2][part], moved[3][part], moved[4][part], moved[5][part]
+    return (
+        moved[0][part], moved[1][part], moved[2][part], moved[3][part], moved[4][part], moved[5][part],
+        moved[6][part],
+    )  # fmt: skip
 
 
 @compiled
@@ -257,6 +263,50 @@ def view_mask(points: Array, destination: Array, mask: Array) -> int:
     return count
 
 
+@compiled
+def region_mask(
+    points: Array, destination: Array, home: Array, region: Array, sample_weights: Array, weights: Array
+) -> float:
+    """Share of a component inside the region; where it is small, set weights outside to 0.
+
+    `region` holds x, y and z from and to in the world, and the nearest and farthest depth before the home
+    camera. A Gaussian always has a tail outside: as long as at least `REGION_SLACK` of it is inside it is
+    left alone and counts as inside, so that an object inside does not lose its existence bit by bit.
+    """
+    scale = disparity_scale(destination)
+    depths = points[points.shape[0] - 1]
+    total = 0.0
+    kept = 0.0
+    for i in range(points.shape[1]):
+        total += sample_weights[i]
+        weights[i] = 0.0
+        inverse = points[2, i] / scale
+        # rho = inverse * depth of the trip: not positive at or beyond infinity
+        if not inverse * depths[i] > 0.0:
+            continue
+        x = (points[0, i] - destination[CX]) / destination[FX] / inverse
+        y = (points[1, i] - destination[CY]) / destination[FY] / inverse
+        z = 1.0 / inverse
+        good = True
+        depth = 0.0
+        for a in range(3):
+            world = (
+                destination[CENTER + a]
+                + destination[ROTATION + a] * x
+                + destination[ROTATION + 3 + a] * y
+                + destination[ROTATION + 6 + a] * z
+            )
+            good = good and region[2 * a] <= world <= region[2 * a + 1]
+            depth += home[ROTATION + 6 + a] * (world - home[CENTER + a])
+        if good and region[6] <= depth <= region[7]:
+            weights[i] = sample_weights[i]
+            kept += weights[i]
+    if kept >= REGION_SLACK * total:
+        weights[:] = sample_weights
+        return 1.0
+    return kept / total
+
+
 @compiled_fast
 def weighted_moments(points: Array, weights: Array, total: float, mean: Array, covariance: Array) -> None:
     """Mean (d,) and covariance (d, d) of the columns of points (>= d, n); overwrites points.
@@ -299,8 +349,8 @@ def missed_moments(
 ) -> None:
     """Gaussian (in its own space) of the part of a component that was not detected (paper VI-C, Fig. 8).
 
-    The samples are weighted by their own weight times 1 - p_detect in view and 1 outside; where too few effective samples
-    remain to carry a covariance, the Gaussian is kept as it is and only its weight changes.
+    The samples are weighted by their own weight times 1 - p_detect in view and 1 outside; where too few
+    effective samples remain to carry a covariance, the Gaussian is kept and only its weight changes.
     """
     size = mean.shape[0]
     count = samples.shape[1]
@@ -343,27 +393,29 @@ def move_components(
     p_detect: float,
     max_speed: float,
     minimum: int,
+    region: Array,
     moved: MovedArrays,
 ) -> None:
     """Move every component into the destination's space and split it by the field of view.
 
     Component by component, with no state shared between them: results do not depend on how the
     components are shared out over threads. Parameters as in `stereophd.disparity.moments.move`;
-    `moved` is the tuple (means, covariances, fraction, status, missed_means, missed_covariances),
-    filled in place.
+    `region` is packed as for `region_mask`, or empty; `moved` is the tuple (means, covariances, fraction,
+    status, missed_means, missed_covariances, inside), filled in place.
     """
-    out_means, out_covariances, fraction, status, missed_means, missed_covariances = moved
+    out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
     size = means.shape[1]
     count = samples.shape[1]
     points = np.empty((size + 1, count))
     mask = np.empty(count)
     seen_weights = np.empty(count)
-    whole_weight = sample_weights.sum()
+    weights = sample_weights.copy()
     factor = np.empty((size, size))
     scratch = np.empty((size, size))
     for k in range(means.shape[0]):
         status[k] = OUT_OF_VIEW
         fraction[k] = 0.0
+        inside[k] = 1.0
         if not cholesky(covariances[k], factor):
             continue
         if size == 6:
@@ -376,24 +428,29 @@ def move_components(
             )  # fmt: skip
         else:
             static_trips(means[k], factor, samples, homes[k], destination, points)
-        seen = view_mask(points, destination, mask)
+        if len(region) > 0:
+            inside[k] = region_mask(points, destination, homes[k], region, sample_weights, weights)
+            if inside[k] == 0.0:
+                continue
+        view_mask(points, destination, mask)
+        whole_weight = weights.sum()
         seen_weight = 0.0
         squares = 0.0
         for i in range(count):
-            seen_weights[i] = mask[i] * sample_weights[i]
+            seen_weights[i] = mask[i] * weights[i]
             seen_weight += seen_weights[i]
             squares += seen_weights[i] * seen_weights[i]
         fraction[k] = seen_weight / whole_weight
         # the effective number of samples: their count, where all weigh the same
-        if seen_weight * seen_weight < minimum * squares or seen == 0:
-            continue
-        weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
-        if not condition(out_covariances[k], scratch):
-            continue
-        status[k] = IN_VIEW if seen == count else PARTLY_IN_VIEW
-        if seen < count:
+        if seen_weight * seen_weight >= minimum * squares and seen_weight > 0.0:
+            weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
+            if condition(out_covariances[k], scratch):
+                status[k] = IN_VIEW if seen_weight == whole_weight else PARTLY_IN_VIEW
+        if status[k] == OUT_OF_VIEW:
+            mask[:] = 0.0
+        if status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
             missed_moments(
-                means[k], factor, samples, sample_weights, mask, p_detect, minimum,
+                means[k], factor, samples, weights, mask, p_detect, minimum,
                 missed_means[k], missed_covariances[k],
             )  # fmt: skip
             if not condition(missed_covariances[k], scratch):

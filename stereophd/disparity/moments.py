@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 FEWEST_SAMPLES = 24
 # A component whose disparity is known to better than this fraction has no tail to look for.
 WIDE_DISPARITY = 0.05
+NO_REGION = np.empty(0)
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
 
@@ -49,7 +50,10 @@ class Moved:
         `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`.
     missed_means, missed_covariances : arrays (n, d), (n, d, d)
         The part that was not detected, in the space and at the time of origin; only where `status` is
-        `PARTLY_IN_VIEW` (of a component wholly in view the missed part has the shape of the whole).
+        `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1 (of a component wholly in view the missed
+        part has the shape of the whole).
+    inside : array (n,)
+        Part of the component inside the region; what lies outside is left out of all of the above.
     """
 
     means: Array
@@ -58,6 +62,7 @@ class Moved:
     status: NDArray[np.int64]
     missed_means: Array
     missed_covariances: Array
+    inside: Array
 
 
 def minimum_in_view(samples: int) -> int:
@@ -77,6 +82,7 @@ def move(
     p_detect: float = 1.0,
     important: NDArray[np.bool_] | None = None,
     threads: int = 1,
+    region: Array | None = None,
 ) -> Moved:
     """Carry Gaussians into the disparity space of a camera, over an interval of time.
 
@@ -103,6 +109,8 @@ def move(
         field of view would otherwise be taken for a new one.
     threads : int
         Components are shared out over this many threads; the result does not depend on it.
+    region : array (8,), optional
+        Where objects can be: see `stereophd.disparity.kernels.region_mask`.
 
     Returns
     -------
@@ -111,12 +119,13 @@ def move(
     samples = sets.turn(turn)
     noise = _motion_noise(samples, motion, _rotation(destination))
     moved = _allocate(means)
+    region = NO_REGION if region is None else region
     todo = np.arange(len(means))
     if sets.method in ("unscented", "linear"):
-        todo = _low_order(means, covariances, homes, dts, destination, motion, sets.method, moved)
+        todo = _low_order(means, covariances, homes, dts, destination, motion, sets.method, region, moved)
     _run(
         means, covariances, homes, dts, samples, np.ones(samples.shape[1]), noise, destination, p_detect,
-        _max_speed(motion), minimum_in_view(samples.shape[1]), moved, todo, threads,
+        _max_speed(motion), minimum_in_view(samples.shape[1]), region, moved, todo, threads,
     )  # fmt: skip
     status, fraction = moved[3], moved[2]
     if important is not None:
@@ -126,7 +135,7 @@ def move(
             noise = _motion_noise(sets.reserve, motion, _rotation(destination))
             _run(
                 means, covariances, homes, dts, sets.reserve, sets.reserve_weights, noise, destination,
-                p_detect, _max_speed(motion), FEWEST_SAMPLES, moved, corner, threads,
+                p_detect, _max_speed(motion), FEWEST_SAMPLES, region, moved, corner, threads,
             )  # fmt: skip
     fraction[status == OUT_OF_VIEW] = 0.0
     return Moved(*moved)
@@ -166,6 +175,7 @@ def _allocate(means: Array) -> kernels.MovedArrays:
         np.zeros(count, dtype=np.int64),
         np.zeros((count, size)),
         np.zeros((count, size, size)),
+        np.ones(count),
     )
 
 
@@ -196,6 +206,7 @@ def _low_order(
     destination: Array,
     motion: Motion,
     method: str,
+    region: Array,
     moved: kernels.MovedArrays,
 ) -> NDArray[np.intp]:
     """Move by the unscented or the linear rule; return which components still need samples.
@@ -209,7 +220,7 @@ def _low_order(
     max_speed = _max_speed(motion)
     kernels.move_components(
         means, covariances, homes, dts, points, np.ones(points.shape[1]), noise, destination, 1.0, max_speed,
-        points.shape[1], moved,
+        points.shape[1], region, moved,
     )  # fmt: skip
     if method == "linear":
         std = motion.acceleration_std if isinstance(motion, ConstantVelocity) else np.zeros(3)
@@ -232,6 +243,7 @@ def _run(
     p_detect: float,
     max_speed: float,
     minimum: int,
+    region: Array,
     moved: kernels.MovedArrays,
     todo: NDArray[np.intp],
     threads: int,
@@ -247,7 +259,7 @@ def _run(
     def run(part: slice) -> None:
         kernels.move_components(
             means[part], covariances[part], homes[part], dts[part], samples, weights, noise, destination,
-            p_detect, max_speed, minimum, kernels.slice_moved(outputs, part),
+            p_detect, max_speed, minimum, region, kernels.slice_moved(outputs, part),
         )  # fmt: skip
 
     slices = _slices(len(todo), samples.shape[1], threads)

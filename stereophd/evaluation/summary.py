@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.evaluation.identities import has_identities, identity_figures
 from stereophd.metrics.assignment import FloatArray
 from stereophd.metrics.consistency import UNLABELLED, identity_switches, nees, nees_interval
+from stereophd.metrics.ospa import Ospa
+from stereophd.metrics.ospa2 import ospa2_of_windows
 from stereophd.metrics.rmse import (
     cardinality_error,
     error_percentiles,
@@ -62,8 +65,18 @@ def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> P
     )
 
 
+def track_ospa(
+    estimates: PointSets, truth: PointSets, window: int, order: float, cutoff: float, *, mahalanobis: bool
+) -> Ospa:
+    """Return OSPA(2) of each window of scans, as `ospa2_of_windows`; NaN for estimates without identities."""
+    if has_identities(estimates):
+        return ospa2_of_windows(estimates, truth, window, order, cutoff, mahalanobis=mahalanobis)
+    unknown = np.full(estimates.scans, np.nan)
+    return Ospa(unknown, unknown, unknown)
+
+
 def per_scan_columns(
-    time_s: FloatArray, estimates: PointSets, truth: PointSets, scores: ScanScores, errors: PairErrors
+    time_s: FloatArray, estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of ``per_scan.parquet``, arrays (k,); NaN where a scan has no matched pair."""
     scans, group = len(time_s), scores.pair_scan
@@ -72,6 +85,9 @@ def per_scan_columns(
         "ospa": scores.ospa,
         "ospa_localisation": scores.ospa_localisation,
         "ospa_cardinality": scores.ospa_cardinality,
+        "ospa2": ospa2.distance,
+        "ospa2_localisation": ospa2.localisation,
+        "ospa2_cardinality": ospa2.cardinality,
         "gospa": scores.gospa,
         "n_truth": truth.counts,
         "n_estimates": estimates.counts,
@@ -83,11 +99,13 @@ def per_scan_columns(
     }
 
 
-def figures(estimates: PointSets, truth: PointSets, scores: ScanScores, errors: PairErrors) -> dict[str, Any]:
+def figures(
+    estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
+) -> dict[str, Any]:
     """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
 
-    Means of OSPA and GOSPA (and of their parts) are over scans, the others over matched pairs. The parts
-    of a mean distance do not add up to it: only those of a single scan do.
+    Means of OSPA, OSPA(2) and GOSPA (and of their parts) are over scans, the others over matched pairs. The
+    parts of a mean distance do not add up to it: only those of a single scan do.
     """
     cardinality = cardinality_error(estimates.counts, truth.counts)
     percentiles = error_percentiles(errors.position)
@@ -100,6 +118,11 @@ def figures(estimates: PointSets, truth: PointSets, scores: ScanScores, errors: 
             "mean": _mean(scores.ospa),
             "localisation": _mean(scores.ospa_localisation),
             "cardinality": _mean(scores.ospa_cardinality),
+        },
+        "ospa2": {
+            "mean": _mean(ospa2.distance),
+            "localisation": _mean(ospa2.localisation),
+            "cardinality": _mean(ospa2.cardinality),
         },
         "gospa": {
             "mean": _mean(scores.gospa),
@@ -126,6 +149,7 @@ def figures(estimates: PointSets, truth: PointSets, scores: ScanScores, errors: 
         # Without labels there are no identities to switch.
         "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
         "tracks": len(np.unique(labels)),
+        **identity_figures(estimates, truth, scores, errors.switched),
         "nees": {
             "position": _mean(normalised),
             "interval_95": [low, high],

@@ -1,1 +1,1 @@
-"""Metrics of sets of points and of whole runs: OSPA, GOSPA, RMSE, cardinality, NEES, identity switches."""
+"""Metrics of sets of points and of whole runs: OSPA, OSPA(2), GOSPA, RMSE, cardinality, NEES, identities."""

@@ -150,7 +150,7 @@ def score_scans(
     values = np.zeros((len(DISTANCE_FIELDS), estimates.scans))
     n_matched = np.zeros(estimates.scans, dtype=np.int64)
     pairs: list[tuple[IntArray, IntArray, IntArray]] = []
-    for scans, m, n in _batches(estimates.counts, truth.counts):
+    for scans, m, n in batches_of_one_size(estimates.counts, truth.counts):
         rows = estimates.start[scans][:, None] + np.arange(m)
         columns = truth.start[scans][:, None] + np.arange(n)
         matching = match(_distances(estimates, truth, rows, columns, mahalanobis), order, cutoff)
@@ -164,8 +164,19 @@ def score_scans(
     return ScanScores(**distances, n_matched=n_matched, pair_scan=scan, pair_estimate=estimate, pair_truth=true_point)
 
 
-def _batches(n_estimates: IntArray, n_truth: IntArray) -> Iterator[tuple[IntArray, int, int]]:
-    """Yield scans of one size (m, n), at most `BATCH_ENTRIES` distances at a time."""
+def batches_of_one_size(n_estimates: IntArray, n_truth: IntArray) -> Iterator[tuple[IntArray, int, int]]:
+    """Group scans by their numbers of estimates and true points.
+
+    Parameters
+    ----------
+    n_estimates, n_truth : (k,) arrays
+        Numbers of both in each scan.
+
+    Yields
+    ------
+    tuple
+        Scans (b,), and the numbers m and n that they all have; at most `BATCH_ENTRIES` distances at a time.
+    """
     if len(n_truth) == 0:
         return
     size = n_estimates * (n_truth.max() + 1) + n_truth

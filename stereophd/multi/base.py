@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.disparity.moments import IN_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
+from stereophd.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion, Static
 from stereophd.multi.birth import BirthPrior, birth_moments
@@ -102,7 +102,7 @@ class DisparityFilter(ABC):
         """Let objects survive, move and come into the event's disparity space."""
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
-        mixture = mixture.with_weights(mixture.weights * self.survival_per_s**elapsed)
+        weights = mixture.weights * self.survival_per_s**elapsed
         moved = move(
             mixture.means,
             mixture.covariances,
@@ -113,10 +113,12 @@ class DisparityFilter(ABC):
             self.sets,
             state.n_events,
             self.rig.cameras[event.camera].detector.p_detect,
-            mixture.weights >= IMPORTANT_WEIGHT,
+            weights >= IMPORTANT_WEIGHT,
             self.threads,
+            self.rig.region,
         )
-        return Prediction(mixture, moved)
+        # what lies outside the region is gone
+        return Prediction(mixture.with_weights(weights * moved.inside), moved)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
@@ -167,7 +169,7 @@ def missed_states(prediction: Prediction, event: Event) -> GaussianMixture:
     """
     mixture, moved = prediction.mixture, prediction.moved
     whole = moved.status == IN_VIEW
-    partly = moved.status == PARTLY_IN_VIEW
+    partly = (moved.status == PARTLY_IN_VIEW) | ((moved.status == OUT_OF_VIEW) & (moved.inside < 1.0))
     means, covariances = mixture.means.copy(), mixture.covariances.copy()
     means[whole], covariances[whole] = moved.means[whole], moved.covariances[whole]
     means[partly], covariances[partly] = moved.missed_means[partly], moved.missed_covariances[partly]

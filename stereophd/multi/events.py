@@ -57,6 +57,9 @@ class Rig:
         Packed spaces at time 0; valid at any time if no camera moves.
     moving : bool
         Whether any camera moves.
+    region : array (8,), optional
+        Where objects can be: x, y, z from and to in the world, nearest and farthest depth before the
+        camera that saw them last.
     """
 
     cameras: tuple[Camera, ...]
@@ -64,6 +67,7 @@ class Rig:
     rectification: Literal["horizontal", "vertical"]
     packed: Array
     moving: bool
+    region: Array | None = None
 
     def space(self, camera: int, time_s: float) -> Array:
         """Packed space (30,) of a camera at a time."""
@@ -82,11 +86,16 @@ class Rig:
         return out
 
 
-def make_rig(cameras: Sequence[Camera], baseline: float, rectification: Literal["horizontal", "vertical"]) -> Rig:
+def make_rig(
+    cameras: Sequence[Camera],
+    baseline: float,
+    rectification: Literal["horizontal", "vertical"],
+    region: Array | None = None,
+) -> Rig:
     """Build the rig of these cameras."""
     packed = np.stack([DisparitySpace(c.at(0.0), baseline, rectification).packed() for c in cameras])
     moving = any(not camera.pose.is_static for camera in cameras)
-    return Rig(tuple(cameras), baseline, rectification, packed, moving)
+    return Rig(tuple(cameras), baseline, rectification, packed, moving, region)
 
 
 def make_event(camera: Camera, index: int, time_s: float, pixels: Array, sigma: Array | None = None) -> Event:

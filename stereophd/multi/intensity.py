@@ -94,6 +94,12 @@ class Estimates:
     covariances: Array
     existence: Array
 
+    def certain(self, max_position_std: float) -> Estimates:
+        """Return the estimates whose position has at most this standard deviation (root of the trace)."""
+        variance = np.trace(self.covariances[:, :3, :3], axis1=1, axis2=2)
+        kept = variance <= max_position_std**2
+        return Estimates(self.track_ids[kept], self.states[kept], self.covariances[kept], self.existence[kept])
+
 
 @dataclass(frozen=True)
 class Info:

@@ -57,9 +57,7 @@ class PhdFilter(DisparityFilter):
 
     settings: PhdSettings
 
-    def __init__(
-        self, rig: Rig, motion: Motion, sets: SampleSets, settings: PhdSettings, threads: int = 1
-    ) -> None:
+    def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PhdSettings, threads: int = 1) -> None:
         super().__init__(rig, motion, sets, settings.survival_per_s, settings.birth, settings.hysteresis, threads)
         object.__setattr__(self, "settings", settings)
 

@@ -81,9 +81,7 @@ class PmbFilter(DisparityFilter):
 
     settings: PmbSettings
 
-    def __init__(
-        self, rig: Rig, motion: Motion, sets: SampleSets, settings: PmbSettings, threads: int = 1
-    ) -> None:
+    def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PmbSettings, threads: int = 1) -> None:
         super().__init__(rig, motion, sets, settings.survival_per_s, settings.birth, settings.hysteresis, threads)
         object.__setattr__(self, "settings", settings)
 
@@ -128,9 +126,9 @@ class PmbFilter(DisparityFilter):
         # existence without a detection in this event; for the intensity, its undetected part
         still = np.where(labelled, untouched * (mixture.weights - detected) / missed, mixture.weights - detected)
         old = _mix_tracks(prediction, event, still, tracks, targets, share)
-        existence = unclaimed * first / unclaimed_density
+        existence = np.asarray(unclaimed * first / unclaimed_density)
         sources = (components[~claims], detections[~claims], recycled / first[detections[~claims]])
-        new = self._first_detections(state, prediction, event, existence, birth / first, sources)
+        new = self._first_detections(state, prediction, event, existence, np.asarray(birth / first), sources)
         reduced = self._reduce(concatenate([old, new]))
         tracked = reduced.labels != UNLABELLED
         info = Info(log_likelihood, float(reduced.weights[tracked].sum()), len(reduced))

@@ -91,8 +91,10 @@ def legend_right(axes: Axes, order: Sequence[str] = ()) -> None:
 
 
 def unit_text(pictures: Pictures) -> str:
+    """Return the unit of length as it follows a number, empty if it is not known."""
     return f" {pictures.length_unit}" if pictures.length_unit else ""
 
 
 def bracketed(unit: str) -> str:
+    """Return a unit as it follows the name of an axis."""
     return f" [{unit.strip()}]" if unit else ""

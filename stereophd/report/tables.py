@@ -27,19 +27,21 @@ def print_evaluation(report: Mapping[str, Any], console: Console) -> None:
     table.add_column(justify="right", no_wrap=True)
     table.add_column(style="dim")
     unit = f" {report['length_unit']}" if report["length_unit"] else ""
-    for section in (_distance_rows, _error_rows, _number_rows, _scan_rows):
+    for section in (_distance_rows, _error_rows, _number_rows, _identity_rows, _scan_rows):
         for row in section(report, unit):
             table.add_row(*row)
     console.print(table)
 
 
 def _distance_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
-    ospa, gospa = report["ospa"], report["gospa"]
+    ospa, ospa2, gospa = report["ospa"], report["ospa2"], report["gospa"]
     unit = unit if ospa["base"] == "euclidean" else ""
     kind = f"p {ospa['order']:g}, c {ospa['cutoff']:g}{unit}, {ospa['base']}"
     yield "OSPA", _number(ospa["mean"], unit), f"mean over scans; {kind}"
     yield "  localisation", _number(ospa["localisation"], unit), ""
     yield "  cardinality", _number(ospa["cardinality"], unit), ""
+    windows = f"of tracks, mean over windows of {ospa2['window_scans']} scans"
+    yield "OSPA(2)", _number(ospa2["mean"], unit), windows
     yield "GOSPA", _number(gospa["mean"], unit), "mean over scans; alpha 2"
 
 
@@ -62,9 +64,16 @@ def _number_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     yield "cardinality bias", _number(cardinality["bias"]), means
     yield "cardinality MAE", _number(cardinality["mae"]), ""
     yield "missed / false", f"{pairs['missed']} / {pairs['false']}", "objects / estimates without a match"
-    switches = report["identity_switches"]
+
+
+def _identity_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
+    switches, purity, completeness = (report[key] for key in ("identity_switches", "purity", "completeness"))
     note = "the tracks carry no identities" if switches is None else f"{report['tracks']} tracks"
     yield "identity switches", _number(switches), note
+    yield "track purity", _number(purity["mean"]), "mean share of estimates on one object"
+    dominant = f"mean share of scans; by one track {_number(completeness['mean_dominant'])}"
+    yield "object completeness", _number(completeness["mean"]), dominant
+    yield "fragmentation", _number(completeness["fragmentation"]), "mean number of tracks on an object"
 
 
 def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:

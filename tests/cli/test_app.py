@@ -74,6 +74,7 @@ def test_without_words_the_help_is_shown(call: Call, command: list[str]) -> None
         (["simulate", "a", "--out", "b", "--seed", "x"], "--seed"),
         (["evaluate", "a", "b", "--base", "manhattan"], "--base"),
         (["evaluate", "a", "b", "--at", "noon"], "--at"),
+        (["evaluate", "a", "b", "--ospa2-window", "0"], "--ospa2-window"),
     ],
 )
 def test_usage_errors(call: Call, words: list[str], expected: str) -> None:

@@ -11,22 +11,23 @@ from stereophd.disparity import moments
 from stereophd.disparity.moments import move
 from stereophd.disparity.space import DisparitySpace
 from stereophd.motion import ConstantVelocity, Static
+from stereophd.multi.base import FilterState
 from stereophd.multi.birth import BirthPrior
 from stereophd.multi.events import make_event
 from stereophd.multi.extract import Hysteresis
 from stereophd.multi.intensity import Estimates, GaussianMixture, Info
-from stereophd.multi.phd import PhdFilter, PhdState
+from stereophd.multi.phd import PhdFilter
 from tests.disparity.cases import LENSES, make_camera, state_in
 from tests.multi.scenes import make_filter, make_mixture
 
 AREA = 800.0 * 600.0
 
 
-def state_of(mixture: GaussianMixture, time_s: float = 0.0) -> PhdState:
-    return PhdState(mixture, time_s, 1, 100, 50)
+def state_of(mixture: GaussianMixture, time_s: float = 0.0) -> FilterState:
+    return FilterState(mixture, time_s, 1, 100, 50)
 
 
-def one_object(multi_filter: PhdFilter, weight: float, world: list[float], camera: int = 0) -> PhdState:
+def one_object(multi_filter: PhdFilter, weight: float, world: list[float], camera: int = 0) -> FilterState:
     """A state with one component at a place, known to 3 px and 1 px of disparity."""
     rig = multi_filter.rig
     space = DisparitySpace(rig.cameras[camera].at(0.0), rig.baseline, rig.rectification)
@@ -36,7 +37,9 @@ def one_object(multi_filter: PhdFilter, weight: float, world: list[float], camer
     return state_of(make_mixture([weight], mean[None], covariance[None], [camera], [0.0]))
 
 
-def run(multi_filter: PhdFilter, frames: list[tuple[float, int, np.ndarray]]) -> list[tuple[PhdState, Info, Estimates]]:
+def run(
+    multi_filter: PhdFilter, frames: list[tuple[float, int, np.ndarray]]
+) -> list[tuple[FilterState, Info, Estimates]]:
     state, out = multi_filter.init(), []
     for time_s, camera, pixels in frames:
         frozen = multi_filter.rig.cameras[camera].at(time_s)
@@ -191,7 +194,7 @@ def test_objects_out_of_view_are_left_alone(world: list[float]) -> None:
     assert info.log_likelihood == pytest.approx(np.log((10.0 + 0.095) / AREA) - 10.0 - 0.095, rel=1e-12)
 
 
-def assert_equal_states(one: PhdState, other: PhdState) -> None:
+def assert_equal_states(one: FilterState, other: FilterState) -> None:
     for name in ("weights", "means", "covariances", "cameras", "times", "labels", "tracks", "reported"):
         np.testing.assert_array_equal(getattr(one.mixture, name), getattr(other.mixture, name))
     assert replace(one, mixture=other.mixture) == other
