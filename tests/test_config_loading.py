@@ -36,6 +36,7 @@ filter:
   birth:
     velocity_std: 2
     depth_range: [10, 100]
+  kind: phd
 """
 
 
