@@ -35,6 +35,11 @@ MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
 
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 
+# White acceleration over dt moves the position by dt^1.5 (xi_1 / 2 + xi_2 / sqrt(12)) and the velocity
+# by dt^0.5 xi_1: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
+POSITION_WITH_VELOCITY = 0.5
+POSITION_ALONE = 1.0 / math.sqrt(12.0)
+
 # A Cholesky pivot below this fraction of its diagonal entry counts as rank-deficient.
 PIVOT_TOLERANCE = 1e-11
 
@@ -243,6 +248,27 @@ def static_trips(mean: Array, factor: Array, samples: Array, source: Array, dest
         out[1, i] = fy * y_b * per_z + cy
         out[2, i] = scale * rho * per_z
         out[3, i] = z_b
+
+
+@compiled
+def motion_noise(samples: Array, axes: Array) -> Array:
+    """Unit noise of position and velocity (6, n) from samples (12, n), in the axes of `axes` (3, 3).
+
+    The columns of `axes` are the world's axes in the destination's, times the acceleration's standard
+    deviation along them.
+    """
+    out = np.empty((6, samples.shape[1]))
+    for i in range(samples.shape[1]):
+        for a in range(3):
+            position = 0.0
+            velocity = 0.0
+            for b in range(3):
+                with_velocity = samples[6 + b, i]
+                position += axes[a, b] * (POSITION_WITH_VELOCITY * with_velocity + POSITION_ALONE * samples[9 + b, i])
+                velocity += axes[a, b] * with_velocity
+            out[a, i] = position
+            out[3 + a, i] = velocity
+    return out
 
 
 @compiled

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from stereophd.compilation import compiled
 from stereophd.disparity.kernels import (
+    POSITION_ALONE,
+    POSITION_WITH_VELOCITY,
     cholesky,
     condition,
     disparity_scale,
@@ -22,11 +24,6 @@ from stereophd.disparity.kernels import (
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 
 Array = NDArray[np.float64]
-
-# White acceleration over dt moves the position by dt^1.5 (xi_1 / 2 + xi_2 / sqrt(12)) and the velocity
-# by dt^0.5 xi_1: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
-POSITION_WITH_VELOCITY = 0.5
-POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
 # In the world a Gaussian in disparity has no moments (1 / d); samples more than this factor further
 # away than the mean disparity are left out of them.

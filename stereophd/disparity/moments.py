@@ -32,6 +32,7 @@ FEWEST_SAMPLES = 24
 # A component whose disparity is known to better than this fraction has no tail to look for.
 WIDE_DISPARITY = 0.05
 NO_REGION = np.empty(0)
+NO_NOISE = np.zeros((6, 0))
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
 
@@ -181,12 +182,9 @@ def _allocate(means: Array) -> kernels.MovedArrays:
 
 def _motion_noise(samples: Array, motion: Motion, rotation: Array) -> Array:
     """Unit motion noise (6, n): position and velocity rows, rotated into the destination's axes."""
-    if not isinstance(motion, ConstantVelocity):
-        return np.zeros((6, 0))
-    axes = rotation * motion.acceleration_std
-    with_velocity, alone = samples[6:9], samples[9:12]
-    position = linear_kernels.POSITION_WITH_VELOCITY * with_velocity + linear_kernels.POSITION_ALONE * alone
-    return np.concatenate([axes @ position, axes @ with_velocity])
+    if isinstance(motion, ConstantVelocity):
+        return kernels.motion_noise(samples, rotation * motion.acceleration_std)
+    return NO_NOISE
 
 
 def _rotation(space: Array) -> Array:
@@ -274,6 +272,8 @@ def _run(
 
 def _slices(count: int, samples: int, threads: int) -> list[slice]:
     parts = max(1, min(threads, count * samples // TRIPS_PER_THREAD))
+    if parts == 1:
+        return [slice(0, count)]
     bounds = np.linspace(0, count, parts + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
 

@@ -23,7 +23,7 @@ from stereophd.multi.intensity import UNLABELLED, Estimates, GaussianMixture, In
 Array = NDArray[np.float64]
 
 # Components from this weight or existence on get more samples where only a corner of them is in view.
-IMPORTANT_WEIGHT = 0.01
+IMPORTANT_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)

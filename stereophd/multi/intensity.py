@@ -51,7 +51,16 @@ class GaussianMixture:
 
     def take(self, index: NDArray[np.intp]) -> GaussianMixture:
         """Return the components with these indices."""
-        return GaussianMixture(*(getattr(self, field.name)[index] for field in fields(self)))
+        return GaussianMixture(
+            self.weights[index],
+            self.means[index],
+            self.covariances[index],
+            self.cameras[index],
+            self.times[index],
+            self.labels[index],
+            self.tracks[index],
+            self.reported[index],
+        )
 
     def with_weights(self, weights: Array) -> GaussianMixture:
         """Return the same components with other weights."""

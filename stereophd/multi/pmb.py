@@ -159,29 +159,40 @@ class PmbFilter(DisparityFilter):
     def _reduce(self, mixture: GaussianMixture) -> GaussianMixture:
         """Recycle improbable tracks, drop what is negligible, merge tracks of one object."""
         settings = self.settings
-        mixture = mixture.take(np.flatnonzero(mixture.weights >= settings.prune_weight))
-        weak = mixture.weights < settings.recycle_below
-        labels = np.where(weak, UNLABELLED, mixture.labels)
+        weights = mixture.weights
+        labels = np.where(weights < settings.recycle_below, UNLABELLED, mixture.labels)
+        tracked = labels != UNLABELLED
         # an identity once reported counts more than existence: the older track keeps its name
-        seniority = np.where(mixture.tracks >= 0, 1.0, 0.0)
-        order = np.lexsort((-mixture.weights, -seniority, labels == UNLABELLED))
-        count = int((labels != UNLABELLED).sum())
+        order = np.lexsort((-weights, mixture.tracks < 0, ~tracked))
+        count = int(tracked.sum())
+        rest = order[count:]
+        order = np.concatenate(
+            [order[: min(count, settings.max_components)], rest[weights[rest] >= settings.prune_weight]]
+        )
         mixture = replace(mixture, labels=labels).take(order)
-        tracks, rest = np.arange(min(count, settings.max_components)), np.arange(count, len(mixture))
-        return concatenate([_merge_tracks(mixture.take(tracks), settings.merge_distance), mixture.take(rest)])
+        return _merge_tracks(mixture, min(count, settings.max_components), settings.merge_distance)
 
 
-def _merge_tracks(tracks: GaussianMixture, distance: float) -> GaussianMixture:
-    """Merge tracks that have come to describe one object; the first of them gives the identity."""
-    if len(tracks) < 2 or distance <= 0.0:
-        return tracks
+def _merge_tracks(mixture: GaussianMixture, count: int, distance: float) -> GaussianMixture:
+    """Merge those of the first `count` components that have come to describe one object.
+
+    The first of them gives the identity.
+    """
+    if count < 2 or distance <= 0.0:
+        return mixture
     weights, means, covariances, leaders = merge_sorted(
-        tracks.weights, tracks.means, tracks.covariances, tracks.cameras, tracks.times, distance, True
+        mixture.weights[:count],
+        mixture.means[:count],
+        mixture.covariances[:count],
+        mixture.cameras[:count],
+        mixture.times[:count],
+        distance,
+        True,
     )
-    if len(leaders) == len(tracks):
-        return tracks
-    merged = tracks.take(leaders)
-    return replace(merged, weights=np.minimum(weights, 1.0), means=means, covariances=covariances)
+    if len(leaders) == count:
+        return mixture
+    merged = replace(mixture.take(leaders), weights=np.minimum(weights, 1.0), means=means, covariances=covariances)
+    return concatenate([merged, mixture.take(np.arange(count, len(mixture)))])
 
 
 def _mix_tracks(

@@ -229,7 +229,7 @@ def test_cholesky_refuses_what_has_no_full_rank(matrix: np.ndarray) -> None:
     assert not kernels.cholesky(matrix, np.empty((3, 3)))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32), rank=st.integers(1, 5))
 def test_condition_gives_full_rank(seed: int, rank: int) -> None:
     rng = np.random.default_rng(seed)
@@ -243,6 +243,23 @@ def test_condition_gives_full_rank(seed: int, rank: int) -> None:
     raised = np.diag(matrix) / np.diag(before)
     assert (raised > 1.0).all()
     assert (raised <= 1.0012).all()
+
+
+@pytest.mark.xfail(reason="after a small pivot, rounding exceeds PIVOT_TOLERANCE")
+def test_condition_of_nearly_dependent_coordinates() -> None:
+    """Singular covariances of which two coordinates are nearly the same: none may pass for full rank.
+
+    After a pivot of 1e-6 the rounding of a later one is 1e-10, of either sign: it says nothing of the rank.
+    """
+    for seed in range(2000):
+        rng = np.random.default_rng(seed)
+        rank = rng.integers(2, 6)
+        root = rng.standard_normal((6, rank))
+        root[rng.integers(1, 6)] = root[0] + 10.0 ** rng.uniform(-6.0, -1.0) * rng.standard_normal(rank)
+        root *= 10.0 ** rng.uniform(-4.0, 4.0, (6, 1))
+        matrix = root @ root.T
+        assert kernels.condition(matrix, np.empty((6, 6)))
+        np.linalg.cholesky(matrix)
 
 
 @pytest.mark.parametrize(
