@@ -348,7 +348,7 @@ class PmbConfig(Model):
     recycle_below: Positive = Field(
         1e-3, description="tracks of a smaller existence join the intensity of undetected objects"
     )
-    prune_weight: Positive = Field(1e-5, description="components of that intensity below this weight are dropped")
+    prune_weight: Positive = Field(1e-4, description="components of that intensity below this weight are dropped")
     merge_distance: NonNegative = Field(
         4.0, description="squared Mahalanobis distance, in both covariances, below which two tracks are one"
     )
@@ -359,6 +359,14 @@ class PmbConfig(Model):
 FilterConfig = Annotated[PhdConfig | PmbConfig, Field(discriminator="kind")]
 
 
+class SmoothConfig(Model):
+    """Fixed-interval smoothing (``track --smooth``)."""
+
+    max_gap_s: NonNegative = Field(
+        1.0, description="tracks that end and begin within this time, and fit, are stitched into one"
+    )
+
+
 class ReportConfig(Model):
     """Which estimates are written."""
 
@@ -366,6 +374,9 @@ class ReportConfig(Model):
         None,
         description="leave out estimates whose position is less certain (square root of the trace of its "
         "covariance), length: depth is not seen while one camera alone sees an object",
+    )
+    smooth: SmoothConfig | None = Field(
+        None, description="smooth every track over the whole log, which is then held in memory; default off"
     )
 
 

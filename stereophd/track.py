@@ -1,25 +1,24 @@
 """The one filter loop: a detection log in, tracks out, event by event.
 
 Memory does not depend on the length of the log: frames are read as they come, and estimates are
-written as they are made.
+written as they are made (smoothing, which needs the whole run, holds it in memory).
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config import BirthConfig, Config, MotionConfig, PmbConfig, RegionConfig, ReportConfig
+from stereophd.config import BirthConfig, Config, MotionConfig, PmbConfig, RegionConfig
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
-from stereophd.io.logs import Frame, LogReader
+from stereophd.io.logs import LogReader
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import SCANS, TRACKS, TableWriter
 from stereophd.motion import ConstantVelocity, Motion, Static
@@ -27,9 +26,9 @@ from stereophd.multi.base import DisparityFilter
 from stereophd.multi.birth import BirthPrior
 from stereophd.multi.events import make_event, make_rig
 from stereophd.multi.extract import Hysteresis
-from stereophd.multi.intensity import Estimates
 from stereophd.multi.phd import PhdFilter, PhdSettings
 from stereophd.multi.pmb import PmbFilter, PmbSettings
+from stereophd.track_output import EventRecord, smoothed_records, write_records
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -92,7 +91,10 @@ def track(
             TableWriter(out.path("tracks.parquet"), TRACKS, metadata) as tracks,
             TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
         ):
-            summary = _run(multi_filter, reader, config.report, tracks, scans, progress)
+            records = _run(multi_filter, reader, progress)
+            if config.report.smooth is not None:
+                records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
+            summary = write_records(records, tracks, scans, config.report.max_position_std)
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": config.units.length,
@@ -177,85 +179,17 @@ def _birth_prior(config: BirthConfig) -> BirthPrior:
     return BirthPrior(config.per_frame, disparity, config.depth_range, config.velocity_std)
 
 
-@dataclass
-class _TrackSummary:
-    """Running figures of one identity."""
-
-    first_s: float
-    last_s: float
-    n_estimates: int = 0
-    existence: float = 0.0
-
-
-def _run(
-    multi_filter: DisparityFilter,
-    reader: LogReader,
-    reporting: ReportConfig,
-    tracks: TableWriter,
-    scans: TableWriter,
-    progress: Progress | None,
-) -> dict[str, Any]:
-    """Run the filter over the log; return the figures of the run."""
+def _run(multi_filter: DisparityFilter, reader: LogReader, progress: Progress | None) -> Iterator[EventRecord]:
+    """Run the filter over the log, event by event."""
     state = multi_filter.init()
-    identities: dict[int, _TrackSummary] = {}
-    log_likelihood = 0.0
     for number, frame in enumerate(reader):
         camera = multi_filter.rig.cameras[frame.camera]
         frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
         event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
+        first_label = state.next_label
         state, info, estimates = multi_filter.step(state, event)
-        if reporting.max_position_std is not None:
-            estimates = estimates.certain(reporting.max_position_std)
-        log_likelihood += info.log_likelihood
-        key = {"time_s": frame.time_s, "camera": camera.name, "frame": frame.frame}
-        scans.append(
-            {
-                **key,
-                "n_detections": np.array([len(frame.pixels)]),
-                "cardinality_mean": info.cardinality_mean,
-                "cardinality_estimate": len(estimates.track_ids),
-                "log_likelihood": info.log_likelihood,
-                "n_components": info.n_components,
-            }
-        )
-        if len(estimates.track_ids):
-            tracks.append({**key, **_columns(estimates)})
-        _summarise(identities, estimates, frame)
+        yield EventRecord(frame.time_s, camera.name, frame.frame, len(frame.pixels), first_label, info, estimates)
         if progress is not None and number % PROGRESS_EVERY == 0:
             progress(reader.counts["rows"], reader.num_rows)
     if progress is not None:
         progress(reader.num_rows, reader.num_rows)
-    return {
-        "events": state.n_events,
-        "estimates": tracks.rows,
-        "log_likelihood": log_likelihood,
-        "tracks": [
-            {
-                "track_id": track_id,
-                "first_s": summary.first_s,
-                "last_s": summary.last_s,
-                "n_estimates": summary.n_estimates,
-                "mean_existence": summary.existence / summary.n_estimates,
-            }
-            for track_id, summary in sorted(identities.items())
-        ],
-    }
-
-
-def _columns(estimates: Estimates) -> dict[str, Any]:
-    """Columns of ``tracks.parquet`` of one event."""
-    names = ("x", "y", "z", "vx", "vy", "vz")
-    return {
-        "track_id": estimates.track_ids,
-        **{name: estimates.states[:, axis] for axis, name in enumerate(names)},
-        "covariance": estimates.covariances,
-        "existence": estimates.existence,
-    }
-
-
-def _summarise(identities: dict[int, _TrackSummary], estimates: Estimates, frame: Frame) -> None:
-    for track_id, existence in zip(estimates.track_ids.tolist(), estimates.existence.tolist(), strict=True):
-        summary = identities.setdefault(track_id, _TrackSummary(frame.time_s, frame.time_s))
-        summary.last_s = frame.time_s
-        summary.n_estimates += 1
-        summary.existence += existence

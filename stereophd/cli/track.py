@@ -21,6 +21,9 @@ def track_command(
         int,
         typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it."),
     ] = 1,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
+    ] = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
@@ -31,7 +34,8 @@ def track_command(
 ) -> None:
     """Turn a detection log into 3-D tracks: tracks.parquet, scans.parquet and report.json."""
     session = begin(context)
-    loaded = load(config, overrides, seed, cameras)
+    settings = [*(overrides or []), *(["report.smooth={}"] if smooth else [])]
+    loaded = load(config, settings, seed, cameras)
     from stereophd.track import track
 
     with progress_bar(session, "track") as progress:

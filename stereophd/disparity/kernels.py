@@ -40,8 +40,9 @@ OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 POSITION_WITH_VELOCITY = 0.5
 POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
-# A Cholesky pivot below this fraction of its diagonal entry counts as rank-deficient.
-PIVOT_TOLERANCE = 1e-11
+# A covariance has full rank if it still factorises with its diagonal lowered by this fraction: a bound on
+# single pivots does not do, because after a small one the rounding of the next can exceed it.
+RANK_MARGIN = 1e-12
 
 # A component of which this share is inside the region counts as inside.
 REGION_SLACK = 0.8
@@ -65,7 +66,7 @@ def cholesky(matrix: Array, factor: Array) -> bool:
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             if i == j:
-                if not total > PIVOT_TOLERANCE * matrix[j, j]:
+                if not total > 0.0:
                     return False
                 factor[j, j] = math.sqrt(total)
             else:
@@ -76,13 +77,22 @@ def cholesky(matrix: Array, factor: Array) -> bool:
 
 
 @compiled
+def has_full_rank(matrix: Array, factor: Array) -> bool:
+    """Whether a symmetric matrix (d, d) is positive definite with a margin; `factor` is scratch."""
+    lowered = matrix.copy()
+    for j in range(matrix.shape[0]):
+        lowered[j, j] *= 1.0 - RANK_MARGIN
+    return cholesky(lowered, factor)
+
+
+@compiled
 def condition(matrix: Array, factor: Array) -> bool:
     """Make a covariance positive definite in place; False if it holds NaN or cannot be helped.
 
     The diagonal is raised by growing fractions of itself, from 1e-9 to 1e-3, until the factorisation
     succeeds: a covariance that leaves the moment transforms always has full rank.
     """
-    if cholesky(matrix, factor):
+    if has_full_rank(matrix, factor):
         return True
     raised = 1e-9
     while raised < 2e-3:
@@ -90,7 +100,7 @@ def condition(matrix: Array, factor: Array) -> bool:
             if not matrix[j, j] > 0.0 or matrix[j, j] == np.inf:
                 return False
             matrix[j, j] *= 1.0 + raised
-        if cholesky(matrix, factor):
+        if has_full_rank(matrix, factor):
             return True
         raised *= 10.0
     return False

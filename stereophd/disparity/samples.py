@@ -12,6 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.disparity.sobol import normal_quantiles, sobol_points
+
 Array = NDArray[np.float64]
 Method = Literal["qmc", "particle", "unscented", "linear"]
 
@@ -108,12 +110,8 @@ def cubature_points(rows: int) -> Array:
 
 def _mirrored_sobol(half: int, rows: int, rng: np.random.Generator) -> Array:
     """Scrambled Sobol normals (rows, 2 half), mirrored through 0 and whitened."""
-    from scipy.special import ndtri
-    from scipy.stats import qmc  # 0.5 s to import: only where it is needed
-
     exponent = int(np.ceil(np.log2(half)))
-    uniform = qmc.Sobol(rows, scramble=True, rng=rng).random_base2(exponent)[:half]
-    normal = ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)).T
+    normal = normal_quantiles(sobol_points(rows, exponent, rng)[:half]).T
     cholesky = np.linalg.cholesky(normal @ normal.T / half)
     white = np.linalg.solve(cholesky, normal)
     return np.concatenate([white, -white], axis=1)

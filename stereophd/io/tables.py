@@ -47,7 +47,7 @@ FLOAT, INTEGER, STRING = pa.float64(), pa.int64(), pa.string()
 COVARIANCE = pa.list_(pa.field("item", FLOAT, nullable=False), 36)
 
 # Rows of a group: about 3 MB of detections, so that a reader needs little memory at a time.
-ROW_GROUP_ROWS = 65536
+ROW_GROUP_ROWS = 16384
 
 
 def _schema(columns: Mapping[str, pa.DataType], nullable: Sequence[str] = ()) -> pa.Schema:

@@ -117,8 +117,10 @@ class DisparityFilter(ABC):
             self.threads,
             self.rig.region,
         )
-        # what lies outside the region is gone
-        return Prediction(mixture.with_weights(weights * moved.inside), moved)
+        # what lies outside the region is gone; what was never established and has left the view of the only
+        # camera that may have seen it is forgotten, or clutter would fill the world around the view
+        lost = (moved.status == OUT_OF_VIEW) & (mixture.cameras == event.camera) & (weights < IMPORTANT_WEIGHT)
+        return Prediction(mixture.with_weights(np.where(lost, 0.0, weights * moved.inside)), moved)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
@@ -137,7 +139,9 @@ class DisparityFilter(ABC):
         )
         finite = np.isfinite(means).all(axis=1)
         order = np.flatnonzero(finite)[np.argsort(parts.tracks[finite], kind="stable")]
-        return state, Estimates(parts.tracks[order], means[order], covariances[order], chosen.existence[order])
+        return state, Estimates(
+            parts.tracks[order], means[order], covariances[order], chosen.existence[order], parts.labels[order]
+        )
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

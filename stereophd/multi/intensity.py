@@ -96,18 +96,27 @@ class Estimates:
         By moments.
     existence : array (k,)
         Weight (PHD) or probability of existence.
+    labels : array (k,) of int
+        Labels of the components behind them.
     """
 
     track_ids: Integers
     states: Array
     covariances: Array
     existence: Array
+    labels: Integers
 
     def certain(self, max_position_std: float) -> Estimates:
         """Return the estimates whose position has at most this standard deviation (root of the trace)."""
         variance = np.trace(self.covariances[:, :3, :3], axis1=1, axis2=2)
         kept = variance <= max_position_std**2
-        return Estimates(self.track_ids[kept], self.states[kept], self.covariances[kept], self.existence[kept])
+        return Estimates(
+            self.track_ids[kept],
+            self.states[kept],
+            self.covariances[kept],
+            self.existence[kept],
+            self.labels[kept],
+        )
 
 
 @dataclass(frozen=True)

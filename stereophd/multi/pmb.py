@@ -65,7 +65,7 @@ class PmbSettings:
     survival_per_s: float
     birth: BirthPrior
     recycle_below: float = 1e-3
-    prune_weight: float = 1e-5
+    prune_weight: float = 1e-4
     merge_distance: float = 4.0
     max_components: int = 1000
     hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.9, 0.02))

@@ -245,7 +245,6 @@ def test_condition_gives_full_rank(seed: int, rank: int) -> None:
     assert (raised <= 1.0012).all()
 
 
-@pytest.mark.xfail(reason="after a small pivot, rounding exceeds PIVOT_TOLERANCE")
 def test_condition_of_nearly_dependent_coordinates() -> None:
     """Singular covariances of which two coordinates are nearly the same: none may pass for full rank.
 

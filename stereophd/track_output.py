@@ -1,0 +1,187 @@
+"""What `stereophd.track` writes: rows of events and estimates, figures of each identity, smoothed tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.io.tables import TableWriter
+from stereophd.motion import Motion
+from stereophd.multi.intensity import Estimates, Info
+from stereophd.smoothing import Trajectory, extend_back, smooth, stitch
+
+STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
+
+# A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
+# more probable than not.
+SEEN_EXISTENCE = 0.5
+
+
+@dataclass(frozen=True)
+class EventRecord:
+    """One event of a run.
+
+    Attributes
+    ----------
+    time_s, camera, frame : float, str, int
+        As in ``scans.parquet``.
+    n_detections : int
+    first_label : int
+        Smallest label that an object first detected in this event can have.
+    info : Info
+    estimates : Estimates
+    """
+
+    time_s: float
+    camera: str
+    frame: int
+    n_detections: int
+    first_label: int
+    info: Info
+    estimates: Estimates
+
+
+@dataclass
+class _Identity:
+    """Running figures of one track."""
+
+    first_s: float
+    last_s: float
+    n_estimates: int = 0
+    existence: float = 0.0
+
+
+def write_records(
+    records: Iterable[EventRecord], tracks: TableWriter, scans: TableWriter, max_position_std: float | None
+) -> dict[str, Any]:
+    """Write events as they come; return the figures of the run for ``report.json``."""
+    identities: dict[int, _Identity] = {}
+    events, log_likelihood = 0, 0.0
+    for record in records:
+        estimates = record.estimates
+        if max_position_std is not None:
+            estimates = estimates.certain(max_position_std)
+        key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
+        scans.append(
+            {
+                **key,
+                "n_detections": np.array([record.n_detections]),
+                "cardinality_mean": record.info.cardinality_mean,
+                "cardinality_estimate": len(estimates.track_ids),
+                "log_likelihood": record.info.log_likelihood,
+                "n_components": record.info.n_components,
+            }
+        )
+        if len(estimates.track_ids):
+            tracks.append({**key, **_columns(estimates)})
+        _summarise(identities, estimates, record.time_s)
+        events += 1
+        log_likelihood += record.info.log_likelihood
+    return {
+        "events": events,
+        "estimates": tracks.rows,
+        "log_likelihood": log_likelihood,
+        "tracks": [
+            {
+                "track_id": track_id,
+                "first_s": identity.first_s,
+                "last_s": identity.last_s,
+                "n_estimates": identity.n_estimates,
+                "mean_existence": identity.existence / identity.n_estimates,
+            }
+            for track_id, identity in sorted(identities.items())
+        ],
+    }
+
+
+def _columns(estimates: Estimates) -> dict[str, Any]:
+    """Columns of ``tracks.parquet`` of one event."""
+    return {
+        "track_id": estimates.track_ids,
+        **{name: estimates.states[:, axis] for axis, name in enumerate(STATE_COLUMNS)},
+        "covariance": estimates.covariances,
+        "existence": estimates.existence,
+    }
+
+
+def _summarise(identities: dict[int, _Identity], estimates: Estimates, time_s: float) -> None:
+    for track_id, existence in zip(estimates.track_ids.tolist(), estimates.existence.tolist(), strict=True):
+        identity = identities.setdefault(track_id, _Identity(time_s, time_s))
+        identity.last_s = time_s
+        identity.n_estimates += 1
+        identity.existence += existence
+
+
+def smoothed_records(records: Iterable[EventRecord], motion: Motion, max_gap_s: float) -> Iterator[EventRecord]:
+    """Yield the events of a whole run with smoothed estimates in place of the filtered ones.
+
+    Every track reaches back to its first detection, ends where it was last more probable than not, and
+    is stitched to the track that it continues, if any.
+    """
+    whole = list(records)
+    times = np.array([record.time_s for record in whole])
+    labels = np.array([record.first_label for record in whole], dtype=np.int64)
+    trajectories = [_smooth_back(t, label, times, labels, motion) for t, label in _trajectories(whole, times)]
+    continued = stitch(trajectories, motion, max_gap_s)
+    rows: list[list[tuple[int, Trajectory, int]]] = [[] for _ in whole]
+    for trajectory in trajectories:
+        name = trajectory.track_id
+        while name in continued:
+            name = continued[name]
+        for k, event in enumerate(trajectory.events.tolist()):
+            rows[event].append((name, trajectory, k))
+    for record, found in zip(whole, rows, strict=True):
+        found.sort(key=lambda row: row[0])
+        yield replace(record, estimates=_estimates(found))
+
+
+def _trajectories(records: Sequence[EventRecord], times: NDArray[np.float64]) -> list[tuple[Trajectory, int]]:
+    """Filtered states of every track, in order of identity, with the label of its first report."""
+    events: dict[int, list[tuple[int, int]]] = {}
+    for number, record in enumerate(records):
+        for row, track_id in enumerate(record.estimates.track_ids.tolist()):
+            events.setdefault(track_id, []).append((number, row))
+    out = []
+    for track_id, places in sorted(events.items()):
+        found = [records[number].estimates for number, _ in places]
+        rows = [row for _, row in places]
+        existence = np.array([e.existence[row] for e, row in zip(found, rows, strict=True)])
+        last = int(np.flatnonzero(existence >= SEEN_EXISTENCE)[-1]) + 1 if existence.max() >= SEEN_EXISTENCE else 1
+        numbers = np.array([number for number, _ in places[:last]])
+        trajectory = Trajectory(
+            track_id,
+            numbers,
+            times[numbers],
+            np.array([e.states[row] for e, row in zip(found, rows, strict=True)][:last]),
+            np.array([e.covariances[row] for e, row in zip(found, rows, strict=True)][:last]),
+            existence[:last],
+        )
+        out.append((trajectory, int(found[0].labels[rows[0]])))
+    return out
+
+
+def _smooth_back(
+    trajectory: Trajectory,
+    label: int,
+    times: NDArray[np.float64],
+    first_labels: NDArray[np.int64],
+    motion: Motion,
+) -> Trajectory:
+    """Smooth a track and continue it back to the event of its first detection."""
+    born = int(np.searchsorted(first_labels, label, side="right")) - 1
+    earlier = np.arange(max(born, 0), int(trajectory.events[0]))
+    return extend_back(smooth(trajectory, motion), earlier, times[earlier], motion)
+
+
+def _estimates(rows: list[tuple[int, Trajectory, int]]) -> Estimates:
+    return Estimates(
+        np.array([name for name, _, _ in rows], dtype=np.int64),
+        np.array([t.states[k] for _, t, k in rows]).reshape(-1, 6),
+        np.array([t.covariances[k] for _, t, k in rows]).reshape(-1, 6, 6),
+        np.array([t.existence[k] for _, t, k in rows]),
+        np.full(len(rows), -1),
+    )
