@@ -1,3 +1,3 @@
-"""stereophd: 3-D tracks and camera poses from the detection logs of fixed cameras."""
+"""stereophd: 3-D tracks from the detection logs of fixed cameras."""
 
 __version__ = "0.1.0"

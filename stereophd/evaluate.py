@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.util import find_spec
@@ -52,6 +53,11 @@ if TYPE_CHECKING:
 REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
 PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg"))
 
+# The paper's scale: centimetres. Files in another unit deserve a word about it.
+DEFAULT_CUTOFF = 20.0
+
+LOGGER = logging.getLogger("stereophd")
+
 
 def evaluate(
     tracks_path: Path | str,
@@ -59,7 +65,7 @@ def evaluate(
     out_dir: Path | str | None = None,
     *,
     order: float = 2.0,
-    cutoff: float = 20.0,
+    cutoff: float | None = None,
     base: Literal["euclidean", "mahalanobis"] = "euclidean",
     from_s: float | None = None,
     to_s: float | None = None,
@@ -125,7 +131,8 @@ def evaluate(
         A figure is above its limit (or is not a number). Everything has been written; the error carries the
         report as `report`.
     """
-    options = Options(order, cutoff, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window)
+    chosen = DEFAULT_CUTOFF if cutoff is None else cutoff
+    options = Options(order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window)
     check_options(options, log_path)
     inputs = _input_paths(tracks_path, truth_path, log_path, cameras_path)
     if out_dir is None:
@@ -134,6 +141,8 @@ def evaluate(
         draw = _whether_to_draw(plots)
         with OutputFolder(out_dir, [REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES], force) as out:
             report = _run(inputs, options, fail_above or {}, out, draw)
+    if cutoff is None and base == "euclidean" and report["length_unit"] not in (None, "cm"):
+        LOGGER.warning("no --cutoff given: OSPA and GOSPA use the default, %g %s", chosen, report["length_unit"])
     raise_if_above(fail_above or {}, report)
     return report
 
@@ -280,10 +289,12 @@ def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], optio
     def span(time_s: NDArray[Any]) -> str:
         return f"{time_s.min():g} to {time_s.max():g} s" if len(time_s) else "none"
 
-    why = ", ".join(f"{name} {count}" for name, count in scans.items())
-    return (
-        f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}, "
-        f"from_s {options.from_s}, to_s {options.to_s}, not scored: {why}"
+    why = ", ".join(f"{name} {count}" for name, count in scans.items() if count)
+    limits = "".join(
+        f", {name} {value}" for name, value in (("--from", options.from_s), ("--to", options.to_s)) if value is not None
+    )
+    return f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}{limits}" + (
+        f", not scored: {why}" if why else ""
     )
 
 

@@ -7,6 +7,7 @@ written as they are made (smoothing, which needs the whole run, holds it in memo
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from stereophd.config import BirthConfig, Config, MotionConfig, PmbConfig, Regio
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
+from stereophd.io.log_checks import KINDS
 from stereophd.io.logs import LogReader
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import SCANS, TRACKS, TableWriter
@@ -42,6 +44,8 @@ REPORT_VERSION = 1
 
 # Events between two calls of `progress`.
 PROGRESS_EVERY = 50
+
+LOGGER = logging.getLogger("stereophd")
 
 
 def track(
@@ -83,6 +87,8 @@ def track(
     config = loaded.config
     cameras = loaded.build_cameras()
     multi_filter = build_filter(config, cameras, loaded.path, threads)
+    LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, config.seed)
+    _announce_compilation()
     reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
     with OutputFolder(out_dir, FILES, force) as out:
         record = provenance("track", loaded, inputs={"detections": log_path})
@@ -104,7 +110,29 @@ def track(
         }
         text = json.dumps(report, indent=2, allow_nan=False) + "\n"
         out.path("report.json").write_text(text, encoding="utf-8")
+    _warn_of_losses(reader, log_path, cameras)
     return report
+
+
+def _announce_compilation() -> None:
+    """Say that the kernels are compiled first, where no compiled ones are found."""
+    folder = Path(__file__).parent / "disparity" / "__pycache__"
+    if not any(folder.glob("kernels.move_components-*.nbi")):
+        LOGGER.warning("first run: compiling the kernels, once, in about 20 s")
+
+
+def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Camera, ...]) -> None:
+    """Say what of the log did not reach the filter, and which cameras said nothing."""
+    counts = reader.counts
+    LOGGER.info("%s: %d frames, %d detections", log_path, counts["frames"], counts["detections"])
+    dropped = {kind: counts[kind] for kind in KINDS if counts.get(kind)}
+    if dropped:
+        why = ", ".join(f"{kind} {count}" for kind, count in dropped.items())
+        LOGGER.warning("%s: %d of %d rows dropped (%s)", log_path, sum(dropped.values()), counts["rows"], why)
+    if counts.get("cameras_without_frames"):
+        LOGGER.warning(
+            "%s: no frames of %d of the %d cameras", log_path, counts["cameras_without_frames"], len(cameras)
+        )
 
 
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:

@@ -28,7 +28,7 @@ _ClickException = next(kind for kind in typer.BadParameter.__mro__ if kind.__nam
 
 app = typer.Typer(
     name="stereophd",
-    help="3-D tracks and camera poses from the detection logs of fixed cameras.",
+    help="3-D tracks from the detection logs of fixed cameras.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     # Plain help: rich's panels would double the time that --help takes.
@@ -54,7 +54,7 @@ def root(
         typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True),
     ] = False,
 ) -> None:
-    """3-D tracks and camera poses from the detection logs of fixed cameras."""
+    """3-D tracks from the detection logs of fixed cameras."""
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -105,6 +105,9 @@ def _explain(error: Exception) -> int:
         return error.exit_code
     if isinstance(error, _ClickException):
         _explain_usage(error)
+        return EXIT_USAGE
+    if isinstance(error, OSError) and error.filename is None and error.errno == errno.ENOSPC:
+        print("error: standard output: no space left on device", file=sys.stderr)
         return EXIT_USAGE
     if isinstance(error, OSError) and _is_users(error):
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)

@@ -44,8 +44,11 @@ def evaluate_command(
     ] = None,
     order: Annotated[float, typer.Option("--order", metavar="P", help="Order of OSPA.")] = 2.0,
     cutoff: Annotated[
-        float, typer.Option("--cutoff", metavar="C", help="Cutoff of OSPA, in the unit of length.")
-    ] = 20.0,
+        float | None,
+        typer.Option(
+            "--cutoff", metavar="C", help="Cutoff of OSPA, in the unit of length; default 20.", show_default=False
+        ),
+    ] = None,
     base: Annotated[Base, typer.Option("--base", help="Base distance.")] = Base.EUCLIDEAN,
     from_s: Annotated[
         float | None,

@@ -102,6 +102,9 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
         elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
             # A table of its own: it is in the file; here it says how many.
             yield f"{prefix}{key}: {len(value)}"
+        elif prefix == "input." and value == 0:
+            # what did not happen; all counts are in the file
+            continue
         elif isinstance(value, list):
             yield f"{prefix}{key}: {', '.join(map(str, value))}"
         else:

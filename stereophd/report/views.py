@@ -41,6 +41,10 @@ class View:
         return points[:, [self.horizontal, self.vertical]]
 
 
+# A view is drawn to this many times the farthest depth, beyond what the axes show.
+VIEW_MARGIN = 3.0
+
+
 def down_axis(cameras: Sequence[Camera]) -> tuple[int, bool]:
     """Return the world axis nearest to vertical, and whether it points down.
 
@@ -93,9 +97,12 @@ def field_of_view(camera: Camera, depth: float, view: View) -> FloatArray:
 
 
 def viewing_depth(camera: Camera, points: FloatArray) -> float:
-    """Return a depth to draw a camera's view to: the farthest of the points (n, 3) before it, or 0."""
+    """Return a depth to draw a camera's view to: well past the farthest of the points (n, 3) before it, or 0.
+
+    The axes cut the view; its far end inside the picture would look like a limit of range.
+    """
     depth = camera.pose.to_camera(points)[:, 2] if len(points) else np.zeros(0)
-    return float(max(depth.max(initial=0.0), 0.0))
+    return VIEW_MARGIN * float(max(depth.max(initial=0.0), 0.0))
 
 
 def convex_hull(points: FloatArray) -> FloatArray:

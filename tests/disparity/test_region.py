@@ -39,7 +39,9 @@ def inside(world: np.ndarray, home: DisparitySpace, region: np.ndarray) -> np.nd
     return ((values >= region[::2]) & (values <= region[1::2])).all(axis=1)
 
 
-def run(case: Case, region: np.ndarray | None, samples: int = 1024, important: bool = False, **options: object) -> Moved:
+def run(
+    case: Case, region: np.ndarray | None, samples: int = 1024, important: bool = False, **options: object
+) -> Moved:
     sets = sample_sets(str(options.get("method", "qmc")), samples, case.motion)
     return move(
         case.mean[None], case.covariance[None], case.home.packed()[None], np.array([case.dt]), case.destination.packed(),
@@ -149,7 +151,9 @@ def test_depth_is_before_the_home_camera(method: str) -> None:
     assert gone.fraction[0] == 0.0
 
 
-RULES_SEE_NO_TAIL = pytest.mark.xfail(reason="unscented, linear: five of six points inside count as inside", strict=True)
+RULES_SEE_NO_TAIL = pytest.mark.xfail(
+    reason="unscented, linear: five of six points inside count as inside", strict=True
+)
 
 
 @pytest.mark.parametrize(
