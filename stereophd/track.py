@@ -118,7 +118,7 @@ def _announce_compilation() -> None:
     """Say that the kernels are compiled first, where no compiled ones are found."""
     folder = Path(__file__).parent / "disparity" / "__pycache__"
     if not any(folder.glob("kernels.move_components-*.nbi")):
-        LOGGER.warning("first run: compiling the kernels, once, in about 20 s")
+        LOGGER.info("first run: compiling the kernels, once, in about 20 s")
 
 
 def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Camera, ...]) -> None:

@@ -66,7 +66,7 @@ def cholesky(matrix: Array, factor: Array) -> bool:
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             if i == j:
-                if not total > 0.0:
+                if not 0.0 < total < np.inf:
                     return False
                 factor[j, j] = math.sqrt(total)
             else:
@@ -305,9 +305,10 @@ def region_mask(
 ) -> float:
     """Share of a component inside the region; where it is small, set weights outside to 0.
 
-    `region` holds x, y and z from and to in the world, and the nearest and farthest depth before the home
-    camera. A Gaussian always has a tail outside: as long as at least `REGION_SLACK` of it is inside it is
-    left alone and counts as inside, so that an object inside does not lose its existence bit by bit.
+    `region` holds x, y and z from and to in the world, the nearest and farthest depth before the home
+    camera, and optionally a slack of its own. A Gaussian always has a tail outside: as long as at least the
+    slack of it is inside it is left alone and counts as inside, so that an object inside does not lose its
+    existence bit by bit.
     """
     scale = disparity_scale(destination)
     depths = points[points.shape[0] - 1]
@@ -337,7 +338,8 @@ def region_mask(
         if good and region[6] <= depth <= region[7]:
             weights[i] = sample_weights[i]
             kept += weights[i]
-    if kept >= REGION_SLACK * total:
+    slack = region[8] if len(region) > 8 else REGION_SLACK
+    if kept >= slack * total:
         weights[:] = sample_weights
         return 1.0
     return kept / total

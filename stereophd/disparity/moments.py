@@ -212,6 +212,8 @@ def _low_order(
     Those are the components with a point outside the image: a handful of points says nothing about
     which part of a Gaussian is in view.
     """
+    # a point of a rule stands for no share of the Gaussian: none may be outside
+    region = np.append(region, 1.0) if len(region) else region
     points = _cubature(12 if means.shape[1] == 6 else 3)
     rotation = _rotation(destination)
     noise = _motion_noise(points, motion, rotation)
@@ -226,7 +228,7 @@ def _low_order(
         linear_kernels.linear_components(
             means, covariances, homes, dts, axes, destination, max_speed, moved[0], moved[1]
         )
-    return np.flatnonzero(moved[3] != IN_VIEW)
+    return np.flatnonzero((moved[3] != IN_VIEW) | (moved[6] < 1.0))
 
 
 def _run(

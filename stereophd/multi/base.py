@@ -119,7 +119,8 @@ class DisparityFilter(ABC):
         )
         # what lies outside the region is gone; what was never established and has left the view of the only
         # camera that may have seen it is forgotten, or clutter would fill the world around the view
-        lost = (moved.status == OUT_OF_VIEW) & (mixture.cameras == event.camera) & (weights < IMPORTANT_WEIGHT)
+        unknown = (mixture.tracks < 0) & (weights < IMPORTANT_WEIGHT)
+        lost = unknown & (moved.status == OUT_OF_VIEW) & (mixture.cameras == event.camera)
         return Prediction(mixture.with_weights(np.where(lost, 0.0, weights * moved.inside)), moved)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:

@@ -162,15 +162,15 @@ class PmbFilter(DisparityFilter):
         weights = mixture.weights
         labels = np.where(weights < settings.recycle_below, UNLABELLED, mixture.labels)
         tracked = labels != UNLABELLED
-        # an identity once reported counts more than existence: the older track keeps its name
-        order = np.lexsort((-weights, mixture.tracks < 0, ~tracked))
-        count = int(tracked.sum())
-        rest = order[count:]
-        order = np.concatenate(
-            [order[: min(count, settings.max_components)], rest[weights[rest] >= settings.prune_weight]]
-        )
-        mixture = replace(mixture, labels=labels).take(order)
-        return _merge_tracks(mixture, min(count, settings.max_components), settings.merge_distance)
+        # an identity once reported counts more than existence, and of two the older keeps its name
+        seniority = np.where(mixture.tracks >= 0, mixture.tracks, np.iinfo(np.int64).max)
+        found = np.flatnonzero(tracked)
+        if len(found) > settings.max_components:
+            found = found[np.argsort(-weights[found], kind="stable")[: settings.max_components]]
+        found = found[np.lexsort((-weights[found], seniority[found]))]
+        rest = np.flatnonzero(~tracked & (weights >= settings.prune_weight))
+        mixture = replace(mixture, labels=labels).take(np.concatenate([found, rest]))
+        return _merge_tracks(mixture, len(found), settings.merge_distance)
 
 
 def _merge_tracks(mixture: GaussianMixture, count: int, distance: float) -> GaussianMixture:

@@ -72,10 +72,7 @@ def test_evidence_is_exact_on_trees(seed: int, n_tracks: int, n_detections: int,
     assert_sums_to_one(found, 2e-3)
 
 
-STOPS_EARLY = pytest.mark.xfail(reason="messages stop at an absolute change of 1e-6", strict=True)
-
-
-@pytest.mark.parametrize("high", [pytest.param(h, marks=STOPS_EARLY) for h in (1.0, 3.0, 6.0, 12.0)])
+@pytest.mark.parametrize("high", [1.0, 3.0, 6.0, 12.0])
 def test_marginals_are_exact_on_trees(high: float) -> None:
     rng = np.random.default_rng(10)
     for _ in range(500):
@@ -94,7 +91,7 @@ def chain(odds: list[float]) -> np.ndarray:
     return matrix
 
 
-@pytest.mark.parametrize("value", [pytest.param(0.3, marks=STOPS_EARLY), 3.0, 300.0, 3e6, 3e9])
+@pytest.mark.parametrize("value", [0.3, 3.0, 300.0, 3e6, 3e9])
 def test_marginals_are_exact_on_chains(value: float) -> None:
     """A message has to travel the length of the chain: stopping early shows here."""
     odds = chain([value] * 11)

@@ -397,15 +397,12 @@ def test_recycled_and_back() -> None:
     assert len(state.mixture) == 0
 
 
-BY_WEIGHT = pytest.mark.xfail(reason="of two reported tracks the more probable one keeps its identity", strict=True)
-
-
 @pytest.mark.parametrize(
     ("tracks", "weights", "kept"),
     [
         ([3, 7], [0.99, 0.9], 3),
         ([7, 3], [0.9, 0.99], 3),
-        pytest.param([3, 7], [0.9, 0.99], 3, marks=BY_WEIGHT),
+        ([3, 7], [0.9, 0.99], 3),
         ([3, -1], [0.5, 0.99], 3),
         ([-1, 3], [0.99, 0.5], 3),
         ([-1, -1], [0.5, 0.6], -1),
@@ -522,7 +519,7 @@ def test_objects_are_tracked_through_misses(method: str) -> None:
         assert cost[rows, columns].max() < 3.0
         if k == 22:
             owner = dict(zip(estimates.track_ids[rows].tolist(), columns.tolist(), strict=True))
-        assert {i: j for i, j in zip(estimates.track_ids[rows].tolist(), columns.tolist(), strict=True)} == owner
+        assert dict(zip(estimates.track_ids[rows].tolist(), columns.tolist(), strict=True)) == owner
     assert steps[-1][0].next_track <= 4
 
 

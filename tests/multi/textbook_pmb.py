@@ -90,7 +90,8 @@ class TextbookPmb:
         pd, born = self.p_detect, self.p_detect * self.births / self.area
         old = [[self.updated(z, m, p) for z in detections] for _, m, p in tracks]
         recycled = [[self.updated(z, m, p) for _, m, p in unseen] for z in detections]
-        first = np.array([born + sum(pd * w * u[0] for (w, _, _), u in zip(unseen, row)) for row in recycled])
+        weights = pd * np.array([w for w, _, _ in unseen])
+        first = np.array([born + sum(weights * [u[0] for u in row]) for row in recycled])
         other = self.clutter / self.area + first
         missed = np.array([1.0 - pd * r for r, _, _ in tracks])
         odds = np.array([[u[0] for u in row] for row in old]).reshape(len(tracks), len(detections))
@@ -109,7 +110,7 @@ class TextbookPmb:
         for j, z in enumerate(detections):
             existence = unclaimed[j] * first[j] / other[j]
             parts = [(born / first[j], np.concatenate([z, self.birth_mean]), self.birth_covariance)]
-            for (w, _, _), (density, m, p) in zip(unseen, recycled[j]):
+            for (w, _, _), (density, m, p) in zip(unseen, recycled[j], strict=True):
                 share = pd * w * density / first[j]
                 if share > LEAST_SHARE and existence >= self.prune:
                     parts.append((share, m, p))
