@@ -353,6 +353,14 @@ class PmbConfig(Model):
         4.0, description="squared Mahalanobis distance, in both covariances, below which two tracks are one"
     )
     max_components: Annotated[int, Field(ge=1)] = Field(1000, description="the most probable tracks are kept")
+    hypothesis_distance: Annotated[float, Field(ge=0)] = Field(
+        4.0,
+        description="squared Mahalanobis distance, in both covariances, below which two hypotheses of one track merge; "
+        ".inf: one Gaussian a track",
+    )
+    least_share: Annotated[float, Field(ge=0, lt=1)] = Field(
+        1e-3, description="hypotheses of a smaller share of their track are dropped"
+    )
     extraction: PmbExtractionConfig = Field(default_factory=PmbExtractionConfig)
 
 

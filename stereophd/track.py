@@ -162,6 +162,8 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
             prune_weight=settings.prune_weight,
             merge_distance=settings.merge_distance,
             max_components=settings.max_components,
+            hypothesis_distance=settings.hypothesis_distance,
+            least_share=settings.least_share,
             hysteresis=hysteresis,
         )
         return PmbFilter(rig, motion, sets, pmb, threads)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stereophd.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion, Static
+from stereophd.multi.association import kalman_updates
 from stereophd.multi.birth import BirthPrior, birth_moments
 from stereophd.multi.events import Event, Rig
 from stereophd.multi.extract import Hysteresis, select_objects
@@ -187,4 +188,28 @@ def missed_states(prediction: Prediction, event: Event) -> GaussianMixture:
         mixture.labels,
         mixture.tracks,
         mixture.reported,
+    )
+
+
+def updated_components(
+    prediction: Prediction,
+    event: Event,
+    components: NDArray[np.int64],
+    detections: NDArray[np.int64],
+    weights: Array,
+) -> GaussianMixture:
+    """Components updated with detections, in the event's space."""
+    moved, mixture = prediction.moved, prediction.mixture
+    means, covariances = kalman_updates(
+        moved.means, moved.covariances, components, detections, event.points, event.covariances
+    )
+    return GaussianMixture(
+        weights,
+        means,
+        covariances,
+        np.full(len(weights), event.camera),
+        np.full(len(weights), event.time_s),
+        mixture.labels[components],
+        mixture.tracks[components],
+        mixture.reported[components],
     )

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from stereophd.disparity.moments import OUT_OF_VIEW
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion
-from stereophd.multi.association import kalman_updates, pair_likelihoods
-from stereophd.multi.base import DisparityFilter, FilterState, Prediction, missed_states
+from stereophd.multi.association import pair_likelihoods
+from stereophd.multi.base import DisparityFilter, FilterState, Prediction, missed_states, updated_components
 from stereophd.multi.birth import BirthPrior
 from stereophd.multi.events import Event, Rig
 from stereophd.multi.extract import Hysteresis
-from stereophd.multi.intensity import GaussianMixture, Info, concatenate
+from stereophd.multi.intensity import Info, concatenate
 from stereophd.multi.reduce import reduce_mixture
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ class PhdFilter(DisparityFilter):
         weights = joint / totals[detections]
         kept = weights >= settings.prune_weight
         missed = missed_states(prediction, event).with_weights(mixture.weights - detected)
-        updated = _updated(prediction, event, components[kept], detections[kept], weights[kept])
+        updated = updated_components(prediction, event, components[kept], detections[kept], weights[kept])
         births = self.births(event, np.asarray(born * per_area / totals), state.next_label)
         reduced = reduce_mixture(
             concatenate([missed, updated, births]),
@@ -97,27 +97,3 @@ class PhdFilter(DisparityFilter):
         info = Info(log_likelihood, float(reduced.weights.sum()), len(reduced))
         label = state.next_label + len(event.points)
         return FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track), info
-
-
-def _updated(
-    prediction: Prediction,
-    event: Event,
-    components: NDArray[np.int64],
-    detections: NDArray[np.int64],
-    weights: Array,
-) -> GaussianMixture:
-    """Components updated with detections, in the event's space."""
-    moved, mixture = prediction.moved, prediction.mixture
-    means, covariances = kalman_updates(
-        moved.means, moved.covariances, components, detections, event.points, event.covariances
-    )
-    return GaussianMixture(
-        weights,
-        means,
-        covariances,
-        np.full(len(weights), event.camera),
-        np.full(len(weights), event.time_s),
-        mixture.labels[components],
-        mixture.tracks[components],
-        mixture.reported[components],
-    )

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.compilation import compiled
-from stereophd.disparity.moments import IN_VIEW, OUT_OF_VIEW
+from stereophd.disparity.moments import OUT_OF_VIEW
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion
 from stereophd.multi.association import kalman_updates, pair_likelihoods
-from stereophd.multi.base import DisparityFilter, FilterState, Prediction, missed_states
+from stereophd.multi.base import DisparityFilter, FilterState, Prediction, missed_states, updated_components
 from stereophd.multi.belief import association_marginals
 from stereophd.multi.birth import BirthPrior
 from stereophd.multi.events import Event, Rig
@@ -58,6 +58,11 @@ class PmbSettings:
         Squared Mahalanobis distance, in the covariances of both, below which two tracks are one object.
     max_components : int
         The most probable tracks are kept.
+    hypothesis_distance : float
+        Squared Mahalanobis distance, in the covariances of both, below which two hypotheses of a track merge;
+        infinity for one Gaussian a track in each camera's space.
+    least_share : float
+        Hypotheses of a smaller share of their track are dropped.
     hysteresis : Hysteresis
         Which tracks are reported.
     """
@@ -68,6 +73,8 @@ class PmbSettings:
     prune_weight: float = 1e-4
     merge_distance: float = 4.0
     max_components: int = 1000
+    hypothesis_distance: float = 4.0
+    least_share: float = 1e-3
     hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.9, 0.02))
 
 
@@ -100,21 +107,25 @@ class PmbFilter(DisparityFilter):
             event.covariances,
             event.areas,
         )
+        n_detections = len(event.points)
         labelled = mixture.labels != UNLABELLED
         claims = labelled[components]
         joint = detected[components] * densities
-        n_detections = len(event.points)
         # the first detection of an object: of one that is unknown so far, or of a recycled track
         birth = p_detect * self.birth.per_frame * per_area
         recycled = joint[~claims]
         first = birth + np.bincount(detections[~claims], weights=recycled, minlength=n_detections)
         unclaimed_density = clutter * per_area + first
-        missed = np.where(labelled, np.maximum(1.0 - detected, LEAST_MISSED), 1.0)
+        # the components of a label are alternatives for one track, which claims a detection as a whole
+        labels, member = np.unique(mixture.labels, return_inverse=True)
         tracks, targets = components[claims], detections[claims]
-        odds = joint[claims] / (missed[tracks] * unclaimed_density[targets])
-        share, untouched, unclaimed, log_bethe = association_marginals(
-            tracks, targets, odds, len(mixture), n_detections
-        )
+        pairs, pair = np.unique(member[tracks] * n_detections + targets, return_inverse=True)
+        claim = np.bincount(pair, weights=joint[claims], minlength=len(pairs))
+        owners, wanted = pairs // max(n_detections, 1), pairs % max(n_detections, 1)
+        seen = np.bincount(member, weights=detected, minlength=len(labels))
+        missed = np.where(labels != UNLABELLED, np.maximum(1.0 - seen, LEAST_MISSED), 1.0)
+        odds = claim / (missed[owners] * unclaimed_density[wanted])
+        share, untouched, unclaimed, log_bethe = association_marginals(owners, wanted, odds, len(labels), n_detections)
         log_likelihood = float(
             log_bethe
             + np.log(unclaimed_density).sum()
@@ -123,13 +134,15 @@ class PmbFilter(DisparityFilter):
             - p_detect * self.birth.per_frame
             - detected[~labelled].sum()
         )
-        # existence without a detection in this event; for the intensity, its undetected part
-        still = np.where(labelled, untouched * (mixture.weights - detected) / missed, mixture.weights - detected)
-        old = _mix_tracks(prediction, event, still, tracks, targets, share)
+        # weights without a detection in this event, and with each
+        still = (mixture.weights - detected) * np.where(labelled, (untouched / missed)[member], 1.0)
+        taken = share[pair] * joint[claims] / claim[pair]
+        kept = taken >= LEAST_SHARE * self.settings.prune_weight
+        updated = updated_components(prediction, event, tracks[kept], targets[kept], taken[kept])
         existence = np.asarray(unclaimed * first / unclaimed_density)
         sources = (components[~claims], detections[~claims], recycled / first[detections[~claims]])
         new = self._first_detections(state, prediction, event, existence, np.asarray(birth / first), sources)
-        reduced = self._reduce(concatenate([old, new]))
+        reduced = self._reduce(concatenate([missed_states(prediction, event).with_weights(still), updated, new]))
         tracked = reduced.labels != UNLABELLED
         info = Info(log_likelihood, float(reduced.weights[tracked].sum()), len(reduced))
         label = state.next_label + n_detections
@@ -157,70 +170,79 @@ class PmbFilter(DisparityFilter):
         return replace(newborn, means=means, covariances=covariances)
 
     def _reduce(self, mixture: GaussianMixture) -> GaussianMixture:
-        """Recycle improbable tracks, drop what is negligible, merge tracks of one object."""
-        settings = self.settings
-        weights = mixture.weights
-        labels = np.where(weights < settings.recycle_below, UNLABELLED, mixture.labels)
-        tracked = labels != UNLABELLED
-        # an identity once reported counts more than existence, and of two the older keeps its name
-        seniority = np.where(mixture.tracks >= 0, mixture.tracks, np.iinfo(np.int64).max)
-        found = np.flatnonzero(tracked)
-        if len(found) > settings.max_components:
-            found = found[np.argsort(-weights[found], kind="stable")[: settings.max_components]]
-        found = found[np.lexsort((-weights[found], seniority[found]))]
-        rest = np.flatnonzero(~tracked & (weights >= settings.prune_weight))
-        mixture = replace(mixture, labels=labels).take(np.concatenate([found, rest]))
-        return _merge_tracks(mixture, len(found), settings.merge_distance)
+        """Drop negligible hypotheses, merge those that agree, recycle improbable tracks."""
+        settings, n_cameras = self.settings, len(self.rig.cameras)
+        unknown = np.flatnonzero((mixture.labels == UNLABELLED) & (mixture.weights >= settings.prune_weight))
+        undetected = mixture.take(unknown)
+        mixture = mixture.take(np.flatnonzero(mixture.labels != UNLABELLED))
+        labels, member = np.unique(mixture.labels, return_inverse=True)
+        existence = np.bincount(member, weights=mixture.weights, minlength=len(labels))
+        tracked = existence >= settings.recycle_below
+        if tracked.sum() > settings.max_components:
+            ranked = np.argsort(-existence, kind="stable")
+            existence[ranked[settings.max_components :]] = 0.0
+            tracked &= existence > 0.0
+        whole = existence[member]
+        kept = np.flatnonzero((mixture.weights >= settings.least_share * whole) & (whole >= settings.prune_weight))
+        # what is dropped of a track goes to its other hypotheses: existence stays
+        remains = np.bincount(member[kept], weights=mixture.weights[kept], minlength=len(labels))
+        scale = np.minimum(existence, 1.0) / np.maximum(remains, np.finfo(float).tiny)
+        mixture = mixture.with_weights(mixture.weights * scale[member])
+        order = kept[np.argsort(-mixture.weights[kept], kind="stable")]
+        hypotheses = _merge_hypotheses(mixture.take(order), settings.hypothesis_distance, n_cameras)
+        held = np.isin(hypotheses.labels, labels[tracked])
+        weak = hypotheses.take(np.flatnonzero(~held & (hypotheses.weights >= settings.prune_weight)))
+        weak = replace(weak, labels=np.full(len(weak), UNLABELLED))
+        certain = hypotheses.take(np.flatnonzero(held))
+        tracks = _merge_tracks(certain, settings.merge_distance)
+        if tracks is not certain:
+            tracks = _merge_hypotheses(tracks, settings.hypothesis_distance, n_cameras)
+        return concatenate([tracks, undetected, weak])
 
 
-def _merge_tracks(mixture: GaussianMixture, count: int, distance: float) -> GaussianMixture:
-    """Merge those of the first `count` components that have come to describe one object.
-
-    The first of them gives the identity.
-    """
-    if count < 2 or distance <= 0.0:
-        return mixture
+def _merge_hypotheses(tracks: GaussianMixture, distance: float, n_cameras: int) -> GaussianMixture:
+    """Merge hypotheses of one track that agree; components in order of falling weight."""
+    # as charts are told apart by camera and time, so are tracks
+    chart = tracks.labels * n_cameras + tracks.cameras
     weights, means, covariances, leaders = merge_sorted(
-        mixture.weights[:count],
-        mixture.means[:count],
-        mixture.covariances[:count],
-        mixture.cameras[:count],
-        mixture.times[:count],
-        distance,
-        True,
+        tracks.weights, tracks.means, tracks.covariances, chart, tracks.times, distance, True
     )
-    if len(leaders) == count:
-        return mixture
-    merged = replace(mixture.take(leaders), weights=np.minimum(weights, 1.0), means=means, covariances=covariances)
-    return concatenate([merged, mixture.take(np.arange(count, len(mixture)))])
+    return replace(tracks.take(leaders), weights=weights, means=means, covariances=covariances)
 
 
-def _mix_tracks(
-    prediction: Prediction, event: Event, still: Array, tracks: Integers, targets: Integers, share: Array
-) -> GaussianMixture:
-    """Tracks after the association: existence, and one Gaussian for all hypotheses of each.
+def _merge_tracks(tracks: GaussianMixture, distance: float) -> GaussianMixture:
+    """Give tracks whose heaviest hypotheses have come to agree one label: of two identities the older."""
+    _, first = np.unique(tracks.labels, return_index=True)
+    if len(first) < 2 or distance <= 0.0:
+        return tracks
+    # an identity once reported counts more than existence, and of two the older keeps its name
+    seniority = np.where(tracks.tracks[first] >= 0, tracks.tracks[first], np.iinfo(np.int64).max)
+    first = first[np.lexsort((-tracks.weights[first], seniority))]
+    heads = tracks.take(first)
+    leaders = merge_sorted(heads.weights, heads.means, heads.covariances, heads.cameras, heads.times, distance, True)[3]
+    if len(leaders) == len(first):
+        return tracks
+    return _join(tracks, heads, leaders, distance)
 
-    A track wholly in view is mixed in the event's space. One partly in view that was more probably
-    missed keeps the Gaussian of its missed part, at home; else that of its detected part.
-    """
-    moved = prediction.moved
-    claimed = np.bincount(tracks, weights=share, minlength=len(still))
-    missed = missed_states(prediction, event)
-    here = (moved.status == IN_VIEW) | (claimed > still)
-    kept = here[tracks] & (share > LEAST_SHARE * (claimed + still)[tracks])
-    base = np.where(moved.status == IN_VIEW, still, 0.0)
-    means, covariances = _mix_pairs(
-        prediction, event, tracks[kept], targets[kept], share[kept], tracks[kept],
-        base, missed.means, missed.covariances,
-    )  # fmt: skip
-    return replace(
-        missed,
-        weights=np.minimum(still + claimed, 1.0),
-        means=means,
-        covariances=covariances,
-        cameras=np.where(here, event.camera, missed.cameras),
-        times=np.where(here, event.time_s, missed.times),
-    )
+
+def _join(tracks: GaussianMixture, heads: GaussianMixture, leaders: Integers, distance: float) -> GaussianMixture:
+    """Give every track that is no leader the label of the first leader that its head agrees with."""
+    labels, identities, reported = tracks.labels.copy(), tracks.tracks.copy(), tracks.reported.copy()
+    for junior in np.setdiff1d(np.arange(len(heads)), leaders):
+        for senior in leaders[leaders < junior]:
+            both = heads.take(np.array([senior, junior]))
+            found = merge_sorted(
+                both.weights, both.means, both.covariances, both.cameras, both.times, distance, True
+            )  # fmt: skip
+            if len(found[0]) == 1:
+                moved = labels == heads.labels[junior]
+                labels[moved] = heads.labels[senior]
+                identities[moved], reported[moved] = heads.tracks[senior], heads.reported[senior]
+                break
+    _, member = np.unique(labels, return_inverse=True)
+    existence = np.bincount(member, weights=tracks.weights)
+    weights = tracks.weights / np.maximum(existence, 1.0)[member]
+    return replace(tracks, weights=weights, labels=labels, tracks=identities, reported=reported)
 
 
 def _mix_pairs(

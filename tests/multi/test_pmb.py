@@ -47,6 +47,10 @@ Step = tuple[FilterState, Info, Estimates]
 Frames = list[tuple[float, int, np.ndarray]]
 
 
+# All hypotheses of a track in one camera's space are moment-matched, as in Williams's filter.
+ONE_GAUSSIAN: dict[str, float] = {"hypothesis_distance": np.inf, "least_share": 0.0}
+
+
 def make_pmb(
     cameras: list[Camera] | None = None,
     motion: Motion | None = None,
@@ -130,7 +134,7 @@ W, PD, LAMBDA, B = 0.8, 0.9, 3.0, PRIOR.per_frame
 
 
 def by_hand() -> tuple[PmbFilter, FilterState]:
-    multi_filter = make_pmb([make_camera(p_detect=PD, clutter=LAMBDA)], Static(), survival_per_s=1.0)
+    multi_filter = make_pmb([make_camera(p_detect=PD, clutter=LAMBDA)], Static(), survival_per_s=1.0, **ONE_GAUSSIAN)
     return multi_filter, one_track(multi_filter, W, [2.0, -3.0, 100.0])
 
 
@@ -247,7 +251,7 @@ def assert_same(found: GaussianMixture, expected: list[Component], margin: float
 def naive(case: LinearCase) -> tuple[PmbFilter, TextbookPmb]:
     phd, textbook = case.filter("qmc"), case.textbook()
     birth = BirthPrior(BIRTHS, case.disparity, None, case.velocity_std)
-    settings = PmbSettings(SURVIVAL, birth, recycle_below=1e-3, prune_weight=1e-5, merge_distance=4.0)
+    settings = PmbSettings(SURVIVAL, birth, recycle_below=1e-3, prune_weight=1e-5, merge_distance=4.0, **ONE_GAUSSIAN)
     return PmbFilter(phd.rig, phd.motion, phd.sets, settings), TextbookPmb(
         textbook.transition, textbook.process, np.diag(SIGMA**2), SURVIVAL**STEP, P_DETECT, CLUTTER, BIRTHS,
         WIDTH * HEIGHT, textbook.birth_mean, textbook.birth_covariance, 1e-3, 1e-5, 4.0,
@@ -472,20 +476,24 @@ def assert_sound(step: Step) -> None:
     state, info, estimates = step
     mixture = state.mixture
     labelled = mixture.labels != UNLABELLED
-    assert len(set(mixture.labels[labelled])) == labelled.sum()
-    identities = mixture.tracks[mixture.tracks >= 0]
+    labels, member = np.unique(mixture.labels[labelled], return_inverse=True)
+    existence = np.bincount(member, weights=mixture.weights[labelled])
+    assert (mixture.weights > 0.0).all()
+    assert ((existence >= 1e-3) & (existence <= 1.0 + 1e-12)).all()
+    # a track has one identity, and an identity one track
+    of_track = set(zip(mixture.labels[labelled].tolist(), mixture.tracks[labelled].tolist(), strict=True))
+    assert len(of_track) == len(labels)
+    identities = [track for _, track in of_track if track >= 0]
     assert len(set(identities)) == len(identities)
-    assert ((mixture.weights > 0.0) & (mixture.weights <= 1.0)).all()
-    assert (mixture.weights[labelled] >= 1e-3).all()
     assert (mixture.labels < state.next_label).all()
-    assert (identities < state.next_track).all()
+    assert (np.array(identities) < state.next_track).all()
     np.linalg.cholesky(mixture.covariances)
     np.testing.assert_allclose(mixture.covariances, np.swapaxes(mixture.covariances, 1, 2), rtol=1e-10, atol=1e-10)
     assert np.isfinite(mixture.means).all()
     assert np.isfinite(info.log_likelihood)
     assert info.cardinality_mean == pytest.approx(mixture.weights[labelled].sum(), rel=1e-12)
     assert (np.diff(estimates.track_ids) > 0).all()
-    assert ((estimates.existence > 0.0) & (estimates.existence <= 1.0)).all()
+    assert ((estimates.existence > 0.0) & (estimates.existence <= 1.0 + 1e-12)).all()
     np.linalg.cholesky(estimates.covariances)
 
 
@@ -500,7 +508,8 @@ def test_every_state_is_sound(seed: int, method: str, p_detect: float, cap: int)
     multi_filter = make_pmb(turned, method=method, samples=32, max_components=cap)
     for step in run(multi_filter, made_up_frames(multi_filter, 12, seed, missed=(4, 5), p_detect=p_detect)):
         assert_sound(step)
-        assert (step[0].mixture.labels != UNLABELLED).sum() <= cap
+        labels = step[0].mixture.labels
+        assert len(np.unique(labels[labels != UNLABELLED])) <= cap
 
 
 @pytest.mark.parametrize("method", ["qmc", "particle", "unscented", "linear"])
@@ -561,7 +570,7 @@ def test_the_evidence_is_smooth_in_the_pose(axis: str, seed: int) -> None:
     coarse = along(np.arange(-10, 11) * 1.1e-4)
     fine = along(np.arange(-10, 11) * 1.1e-5)
     assert np.abs(np.diff(coarse, 2)).max() < (1.0 if axis == "pitch" else 0.25)
-    assert np.abs(np.diff(fine, 2)).max() < 0.02
+    assert np.abs(np.diff(fine, 2)).max() < 0.05
     if axis == "pitch":
         # 1 px off is worse by nats, and the best is within 0.5 px of the truth
         assert coarse.max() - max(coarse[0], coarse[-1]) > 1.0

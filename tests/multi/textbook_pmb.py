@@ -105,7 +105,7 @@ class TextbookPmb:
             still = none[i] * (1.0 - pd) * r / missed[i]
             existence = still + pair[i].sum()
             shares = [(pair[i, j], *old[i][j][1:]) for j in range(len(detections))]
-            shares = [c for c in shares if c[0] > LEAST_SHARE * existence]
+            shares = [c for c in shares if c[0] > 0.0]
             after.append((min(existence, 1.0), *mixed([(still, m, p), *shares])))
         for j, z in enumerate(detections):
             existence = unclaimed[j] * first[j] / other[j]
