@@ -9,12 +9,12 @@ likelihood estimates of linear dynamic systems", AIAA Journal 3 (8), 1965.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.motion import Motion
+from stereophd.motion import Motion, Static
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,10 @@ class Trajectory:
 def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
     """Return the smoothed trajectory (Rauch, Tung and Striebel 1965) at the same events."""
     states, covariances = trajectory.states.copy(), trajectory.covariances.copy()
+    if isinstance(motion, Static):
+        # what is known at the end holds throughout; the velocity has no covariance to invert
+        states[:], covariances[:] = states[-1], covariances[-1]
+        return replace(trajectory, states=states, covariances=covariances)
     for k in range(len(states) - 2, -1, -1):
         matrix, noise = motion.transition(float(trajectory.times[k + 1] - trajectory.times[k]))
         predicted = matrix @ covariances[k] @ matrix.T + noise
@@ -57,9 +61,7 @@ def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
         states[k] += gain @ (states[k + 1] - matrix @ states[k])
         update = gain @ (covariances[k + 1] - predicted) @ gain.T
         covariances[k] += (update + update.T) / 2.0
-    return Trajectory(
-        trajectory.track_id, trajectory.events, trajectory.times, states, covariances, trajectory.existence
-    )
+    return replace(trajectory, states=states, covariances=covariances)
 
 
 def extend_back(trajectory: Trajectory, events: NDArray[np.int64], times: Array, motion: Motion) -> Trajectory:
@@ -103,18 +105,23 @@ def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float)
     from scipy.optimize import linear_sum_assignment
 
     count = len(trajectories)
-    # twice the limit: an assignment never gains by a pair that is not allowed
+    # twice the limit where no pair is allowed: no assignment gains by such a pair
     cost = np.full((count, count), 2.0 * STITCH_DISTANCE)
     starts = np.array([t.times[0] for t in trajectories])
+    first_events = np.array([t.events[0] for t in trajectories])
     for i, earlier in enumerate(trajectories):
         gaps = starts - earlier.times[-1]
-        for j in np.flatnonzero((gaps > 0.0) & (gaps <= max_gap_s)):
+        after = (first_events > earlier.events[-1]) & (gaps >= 0.0) & (gaps <= max_gap_s)
+        for j in np.flatnonzero(after):
             matrix, noise = motion.transition(float(gaps[j]))
             later = trajectories[int(j)]
             difference = later.states[0] - matrix @ earlier.states[-1]
             covariance = matrix @ earlier.covariances[-1] @ matrix.T + noise + later.covariances[0]
-            cost[i, j] = difference @ np.linalg.solve(covariance, difference)
-    rows, columns = linear_sum_assignment(np.minimum(cost, 2.0 * STITCH_DISTANCE))
+            # static objects have no velocity to compare: its covariance is zero
+            distance = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+            if distance <= STITCH_DISTANCE:
+                cost[i, j] = distance
+    rows, columns = linear_sum_assignment(cost)
     return {
         trajectories[j].track_id: trajectories[i].track_id
         for i, j in zip(rows.tolist(), columns.tolist(), strict=True)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config import BirthConfig, Config, MotionConfig, PmbConfig, RegionConfig
+from stereophd.config import BirthConfig, Config, MotionConfig, PhdConfig, PmbConfig, RegionConfig
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
@@ -97,20 +97,21 @@ def track(
             TableWriter(out.path("tracks.parquet"), TRACKS, metadata) as tracks,
             TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
         ):
-            records = _run(multi_filter, reader, progress)
+            unusable = [0]
+            records = _run(multi_filter, reader, unusable, progress)
             if config.report.smooth is not None:
                 records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
             summary = write_records(records, tracks, scans, config.report.max_position_std)
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": config.units.length,
-            "input": dict(reader.counts),
+            "input": {**reader.counts, "not_invertible": unusable[0]},
             **summary,
             "provenance": record,
         }
         text = json.dumps(report, indent=2, allow_nan=False) + "\n"
         out.path("report.json").write_text(text, encoding="utf-8")
-    _warn_of_losses(reader, log_path, cameras)
+    _warn_of_losses(reader, log_path, cameras, unusable[0])
     return report
 
 
@@ -121,7 +122,7 @@ def _announce_compilation() -> None:
         LOGGER.info("first run: compiling the kernels, once, in about 20 s")
 
 
-def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Camera, ...]) -> None:
+def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Camera, ...], unusable: int) -> None:
     """Say what of the log did not reach the filter, and which cameras said nothing."""
     counts = reader.counts
     LOGGER.info("%s: %d frames, %d detections", log_path, counts["frames"], counts["detections"])
@@ -129,6 +130,8 @@ def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Came
     if dropped:
         why = ", ".join(f"{kind} {count}" for kind, count in dropped.items())
         LOGGER.warning("%s: %d of %d rows dropped (%s)", log_path, sum(dropped.values()), counts["rows"], why)
+    if unusable:
+        LOGGER.warning("%s: %d detections lie where the lens model cannot be inverted: left out", log_path, unusable)
     if counts.get("cameras_without_frames"):
         LOGGER.warning(
             "%s: no frames of %d of the %d cameras", log_path, counts["cameras_without_frames"], len(cameras)
@@ -153,6 +156,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     sets = draw_sample_sets(config.moments.method, config.moments.samples, rows, seed)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     birth = _birth_prior(settings.birth)
+    _check_birth_rate(settings, cameras, path)
     hysteresis = Hysteresis(settings.extraction.confirm, settings.extraction.release)
     if isinstance(settings, PmbConfig):
         pmb = PmbSettings(
@@ -183,6 +187,19 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
 SAMPLES_KEY = 2**31
 
 
+def _check_birth_rate(settings: PhdConfig | PmbConfig, cameras: tuple[Camera, ...], path: Path | str) -> None:
+    """Refuse births so rare that every newborn component would be dropped at once."""
+    for camera in cameras:
+        born = camera.detector.p_detect * settings.birth.per_frame
+        existence = born / (born + camera.detector.clutter_per_frame)
+        if existence < settings.prune_weight:
+            raise InputError(
+                f"{path}: filter.birth.per_frame: expected births that outlive prune_weight "
+                f"{settings.prune_weight:g}, found {settings.birth.per_frame:g}: beside the clutter of "
+                f"{camera.name} a newborn weighs {existence:.2g}"
+            )
+
+
 def build_motion(config: MotionConfig) -> Motion:
     """Return the motion model of a configuration."""
     if config.model == "static":
@@ -209,16 +226,19 @@ def _birth_prior(config: BirthConfig) -> BirthPrior:
     return BirthPrior(config.per_frame, disparity, config.depth_range, config.velocity_std)
 
 
-def _run(multi_filter: DisparityFilter, reader: LogReader, progress: Progress | None) -> Iterator[EventRecord]:
-    """Run the filter over the log, event by event."""
+def _run(
+    multi_filter: DisparityFilter, reader: LogReader, unusable: list[int], progress: Progress | None
+) -> Iterator[EventRecord]:
+    """Run the filter over the log, event by event; `unusable` counts detections that have no undistorted place."""
     state = multi_filter.init()
     for number, frame in enumerate(reader):
         camera = multi_filter.rig.cameras[frame.camera]
         frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
         event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
+        unusable[0] += len(frame.pixels) - len(event.points)
         first_label = state.next_label
         state, info, estimates = multi_filter.step(state, event)
-        yield EventRecord(frame.time_s, camera.name, frame.frame, len(frame.pixels), first_label, info, estimates)
+        yield EventRecord(frame.time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates)
         if progress is not None and number % PROGRESS_EVERY == 0:
             progress(reader.counts["rows"], reader.num_rows)
     if progress is not None:

@@ -150,7 +150,8 @@ def _trajectories(records: Sequence[EventRecord], times: NDArray[np.float64]) ->
         found = [records[number].estimates for number, _ in places]
         rows = [row for _, row in places]
         existence = np.array([e.existence[row] for e, row in zip(found, rows, strict=True)])
-        last = int(np.flatnonzero(existence >= SEEN_EXISTENCE)[-1]) + 1 if existence.max() >= SEEN_EXISTENCE else 1
+        seen = np.flatnonzero(existence >= min(SEEN_EXISTENCE, existence.max()))
+        last = int(seen[-1]) + 1
         numbers = np.array([number for number, _ in places[:last]])
         trajectory = Trajectory(
             track_id,

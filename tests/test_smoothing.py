@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stereophd.motion import ConstantVelocity
+from stereophd.motion import ConstantVelocity, Static
 from stereophd.smoothing import Trajectory, extend_back, smooth, stitch
 
 Array = NDArray[np.float64]
@@ -120,7 +121,8 @@ class TestStitching:
         first = np.array(state_at_start, dtype=float)
         last = ConstantVelocity([0.0] * 3).transition(end - start)[0] @ first
         covariances = np.repeat(np.diag([0.01] * 6)[None], 2, axis=0)
-        return Trajectory(track_id, np.array([0, 1]), times, np.stack([first, last]), covariances, np.ones(2))
+        events = np.round(10 * times).astype(int)
+        return Trajectory(track_id, events, times, np.stack([first, last]), covariances, np.ones(2))
 
     def test_a_piece_that_fits_is_the_same_object(self) -> None:
         pieces = [self.piece(0, 0.0, 5.0, [0, 0, 0, 1, 0, 0]), self.piece(1, 5.5, 9.0, [5.5, 0, 0, 1, 0, 0])]
@@ -144,3 +146,27 @@ class TestStitching:
             self.piece(3, 5.5, 9.0, [5.5, 0.9, 0, 1, 0, 0]),
         ]
         assert stitch(pieces, MOTION, 1.0) == {2: 0, 3: 1}
+
+    def test_a_pair_that_is_not_allowed_costs_no_pair_that_is(self) -> None:
+        """Two ends and two starts of which only one pair fits: the other two must not outbid it."""
+        still = ConstantVelocity([0.0] * 3)
+        pieces = [
+            self.piece(0, 0.0, 5.0, [0.0] * 6),
+            self.piece(1, 0.0, 5.0, [0.60, 0, 0, 0, 0, 0]),
+            self.piece(2, 5.0, 9.0, [0.30, 0, 0, 0, 0, 0]),
+            self.piece(3, 5.0, 9.0, [-0.70, 0, 0, 0, 0, 0]),
+        ]
+        # the last two start at the time at which the first two end, with a later event
+        pieces[2:] = [replace(p, events=np.array([51, 90])) for p in pieces[2:]]
+        found = stitch(pieces, still, 1.0)
+        assert found in ({2: 0}, {2: 1})
+
+
+def test_static_objects_have_one_state_throughout() -> None:
+    covariances = np.zeros((3, 6, 6))
+    covariances[:, :3, :3] = np.array([3.0, 2.0, 1.0])[:, None, None] * np.eye(3)
+    states = np.array([[1.0, 2, 3, 0, 0, 0], [1.5, 2, 3, 0, 0, 0], [1.2, 2, 3, 0, 0, 0]])
+    track = Trajectory(0, np.arange(3), np.arange(3.0), states, covariances, np.ones(3))
+    smoothed = smooth(track, Static())
+    np.testing.assert_array_equal(smoothed.states, np.repeat(states[-1:], 3, axis=0))
+    np.testing.assert_array_equal(smoothed.covariances, np.repeat(covariances[-1:], 3, axis=0))

@@ -34,8 +34,9 @@ def track_command(
 ) -> None:
     """Turn a detection log into 3-D tracks: tracks.parquet, scans.parquet and report.json."""
     session = begin(context)
-    settings = [*(overrides or []), *(["report.smooth={}"] if smooth else [])]
-    loaded = load(config, settings, seed, cameras)
+    loaded = load(config, overrides, seed, cameras)
+    if smooth and loaded.config.report.smooth is None:
+        loaded = load(config, [*(overrides or []), "report.smooth={}"], seed, cameras)
     from stereophd.track import track
 
     with progress_bar(session, "track") as progress:

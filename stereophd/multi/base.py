@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +87,9 @@ class DisparityFilter(ABC):
     hysteresis: Hysteresis
     threads: int
 
+    #: Whether components of one label may be several objects (`select_objects`).
+    labels_may_split: ClassVar[bool] = True
+
     @abstractmethod
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event."""
@@ -126,7 +130,9 @@ class DisparityFilter(ABC):
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
-        chosen = select_objects(state.mixture, self.hysteresis, state.next_label, state.next_track)
+        chosen = select_objects(
+            state.mixture, self.hysteresis, state.next_label, state.next_track, self.labels_may_split
+        )
         state = FilterState(chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track)
         parts = chosen.mixture.take(chosen.index)
         time_s = 0.0 if state.time_s is None else state.time_s

@@ -37,7 +37,9 @@ class Selection:
     next_track: int
 
 
-def select_objects(mixture: GaussianMixture, hysteresis: Hysteresis, next_label: int, next_track: int) -> Selection:
+def select_objects(
+    mixture: GaussianMixture, hysteresis: Hysteresis, next_label: int, next_track: int, split: bool = True
+) -> Selection:
     """Choose the components that are reported, and give identities in order of confirmation.
 
     The components of a label are alternatives for one object: their weights add up, and the heaviest
@@ -52,6 +54,9 @@ def select_objects(mixture: GaussianMixture, hysteresis: Hysteresis, next_label:
         Thresholds.
     next_label, next_track : int
         First unused label and identity.
+    split : bool
+        Whether a label may stand for several objects: in a PHD it may; hypotheses of one track exclude
+        each other.
 
     Returns
     -------
@@ -62,7 +67,7 @@ def select_objects(mixture: GaussianMixture, hysteresis: Hysteresis, next_label:
     order = order[labels[order] != UNLABELLED]
     first = np.ones(len(order), dtype=bool)
     first[1:] = labels[order][1:] != labels[order][:-1]
-    apart = order[~first & (mixture.weights[order] >= hysteresis.confirm)]
+    apart = order[~first & (mixture.weights[order] >= hysteresis.confirm)] if split else order[:0]
     if len(apart):
         labels[apart] = next_label + np.arange(len(apart))
         next_label += len(apart)

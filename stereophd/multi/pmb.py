@@ -1,10 +1,11 @@
 """Poisson multi-Bernoulli filter on disparity space: labelled tracks.
 
-The track-oriented marginal filter (Williams 2015): each track is a Bernoulli component, a probability
-of existence and one Gaussian; association marginals by loopy belief propagation; objects that were
-never detected are a Poisson intensity, uniform over the image (the observation-driven birth of the PHD
-filter), to which tracks that became improbable are recycled. The log-likelihood of an event is the
-Bethe value of its association problem: smooth in the camera poses, as calibration needs it.
+The track-oriented marginal filter (Williams 2015): each track is a Bernoulli component, a probability of
+existence and a mixture of the hypotheses that the data have not decided yet (most often one Gaussian: the
+pairing of detections of two cameras on one epipolar line stays open for a while); association marginals by
+loopy belief propagation; objects that were never detected are a Poisson intensity, uniform over the image
+(the observation-driven birth of the PHD filter), to which tracks that became improbable are recycled. The
+log-likelihood of an event is the Bethe value of its association problem.
 
 Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA and
 association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
@@ -13,6 +14,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,8 @@ Integers = NDArray[np.int64]
 # A track that must have been detected (certain, in view, detection probability 1) may still be missed
 # with this probability: odds stay finite.
 LEAST_MISSED = 1e-9
+# A track is never more certain than this: at existence 1 no number of misses could end it.
+MOST_EXISTENCE = 1.0 - 1e-9
 # Hypotheses of a smaller share than this are left out of the Gaussian of a track.
 LEAST_SHARE = 1e-4
 
@@ -75,7 +79,7 @@ class PmbSettings:
     max_components: int = 1000
     hypothesis_distance: float = 4.0
     least_share: float = 1e-3
-    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.9, 0.02))
+    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.95, 0.01))
 
 
 @dataclass(frozen=True, init=False)
@@ -87,6 +91,8 @@ class PmbFilter(DisparityFilter):
     """
 
     settings: PmbSettings
+
+    labels_may_split: ClassVar[bool] = False
 
     def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PmbSettings, threads: int = 1) -> None:
         super().__init__(rig, motion, sets, settings.survival_per_s, settings.birth, settings.hysteresis, threads)
@@ -186,7 +192,7 @@ class PmbFilter(DisparityFilter):
         kept = np.flatnonzero((mixture.weights >= settings.least_share * whole) & (whole >= settings.prune_weight))
         # what is dropped of a track goes to its other hypotheses: existence stays
         remains = np.bincount(member[kept], weights=mixture.weights[kept], minlength=len(labels))
-        scale = np.minimum(existence, 1.0) / np.maximum(remains, np.finfo(float).tiny)
+        scale = np.minimum(existence, MOST_EXISTENCE) / np.maximum(remains, np.finfo(float).tiny)
         mixture = mixture.with_weights(mixture.weights * scale[member])
         order = kept[np.argsort(-mixture.weights[kept], kind="stable")]
         hypotheses = _merge_hypotheses(mixture.take(order), settings.hypothesis_distance, n_cameras)
