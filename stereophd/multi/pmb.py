@@ -24,6 +24,7 @@ from stereophd.disparity.moments import OUT_OF_VIEW
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion
 from stereophd.multi.association import kalman_updates, pair_likelihoods
+from stereophd.multi.attribution import detected_labels
 from stereophd.multi.base import DisparityFilter, FilterState, Prediction, missed_states, updated_components
 from stereophd.multi.belief import association_marginals
 from stereophd.multi.birth import BirthPrior
@@ -148,9 +149,11 @@ class PmbFilter(DisparityFilter):
         existence = np.asarray(unclaimed * first / unclaimed_density)
         sources = (components[~claims], detections[~claims], recycled / first[detections[~claims]])
         new = self._first_detections(state, prediction, event, existence, np.asarray(birth / first), sources)
-        reduced = self._reduce(concatenate([missed_states(prediction, event).with_weights(still), updated, new]))
+        parts = concatenate([missed_states(prediction, event).with_weights(still), updated, new])
+        detected_now = detected_labels(parts.labels, parts.weights, len(mixture))
+        reduced = self._reduce(parts)
         tracked = reduced.labels != UNLABELLED
-        info = Info(log_likelihood, float(reduced.weights[tracked].sum()), len(reduced))
+        info = Info(log_likelihood, float(reduced.weights[tracked].sum()), len(reduced), detected_now)
         label = state.next_label + n_detections
         return FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track), info
 
