@@ -169,6 +169,17 @@ class CameraConfig(Model):
     frame_rate_hz: Positive | None = Field(None, description="frames per second (simulate)")
     phase_s: Finite = Field(0.0, description="time of the first frame after the start (simulate)")
     clock: ClockConfig = Field(default_factory=ClockConfig)
+    readout_s: Finite = Field(
+        0.0,
+        description="rolling shutter: a detection in row v was made readout_s * v / height after the time of its "
+        "frame, s; negative: read from the bottom up",
+    )
+
+    @model_validator(mode="after")
+    def _readout_at_rest(self) -> CameraConfig:
+        if self.readout_s != 0.0 and (any(self.pose.velocity) or any(self.pose.rotation_rate_deg_s)):
+            raise ValueError(f"readout_s: expected 0 of a camera that moves, found {self.readout_s:g}")
+        return self
 
     def build(self, name: str) -> Camera:
         """Return the geometric `Camera` of this name."""
@@ -192,6 +203,7 @@ class CameraConfig(Model):
             frame_rate_hz=self.frame_rate_hz,
             phase_s=self.phase_s,
             clock=Clock(self.clock.offset_s, self.clock.rate),
+            readout_s=self.readout_s,
         )
 
 

@@ -76,6 +76,7 @@ class PhdFilter(DisparityFilter):
             event.points,
             event.covariances,
             event.areas,
+            event.delays,
         )
         # clutter, births and components compete for every detection
         born = p_detect * settings.birth.per_frame

@@ -96,6 +96,7 @@ class PmbFilter(DisparityFilter):
             event.points,
             event.covariances,
             event.areas,
+            event.delays,
             newborn_means,
             newborn_covariances,
             (event.camera, event.time_s, state.next_label),
