@@ -240,15 +240,25 @@ class MotionConfig(Model):
 class MomentsConfig(Model):
     """How a Gaussian is carried from one disparity space to another (paper IV-B, V-B, VI-C)."""
 
-    method: Literal["qmc", "particle", "unscented", "linear"] = "qmc"
+    method: Literal["adaptive", "qmc", "particle", "unscented", "linear"] = Field(
+        "qmc",
+        description="qmc: quasi-random samples; particle: pseudo-random samples (the paper's); adaptive: a low-order "
+        "rule for each component over which the map is nearly linear, quasi-random samples for the others; unscented, "
+        "linear: low-order rules throughout",
+    )
     samples: Annotated[int, Field(ge=16, le=65536)] = Field(
-        64, description="samples per Gaussian (qmc: a power of two)"
+        64, description="samples per Gaussian (qmc, adaptive: a power of two)"
+    )
+    max_nonlinearity: Positive = Field(
+        0.03,
+        description="adaptive: components are sampled above this curvature of one standard deviation, in standard "
+        "deviations of the result",
     )
 
     @model_validator(mode="after")
     def _power_of_two(self) -> MomentsConfig:
-        if self.method == "qmc" and self.samples & (self.samples - 1):
-            raise ValueError(f"samples: expected a power of two for method qmc, found {self.samples}")
+        if self.method in ("qmc", "adaptive") and self.samples & (self.samples - 1):
+            raise ValueError(f"samples: expected a power of two for method {self.method}, found {self.samples}")
         return self
 
 
