@@ -368,6 +368,12 @@ class PhdConfig(Model):
         description="mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)",
     )
     max_components: Annotated[int, Field(ge=1)] = Field(1000, description="the heaviest components are kept")
+    missed: Literal["split", "keep"] = Field(
+        "split",
+        description="what a miss says of a component that is partly in view. split: the part in view becomes less "
+        "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
+        "detectors miss an occluded object for many frames in a row, and each would squeeze the shape",
+    )
     extraction: ExtractionConfig = Field(default_factory=ExtractionConfig, description="what is reported as an object")
 
 
@@ -403,6 +409,12 @@ class PmbConfig(Model):
     )
     least_share: Annotated[float, Field(ge=0, lt=1)] = Field(
         1e-3, description="hypotheses of a smaller share of their track are dropped"
+    )
+    missed: Literal["split", "keep"] = Field(
+        "keep",
+        description="what a miss says of a component that is partly in view. split: the part in view becomes less "
+        "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
+        "detectors miss an occluded object for many frames in a row, and each would squeeze the shape",
     )
     extraction: PmbExtractionConfig = Field(
         default_factory=PmbExtractionConfig, description="which tracks are reported"

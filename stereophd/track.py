@@ -184,6 +184,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
             max_components=settings.max_components,
             hypothesis_distance=settings.hypothesis_distance,
             least_share=settings.least_share,
+            split_missed=settings.missed == "split",
             hysteresis=hysteresis,
         )
         return PmbFilter(rig, motion, sets, pmb, threads)
@@ -193,6 +194,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         prune_weight=settings.prune_weight,
         merge_distance=settings.merge_distance,
         merge_mutual=settings.merge_rule == "mutual",
+        split_missed=settings.missed == "split",
         max_components=settings.max_components,
         hysteresis=hysteresis,
     )

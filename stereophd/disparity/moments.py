@@ -112,7 +112,7 @@ def move(
     turn : int
         Number of the event: picks the set.
     p_detect : float
-        Probability of detection inside the image, for the missed part.
+        Probability of detection inside the image, for the shape of the missed part: 0 leaves it as it was.
     important : array (n,) of bool, optional
         Components to look at with more samples when too few are in view: an object at the edge of the
         field of view would otherwise be taken for a new one.
