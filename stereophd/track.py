@@ -39,6 +39,7 @@ from stereophd.multi.events import make_rig
 from stereophd.multi.extract import Hysteresis
 from stereophd.multi.phd import PhdFilter, PhdSettings
 from stereophd.multi.pmb import PmbFilter, PmbSettings
+from stereophd.track_detectors import estimate_detectors
 from stereophd.track_output import smoothed_records, write_records
 from stereophd.track_run import Progress, ReportTimes, run_filter
 
@@ -91,10 +92,19 @@ def track(
     config = loaded.config
     cameras = loaded.build_cameras()
     multi_filter = build_filter(config, cameras, loaded.path, threads)
+    estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, config.seed)
     _announce_compilation()
     reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
     with OutputFolder(out_dir, FILES, force) as out:
+        detectors = None
+        if estimated:
+            cameras, detectors = estimate_detectors(
+                cameras, estimated, lambda found: _labelled_filter(config, found, loaded.path, threads),
+                lambda: LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px),
+                progress,
+            )  # fmt: skip
+            multi_filter = build_filter(config, cameras, loaded.path, threads)
         record = provenance("track", loaded, inputs={"detections": log_path})
         metadata = to_metadata(record)
         with (
@@ -111,6 +121,7 @@ def track(
             "report_version": REPORT_VERSION,
             "length_unit": config.units.length,
             "input": {**reader.counts, "not_invertible": unusable[0]},
+            "detectors": detectors,
             **summary,
             "provenance": record,
         }
@@ -189,6 +200,15 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         hysteresis=hysteresis,
     )
     return PhdFilter(rig, motion, sets, phd, threads)
+
+
+def _labelled_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int) -> DisparityFilter:
+    """Return a filter with labelled tracks, whatever kind the configuration has."""
+    settings = config.filter
+    if isinstance(settings, PhdConfig):
+        labelled = PmbConfig(kind="pmb", survival_per_s=settings.survival_per_s, birth=settings.birth)
+        config = config.model_copy(update={"filter": labelled})
+    return build_filter(config, cameras, path, threads)
 
 
 # Key of the filter's sample sets among the purposes of a seed (simulated runs count from 0).
