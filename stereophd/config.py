@@ -389,7 +389,7 @@ class PhdConfig(Model):
 class PmbExtractionConfig(ExtractionConfig):
     """Thresholds of existence between which a track is reported."""
 
-    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.95, description="reported from this existence on")
+    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.98, description="reported from this existence on")
     release: Annotated[float, Field(gt=0, le=1)] = Field(
         0.01, description="a reported track stays reported until its existence falls below this"
     )
