@@ -265,18 +265,27 @@ FEWEST_QMC_SAMPLES = 64
 class MomentsConfig(Model):
     """How a Gaussian is carried from one disparity space to another (paper IV-B, V-B, VI-C)."""
 
-    method: Literal["qmc", "particle", "unscented", "linear"] = Field(
-        "qmc", description="qmc: scrambled Sobol points; particle: pseudo-random, as the paper has it"
+    method: Literal["adaptive", "qmc", "particle", "unscented", "linear"] = Field(
+        "qmc",
+        description="qmc: scrambled Sobol points; particle: pseudo-random, as the paper has it; adaptive: a low-order "
+        "rule for each component over which the map is nearly linear, Sobol points for the others; unscented, linear: "
+        "low-order rules throughout",
     )
     samples: Annotated[int, Field(ge=16, le=65536)] = Field(
-        64, description="samples per Gaussian (qmc: a power of two, at least 64)"
+        64, description="samples per Gaussian (qmc, adaptive: a power of two, at least 64)"
+    )
+    max_nonlinearity: Positive = Field(
+        0.03,
+        description="adaptive: components are sampled above this curvature of one standard deviation, in standard "
+        "deviations of the result",
     )
 
     @model_validator(mode="after")
     def _power_of_two(self) -> MomentsConfig:
         # mirrored points in twelve dimensions need 48 to have a covariance of full rank
-        if self.method == "qmc" and (self.samples < FEWEST_QMC_SAMPLES or self.samples & (self.samples - 1)):
-            expected = f"a power of two of at least {FEWEST_QMC_SAMPLES} for method qmc"
+        wanting = self.samples < FEWEST_QMC_SAMPLES or self.samples & (self.samples - 1)
+        if self.method in ("qmc", "adaptive") and wanting:
+            expected = f"a power of two of at least {FEWEST_QMC_SAMPLES} for method {self.method}"
             raise ValueError(f"samples: expected {expected}, found {self.samples}")
         return self
 

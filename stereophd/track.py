@@ -169,7 +169,8 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     rows = 3 if isinstance(motion, Static) else 12
     # spawned by purpose: the simulation's random numbers have keys of their own
     seed = np.random.SeedSequence(config.seed, spawn_key=(SAMPLES_KEY,))
-    sets = draw_sample_sets(config.moments.method, config.moments.samples, rows, seed)
+    moments = config.moments
+    sets = draw_sample_sets(moments.method, moments.samples, rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     birth = _birth_prior(settings.birth)
     _check_birth_rate(settings, cameras, path)
