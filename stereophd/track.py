@@ -9,13 +9,25 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config import BirthConfig, Config, MotionConfig, PhdConfig, PmbConfig, RegionConfig
+from stereophd.config import (
+    BirthConfig,
+    CameraTimes,
+    Config,
+    GridTimes,
+    MotionConfig,
+    PhdConfig,
+    PmbConfig,
+    RegionConfig,
+    ReportConfig,
+)
+from stereophd.config_single import SingleConfig
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
@@ -26,24 +38,20 @@ from stereophd.io.tables import SCANS, TRACKS, TableWriter
 from stereophd.motion import ConstantVelocity, Motion, Static
 from stereophd.multi.base import DisparityFilter
 from stereophd.multi.birth import BirthPrior
-from stereophd.multi.events import make_event, make_rig
+from stereophd.multi.events import make_rig
 from stereophd.multi.extract import Hysteresis
 from stereophd.multi.phd import PhdFilter, PhdSettings
 from stereophd.multi.pmb import PmbFilter, PmbSettings
-from stereophd.track_output import EventRecord, smoothed_records, write_records
+from stereophd.track_output import smoothed_records, write_records
+from stereophd.track_run import Progress, Record, ReportTimes, run_filter
+from stereophd.track_single import build_single, run_single
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
     from stereophd.geometry.camera import Camera
 
-# Called with (done, total), in rows of the log.
-Progress = Callable[[int, int], None]
-
 FILES = ("tracks.parquet", "scans.parquet", "report.json")
 REPORT_VERSION = 1
-
-# Events between two calls of `progress`.
-PROGRESS_EVERY = 50
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -86,7 +94,7 @@ def track(
     """
     config = loaded.config
     cameras = loaded.build_cameras()
-    multi_filter = build_filter(config, cameras, loaded.path, threads)
+    motion, run = _prepare(config, cameras, loaded.path, threads)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, config.seed)
     _announce_compilation()
     reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
@@ -98,10 +106,11 @@ def track(
             TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
         ):
             unusable = [0]
-            records = _run(multi_filter, reader, unusable, progress)
+            records = run(reader, report_times(config.report), unusable, progress)
             if config.report.smooth is not None:
-                records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
-            summary = write_records(records, tracks, scans, config.report.max_position_std)
+                records = smoothed_records(records, motion, config.report.smooth.max_gap_s)
+            names = [camera.name for camera in cameras]
+            summary = write_records(records, tracks, scans, names, config.report.max_position_std)
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": config.units.length,
@@ -138,17 +147,31 @@ def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Came
         )
 
 
+def _prepare(
+    config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int
+) -> tuple[Motion, Callable[[LogReader, ReportTimes, list[int], Progress | None], Iterator[Record]]]:
+    """Return the motion model, and what runs the filter or the single-object estimator over a log."""
+    if isinstance(config.filter, SingleConfig):
+        motion, point = build_motion(config.motion), config.filter.point
+        estimator = build_single(config, motion, cameras, path)
+        return motion, partial(run_single, estimator, point)
+    multi_filter = build_filter(config, cameras, path, threads)
+    return multi_filter.motion, partial(run_filter, multi_filter)
+
+
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
     """Return the multi-object filter that a configuration describes.
 
     Raises
     ------
     InputError
-        The configuration (read from `path`) has no ``filter`` section.
+        The configuration (read from `path`) has no ``filter`` section, or not one for many objects.
     """
     settings = config.filter
     if settings is None:
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
+    if isinstance(settings, SingleConfig):
+        raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
     motion = build_motion(config.motion)
     rows = 3 if isinstance(motion, Static) else 12
     # spawned by purpose: the simulation's random numbers have keys of their own
@@ -200,6 +223,14 @@ def _check_birth_rate(settings: PhdConfig | PmbConfig, cameras: tuple[Camera, ..
             )
 
 
+def report_times(config: ReportConfig) -> ReportTimes:
+    """Return when estimates are reported."""
+    times = config.times
+    return ReportTimes(
+        times.camera if isinstance(times, CameraTimes) else None, times.grid if isinstance(times, GridTimes) else None
+    )
+
+
 def build_motion(config: MotionConfig) -> Motion:
     """Return the motion model of a configuration."""
     if config.model == "static":
@@ -224,22 +255,3 @@ def _birth_prior(config: BirthConfig) -> BirthPrior:
     prior = config.disparity
     disparity = None if prior is None else (prior.mean_px, prior.std_px)
     return BirthPrior(config.per_frame, disparity, config.depth_range, config.velocity_std)
-
-
-def _run(
-    multi_filter: DisparityFilter, reader: LogReader, unusable: list[int], progress: Progress | None
-) -> Iterator[EventRecord]:
-    """Run the filter over the log, event by event; `unusable` counts detections that have no undistorted place."""
-    state = multi_filter.init()
-    for number, frame in enumerate(reader):
-        camera = multi_filter.rig.cameras[frame.camera]
-        frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
-        event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
-        unusable[0] += len(frame.pixels) - len(event.points)
-        first_label = state.next_label
-        state, info, estimates = multi_filter.step(state, event)
-        yield EventRecord(frame.time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates)
-        if progress is not None and number % PROGRESS_EVERY == 0:
-            progress(reader.counts["rows"], reader.num_rows)
-    if progress is not None:
-        progress(reader.num_rows, reader.num_rows)
