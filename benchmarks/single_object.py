@@ -34,6 +34,7 @@ ESTIMATORS: dict[str, EstimatorSettings] = {
     "disparity space, 64 qmc": DisparitySettings("qmc", 64),
     "disparity space, 256 qmc": DisparitySettings("qmc", 256),
     "disparity space, 250 particles": DisparitySettings("particle", 250),
+    "disparity space, adaptive": DisparitySettings("adaptive", 256),
     "disparity space, linear": DisparitySettings("linear"),
     "particle filter, 250": ParticleSettings(250),
     "particle filter, 500": ParticleSettings(500),

@@ -25,6 +25,7 @@ from tests.single import scenes
 
 ALL: dict[str, EstimatorSettings] = {
     "disparity": DisparitySettings(),
+    "adaptive": DisparitySettings("adaptive"),
     "linear": DisparitySettings("linear"),
     "unscented": DisparitySettings("unscented"),
     "pseudo-random": DisparitySettings("particle", 250),
@@ -71,7 +72,7 @@ def run(estimator: AnyEstimator, sequence: list[Event]):  # type: ignore[no-unty
     return estimator.estimate(state)
 
 
-@pytest.mark.parametrize("name", ["disparity", "linear", "unscented"])
+@pytest.mark.parametrize("name", ["disparity", "adaptive", "linear", "unscented"])
 def test_rectified_static_is_least_squares(name: str) -> None:
     """Both algorithms give the exact Gaussian posterior: prior and detections are linear in (u, v, d)."""
     left = scenes.camera("left", 0.0, 0.0)
