@@ -12,26 +12,16 @@ from contextlib import suppress
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
+from stereophd.config_single import DisparityPrior, SingleConfig
 from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
 from stereophd.geometry.pose import Pose, rotation_from_vector
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector2 = tuple[Finite, Finite]
-Vector3 = tuple[Finite, Finite, Finite]
-
 # A rotation matrix typed by hand with six digits passes; a reflection or a scaled matrix does not.
 ROTATION_TOLERANCE = 1e-5
-
-
-class Model(BaseModel):
-    """Base of all models: unknown keys are errors, instances are immutable."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Units(Model):
@@ -290,13 +280,6 @@ class MomentsConfig(Model):
         return self
 
 
-class DisparityPrior(Model):
-    """Gaussian prior of the disparity of a new object."""
-
-    mean_px: Positive = Field(description="mean, px at the baseline")
-    std_px: Positive = Field(description="standard deviation, px at the baseline")
-
-
 class BirthConfig(Model):
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
@@ -389,7 +372,7 @@ class PhdConfig(Model):
 class PmbExtractionConfig(ExtractionConfig):
     """Thresholds of existence between which a track is reported."""
 
-    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.95, description="reported from this existence on")
+    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.98, description="reported from this existence on")
     release: Annotated[float, Field(gt=0, le=1)] = Field(
         0.01, description="a reported track stays reported until its existence falls below this"
     )
@@ -430,7 +413,7 @@ class PmbConfig(Model):
     )
 
 
-FilterConfig = Annotated[PhdConfig | PmbConfig, Field(discriminator="kind")]
+FilterConfig = Annotated[PhdConfig | PmbConfig | SingleConfig, Field(discriminator="kind")]
 
 
 class SmoothConfig(Model):
@@ -581,7 +564,7 @@ class Config(Model):
     motion: MotionConfig = Field(default_factory=MotionConfig, description="how objects move (track)")
     moments: MomentsConfig = Field(default_factory=MomentsConfig, description="how Gaussians are carried over (track)")
     region: RegionConfig | None = Field(None, description="where objects can be (track)")
-    filter: FilterConfig | None = Field(None, description="the multi-object filter (track)")
+    filter: FilterConfig | None = Field(None, description="the filter (track)")
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
