@@ -65,6 +65,14 @@ class Moved:
     missed_covariances: Array
     inside: Array
 
+    @property
+    def arrays(self) -> kernels.MovedArrays:
+        """The fields, in order: what compiled code takes."""
+        return (
+            self.means, self.covariances, self.fraction, self.status, self.missed_means, self.missed_covariances,
+            self.inside,
+        )  # fmt: skip
+
 
 def minimum_in_view(samples: int) -> int:
     """Fewest samples in view from which a Gaussian is fitted: 24, or an eighth, of at least 48."""

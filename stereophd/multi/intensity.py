@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+# The fields of a mixture, in order, for compiled code.
+Parts = tuple[Array, Array, Array, Integers, Array, Integers, Integers, NDArray[np.bool_]]
+
 # Label of components that stand for objects never detected; identity of labels never reported.
 UNLABELLED = -1
 
@@ -48,6 +51,14 @@ class GaussianMixture:
 
     def __len__(self) -> int:
         return len(self.weights)
+
+    @property
+    def parts(self) -> Parts:
+        """The fields, in order: what compiled code takes and returns."""
+        return (
+            self.weights, self.means, self.covariances, self.cameras, self.times, self.labels, self.tracks,
+            self.reported,
+        )  # fmt: skip
 
     def take(self, index: NDArray[np.intp]) -> GaussianMixture:
         """Return the components with these indices."""
