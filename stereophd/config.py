@@ -10,27 +10,16 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
+from stereophd.config_calibration import CalibrationConfig
 from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
 from stereophd.geometry.pose import Pose, rotation_from_vector
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Probability = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector2 = tuple[Finite, Finite]
-Vector3 = tuple[Finite, Finite, Finite]
-
 # A rotation matrix typed by hand with six digits passes; a reflection or a scaled matrix does not.
 ROTATION_TOLERANCE = 1e-5
-
-
-class Model(BaseModel):
-    """Base of all models: unknown keys are errors, instances are immutable."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Units(Model):
@@ -459,3 +448,4 @@ class Config(Model):
     input: InputConfig = Field(default_factory=InputConfig)
     report: ReportConfig = Field(default_factory=ReportConfig)
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
+    calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
