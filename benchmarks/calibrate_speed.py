@@ -32,7 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.calibration import sequential
-from stereophd.calibration.likelihood import CHUNK, HypothesesState, PhdBatch, hypothesis_spaces
+from stereophd.calibration.batch import CHUNK, BatchState, FilterBatch
+from stereophd.calibration.likelihood import hypothesis_spaces
 from stereophd.calibration.parameters import CENTER, ROTATION, Parameter, ParameterSet
 from stereophd.config_loading import load_config
 from stereophd.disparity.kernels import cholesky, motion_noise, moving_trips, view_mask, weighted_moments
@@ -100,22 +101,23 @@ def bare_trips(
     return float(covariance[0, 0])
 
 
-def floor(phd: PhdFilter, state: HypothesesState, event: Event, spaces: Array, pool: ThreadPoolExecutor) -> int:
+def floor(phd: PhdFilter, state: BatchState, event: Event, spaces: Array, pool: ThreadPoolExecutor) -> int:
     """Make the trips of an event, bare; return how many."""
     samples = phd.sets.turn(state.n_events)
     limit = math.inf if phd.motion.max_speed is None else phd.motion.max_speed
     acceleration = np.array(phd.motion.acceleration_std)
+    mixture = state.mixture
 
     def run(first: int) -> None:
         for h in range(first, min(first + CHUNK, state.size)):
-            part = slice(state.offsets[h], state.offsets[h + 1])
+            part = slice(state.begins[h], state.ends[h])
             bare_trips(
-                state.means[part], state.covariances[part], state.cameras[part], event.time_s - state.times[part],
-                spaces[h], event.camera, acceleration, samples, limit,
+                mixture.means[part], mixture.covariances[part], mixture.cameras[part],
+                event.time_s - mixture.times[part], spaces[h], event.camera, acceleration, samples, limit,
             )  # fmt: skip
 
     list(pool.map(run, range(0, state.size, CHUNK)))
-    return len(state.means) * samples.shape[1]
+    return int(state.counts.sum()) * samples.shape[1]
 
 
 def scene(options: argparse.Namespace, folder: Path) -> tuple[ParameterSet, PhdFilter, list[Event]]:
@@ -143,7 +145,7 @@ def measure(options: argparse.Namespace) -> dict[str, object]:
     """Run filter and floor event by event."""
     with tempfile.TemporaryDirectory() as folder:
         parameters, phd, events = scene(options, Path(folder))
-    batch = PhdBatch(phd, options.threads)
+    batch = FilterBatch(phd, options.threads)
     seed = np.random.SeedSequence(options.seed)
     settings = sequential.SequentialSettings(particles=options.particles, roughening=options.roughening)
     with ThreadPoolExecutor(options.threads) as pool:
@@ -158,7 +160,7 @@ def measure(options: argparse.Namespace) -> dict[str, object]:
             since = now()
             trips += floor(phd, state.filters, event, spaces, pool)
             floor_time.add(since)
-            components += len(state.filters.weights)
+            components += int(state.filters.counts.sum())
             since = now()
             state, _ = sequential.step(parameters, batch, settings, seed, state, event)
             filter_time.add(since)

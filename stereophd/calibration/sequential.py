@@ -26,7 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.calibration.likelihood import HypothesesState, PhdBatch, hypothesis_spaces
+from stereophd.calibration.batch import BatchState, FilterBatch
+from stereophd.calibration.likelihood import hypothesis_spaces
 from stereophd.calibration.parameters import ParameterSet
 from stereophd.calibration.resampling import (
     effective_sample_size,
@@ -75,7 +76,7 @@ class SequentialState:
         Parameter values.
     log_weights : array (k,)
         Normalised.
-    filters : HypothesesState
+    filters : BatchState
         Conditional intensities.
     log_evidence : float
         Log-likelihood of all events so far, the cameras integrated out (product of mean weights).
@@ -83,7 +84,7 @@ class SequentialState:
 
     values: Array
     log_weights: Array
-    filters: HypothesesState
+    filters: BatchState
     log_evidence: float
 
 
@@ -147,7 +148,7 @@ class SequentialResult:
 
 
 def init(
-    parameters: ParameterSet, batch: PhdBatch, settings: SequentialSettings, seed: np.random.SeedSequence
+    parameters: ParameterSet, batch: FilterBatch, settings: SequentialSettings, seed: np.random.SeedSequence
 ) -> SequentialState:
     """Draw the particles from the prior."""
     count = settings.particles
@@ -157,7 +158,7 @@ def init(
 
 def step(
     parameters: ParameterSet,
-    batch: PhdBatch,
+    batch: FilterBatch,
     settings: SequentialSettings,
     seed: np.random.SeedSequence,
     state: SequentialState,
@@ -169,7 +170,7 @@ def step(
     if settings.motion_std is not None and state.filters.time_s is not None:
         walk = settings.motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
         values = values + walk * rng.standard_normal(values.shape)
-    spaces = hypothesis_spaces(parameters, values, batch.phd.rig)
+    spaces = hypothesis_spaces(parameters, values, batch.template.rig)
     filters, log_likelihoods = batch.step(state.filters, event, spaces)
     log_weights, log_likelihood = normalised(state.log_weights + log_likelihoods)
     mean, covariance = weighted_mean_covariance(values, log_weights)
@@ -204,7 +205,7 @@ def roughened(values: Array, factor: float, rng: np.random.Generator) -> Array:
 def run(
     parameters: ParameterSet,
     events: Sequence[Event],
-    batch: PhdBatch,
+    batch: FilterBatch,
     settings: SequentialSettings,
     seed: np.random.SeedSequence,
     resume: tuple[SequentialState, Sequence[SequentialInfo]] | None = None,
@@ -218,7 +219,7 @@ def run(
         Unknowns and their priors.
     events : sequence of Event
         The log, in order of time.
-    batch : PhdBatch
+    batch : FilterBatch
         Conditional filters.
     settings : SequentialSettings
     seed : SeedSequence
