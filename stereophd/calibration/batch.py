@@ -136,7 +136,9 @@ class FilterBatch:
 
         def run(first: int) -> tuple[Integers, Parts, Array]:
             part = slice(first, first + CHUNK)
-            return batch_event(state.begins[part], state.ends[part], parts, spaces[part], detections, sets, step, region)
+            return batch_event(
+                state.begins[part], state.ends[part], parts, spaces[part], detections, sets, step, region
+            )
 
         starts = range(0, state.size, CHUNK)
         results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))
