@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.calibration.batch_kernels import EventArrays, SampleArrays, Step, batch_event
+from stereophd.calibration.batch_kernels import EventArrays, SampleArrays, Step, phd_update, pmb_update, predict
 from stereophd.disparity.moments import FEWEST_SAMPLES, NO_REGION, WIDE_DISPARITY, minimum_in_view
 from stereophd.multi.base import IMPORTANT_WEIGHT
 from stereophd.multi.birth import birth_moments
@@ -133,12 +133,13 @@ class FilterBatch:
         detections, sets, step = self._detections(event), self._samples(state), self._step(state, event)
         region = NO_REGION if self.template.rig.region is None else self.template.rig.region
         parts = state.mixture.parts
+        update = pmb_update if isinstance(self.template, PmbFilter) else phd_update
 
         def run(first: int) -> tuple[Integers, Parts, Array]:
             part = slice(first, first + CHUNK)
-            return batch_event(
-                state.begins[part], state.ends[part], parts, spaces[part], detections, sets, step, region
-            )
+            begins, ends = state.begins[part], state.ends[part]
+            weights, moved = predict(begins, ends, parts, spaces[part], sets, step, region)
+            return update(begins, ends, parts, weights, moved, detections, step)
 
         starts = range(0, state.size, CHUNK)
         results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))
@@ -164,7 +165,6 @@ class FilterBatch:
         template, settings = self.template, self.template.settings
         camera, motion = template.rig.cameras[event.camera], template.motion
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
-        labelled = isinstance(settings, PmbSettings)
         return Step(
             camera=int(event.camera),
             time_s=float(event.time_s),
@@ -180,7 +180,6 @@ class FilterBatch:
             reserve_minimum=FEWEST_SAMPLES,
             important=IMPORTANT_WEIGHT,
             wide=WIDE_DISPARITY,
-            labelled=labelled,
             prune_weight=float(settings.prune_weight),
             merge_distance=float(settings.merge_distance),
             max_components=int(settings.max_components),

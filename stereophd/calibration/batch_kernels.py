@@ -34,6 +34,10 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+# Components that a hypothesis gets room for at first.
+ROOM = 256
+
+
 class SampleArrays(NamedTuple):
     """Standard-normal samples of an event, shared by all hypotheses.
 
@@ -66,8 +70,8 @@ class Step(NamedTuple):
     `camera`, `time_s` of the event; `survival` since the last one; first unused label; `p_detect`, `clutter` and
     `births` a frame, `area` of the camera's image (px^2); `acceleration_std` (3,) and `max_speed` of the motion;
     `minimum`, `reserve_minimum`: fewest samples in view; `important`, `wide`: weight and relative spread of the
-    disparity from which a component gets a second look; `labelled`: PMB filter, else PHD filter; then the
-    parameters of the reduction (`PhdSettings`, `PmbSettings`).
+    disparity from which a component gets a second look; then the parameters of the reduction (`PhdSettings`,
+    `PmbSettings`).
     """
 
     camera: int
@@ -84,7 +88,6 @@ class Step(NamedTuple):
     reserve_minimum: int
     important: float
     wide: float
-    labelled: bool
     prune_weight: float
     merge_distance: float
     max_components: int
@@ -123,8 +126,8 @@ def _allocate(count: int, size: int) -> Parts:
 
 
 @compiled
-def _copy(source: Parts, target: Parts, first: int) -> int:
-    """Copy components to `target` from place `first` on; return the place after the last."""
+def _copy(source: Parts, target: Parts, first: int) -> None:
+    """Copy components to `target` from place `first` on."""
     last = first + len(source[0])
     target[0][first:last] = source[0]
     target[1][first:last] = source[1]
@@ -134,7 +137,6 @@ def _copy(source: Parts, target: Parts, first: int) -> int:
     target[5][first:last] = source[5]
     target[6][first:last] = source[6]
     target[7][first:last] = source[7]
-    return last
 
 
 @compiled
@@ -150,67 +152,108 @@ def _noise(samples: Array, destination: Array, step: Step) -> Array:
 
 
 @compiled
-def _look_again(
-    which: Integers,
-    parts: Parts,
-    homes: Array,
-    dts: Array,
-    destination: Array,
-    sets: SampleArrays,
-    step: Step,
-    region: Array,
-    moved: MovedArrays,
-) -> None:
-    """Carry some components over with the reserve of samples, into `moved`."""
-    noise = _noise(sets.reserve, destination, step)
-    for i in which:
-        one = slice(i, i + 1)
-        part = (
-            moved[0][one], moved[1][one], moved[2][one], moved[3][one], moved[4][one], moved[5][one], moved[6][one],
-        )  # fmt: skip
-        move_components(
-            parts[1][one], parts[2][one], homes[one], dts[one], sets.reserve, sets.reserve_weights, noise,
-            destination, step.p_detect, step.max_speed, step.reserve_minimum, region, part,
-        )  # fmt: skip
-
-
-@compiled
-def predict(parts: Parts, spaces: Array, sets: SampleArrays, step: Step, region: Array) -> tuple[Parts, MovedArrays]:
-    """Carry a hypothesis' components into the event's space: `DisparityFilter.predict`.
-
-    Returns the components, at home, with the weights of those that survive and are not forgotten, and the
-    fields of `stereophd.disparity.moments.Moved`.
-    """
-    means, covariances, cameras = parts[1], parts[2], parts[3]
-    count, size = means.shape
-    homes = np.empty((count, PACKED_SIZE))
-    for i in range(count):
-        homes[i] = spaces[cameras[i]]
-    dts = step.time_s - parts[4]
-    destination = spaces[step.camera]
-    moved = (
+def _allocate_moved(count: int, size: int) -> MovedArrays:
+    """Return the fields of `stereophd.disparity.moments.Moved`, nothing in view."""
+    return (
         np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
         np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
     )  # fmt: skip
-    move_components(
-        means, covariances, homes, dts, sets.samples, sets.weights, _noise(sets.samples, destination, step),
-        destination, step.p_detect, step.max_speed, step.minimum, region, moved,
+
+
+@compiled
+def _slice_moved(moved: MovedArrays, first: int, last: int) -> MovedArrays:
+    """Return views of consecutive components."""
+    return (
+        moved[0][first:last], moved[1][first:last], moved[2][first:last], moved[3][first:last],
+        moved[4][first:last], moved[5][first:last], moved[6][first:last],
     )  # fmt: skip
-    fraction, status, inside = moved[2], moved[3], moved[6]
-    weights = parts[0] * step.survival
+
+
+@compiled
+def _corners(weights: Array, means: Array, covariances: Array, moved: MovedArrays, step: Step) -> Integers:
+    """Components that matter and of which no more than a corner was found in view."""
     spread = (step.wide * means[:, 2]) ** 2
-    corner = (weights >= step.important) & (status == OUT_OF_VIEW)
-    corner &= (covariances[:, 2, 2] > spread) | (fraction > 0.0)
-    which = np.flatnonzero(corner)
-    if len(which) > 0:
-        _look_again(which, parts, homes, dts, destination, sets, step, region, moved)
-    for i in range(count):
+    corner = (weights >= step.important) & (moved[3] == OUT_OF_VIEW)
+    return np.flatnonzero(corner & ((covariances[:, 2, 2] > spread) | (moved[2] > 0.0)))
+
+
+@compiled
+def predict(
+    begins: Integers, ends: Integers, parts: Parts, spaces: Array, sets: SampleArrays, step: Step, region: Array
+) -> tuple[Array, MovedArrays]:
+    """Carry the components of some hypotheses into the event's spaces: `DisparityFilter.predict`.
+
+    Parameters
+    ----------
+    begins, ends : arrays (k,)
+        Where each hypothesis' components begin and end in `parts`.
+    parts : tuple of arrays
+        Components.
+    spaces : array (k, c, 30)
+        Packed disparity spaces of each hypothesis' cameras.
+    sets, step
+        As their classes say.
+    region : array (8,) or empty
+        Where objects can be (`stereophd.disparity.kernels.region_mask`).
+
+    Returns
+    -------
+    weights : array (n,)
+        Of the components of these hypotheses, one hypothesis after the other, if they survive and are not
+        forgotten.
+    moved : tuple of arrays
+        The same components in the event's space: fields of `stereophd.disparity.moments.Moved`.
+    """
+    size = parts[1].shape[1]
+    total = (ends - begins).sum()
+    all_weights, all_moved = np.empty(total), _allocate_moved(total, size)
+    first = 0
+    for h in range(len(begins)):
+        last = first + ends[h] - begins[h]
+        weights, moved = all_weights[first:last], _slice_moved(all_moved, first, last)
+        first = last
+        part = slice(begins[h], ends[h])
+        means, covariances, cameras, times = parts[1][part], parts[2][part], parts[3][part], parts[4][part]
+        weights[:] = parts[0][part] * step.survival
+        destination = spaces[h, step.camera]
+        samples, sample_weights, minimum = sets.samples, sets.weights, step.minimum
+        which = np.arange(len(weights))
+        outputs = moved
+        for look in range(2):
+            if look == 1:
+                which = _corners(weights, means, covariances, moved, step)
+                if len(which) == 0:
+                    break
+                samples, sample_weights, minimum = sets.reserve, sets.reserve_weights, step.reserve_minimum
+                means, covariances, cameras, times = means[which], covariances[which], cameras[which], times[which]
+                outputs = _allocate_moved(len(which), size)
+            homes = np.empty((len(which), PACKED_SIZE))
+            for i in range(len(which)):
+                homes[i] = spaces[h, cameras[i]]
+            move_components(
+                means, covariances, homes, step.time_s - times, samples, sample_weights,
+                _noise(samples, destination, step), destination, step.p_detect, step.max_speed, minimum, region,
+                outputs,
+            )  # fmt: skip
+        # after the break there is none: `outputs` is `moved` itself
+        for i, k in enumerate(which):
+            moved[0][k], moved[1][k], moved[2][k] = outputs[0][i], outputs[1][i], outputs[2][i]
+            moved[3][k], moved[4][k], moved[5][k] = outputs[3][i], outputs[4][i], outputs[5][i]
+            moved[6][k] = outputs[6][i]
+        _forget(weights, parts[3][part], moved, step)
+    return all_weights, all_moved
+
+
+@compiled
+def _forget(weights: Array, cameras: Integers, moved: MovedArrays, step: Step) -> None:
+    """Drop what lies outside the region, and what was never established and left the view of its camera."""
+    fraction, status, inside = moved[2], moved[3], moved[6]
+    for i in range(len(weights)):
         if status[i] == OUT_OF_VIEW:
             fraction[i] = 0.0
             if cameras[i] == step.camera and weights[i] < step.important:
                 weights[i] = 0.0
         weights[i] *= inside[i]
-    return (weights, parts[1], parts[2], parts[3], parts[4], parts[5], parts[6], parts[7]), moved
 
 
 @compiled
@@ -253,31 +296,9 @@ def _phd_missed(parts: Parts, moved: MovedArrays, detected: Array, step: Step, o
 
 
 @compiled
-def phd_event(
-    parts: Parts, spaces: Array, event: EventArrays, sets: SampleArrays, step: Step, region: Array
-) -> tuple[Parts, float]:
-    """One event of one hypothesis: `PhdFilter.predict` and `PhdFilter.update`.
-
-    Parameters
-    ----------
-    parts : tuple of arrays
-        Components.
-    spaces : array (c, 30)
-        Packed disparity spaces of the hypothesis' cameras.
-    event, sets, step
-        As their classes say.
-    region : array (8,) or empty
-        Where objects can be (`stereophd.disparity.kernels.region_mask`).
-
-    Returns
-    -------
-    parts : tuple of arrays
-        After the event.
-    log_likelihood : float
-        Multi-object log-likelihood of the event, ln L^c of VII-B.
-    """
+def _phd_update(parts: Parts, moved: MovedArrays, event: EventArrays, step: Step) -> tuple[Parts, float]:
+    """`PhdFilter.update` of one hypothesis, with ln L^c of VII-B."""
     n_detections, size = len(event.points), parts[1].shape[1]
-    parts, moved = predict(parts, spaces, sets, step, region)
     detected = step.p_detect * moved[2] * parts[0]
     components, detections, joint = pair_likelihoods(
         moved[0], moved[1], moved[3] != OUT_OF_VIEW, event.points, event.noises, event.areas
@@ -310,42 +331,25 @@ def phd_event(
 
 
 @compiled
-def pmb_event(
-    parts: Parts, spaces: Array, event: EventArrays, sets: SampleArrays, step: Step, region: Array
-) -> tuple[Parts, float]:
-    """One event of one hypothesis: `PmbFilter.predict` and `PmbFilter.update`; as `phd_event`."""
-    parts, moved = predict(parts, spaces, sets, step, region)
-    parts, log_likelihood = update_tracks(
-        parts, moved, event.points, event.noises, event.areas, event.birth_means, event.birth_covariances,
-        (step.camera, step.time_s, step.next_label), (step.p_detect, step.clutter, step.births, step.area),
-        step.prune_weight,
-    )  # fmt: skip
-    parts, _ = reduce_tracks(
-        parts, step.recycle_below, step.prune_weight, step.merge_distance, step.max_components,
-        step.hypothesis_distance, step.least_share,
-    )  # fmt: skip
-    return parts, log_likelihood
-
-
-@compiled
-def batch_event(
+def phd_update(
     begins: Integers,
     ends: Integers,
     parts: Parts,
-    spaces: Array,
+    weights: Array,
+    moved: MovedArrays,
     event: EventArrays,
-    sets: SampleArrays,
     step: Step,
-    region: Array,
 ) -> tuple[Integers, Parts, Array]:
-    """`phd_event` or `pmb_event` of some hypotheses.
+    """`PhdFilter.update` of some hypotheses.
 
     Parameters
     ----------
-    begins, ends : arrays (k,)
-        Where each hypothesis' components begin and end in `parts`.
-    spaces : array (k, c, 30)
-        Packed spaces of each hypothesis.
+    begins, ends, parts
+        As of `predict`.
+    weights, moved
+        What `predict` returned.
+    event, step
+        As their classes say.
 
     Returns
     -------
@@ -354,22 +358,68 @@ def batch_event(
     parts : tuple of arrays
         Components after the event, one hypothesis after the other.
     log_likelihoods : array (k,)
+        Of the event.
     """
-    hypotheses = len(begins)
-    counts, log_likelihoods = np.empty(hypotheses, dtype=np.int64), np.empty(hypotheses)
-    out = _allocate(hypotheses * step.max_components, parts[1].shape[1])
-    found = 0
-    for h in range(hypotheses):
-        before = _slice(parts, begins[h], ends[h])
-        if step.labelled:
-            after, log_likelihoods[h] = pmb_event(before, spaces[h], event, sets, step, region)
-        else:
-            after, log_likelihoods[h] = phd_event(before, spaces[h], event, sets, step, region)
+    counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
+    out = _allocate(len(begins) * ROOM, parts[1].shape[1])
+    found, first = 0, 0
+    for h in range(len(begins)):
+        before, seen, first = _predicted(begins[h], ends[h], parts, weights, moved, first)
+        after, log_likelihoods[h] = _phd_update(before, seen, event, step)
         counts[h] = len(after[0])
-        if found + counts[h] > len(out[0]):
-            # a track of the PMB filter may have several components
-            larger = _allocate(2 * (found + counts[h]), parts[1].shape[1])
-            _copy(_slice(out, 0, found), larger, 0)
-            out = larger
-        found = _copy(after, out, found)
+        out = _append(after, out, found)
+        found += counts[h]
     return counts, _slice(out, 0, found), log_likelihoods
+
+
+@compiled
+def pmb_update(
+    begins: Integers,
+    ends: Integers,
+    parts: Parts,
+    weights: Array,
+    moved: MovedArrays,
+    event: EventArrays,
+    step: Step,
+) -> tuple[Integers, Parts, Array]:
+    """`PmbFilter.update` of some hypotheses; as `phd_update`."""
+    counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
+    out = _allocate(len(begins) * ROOM, parts[1].shape[1])
+    found, first = 0, 0
+    for h in range(len(begins)):
+        before, seen, first = _predicted(begins[h], ends[h], parts, weights, moved, first)
+        updated, log_likelihoods[h] = update_tracks(
+            before, seen, event.points, event.noises, event.areas, event.birth_means, event.birth_covariances,
+            (step.camera, step.time_s, step.next_label), (step.p_detect, step.clutter, step.births, step.area),
+            step.prune_weight,
+        )  # fmt: skip
+        after, _ = reduce_tracks(
+            updated, step.recycle_below, step.prune_weight, step.merge_distance, step.max_components,
+            step.hypothesis_distance, step.least_share,
+        )  # fmt: skip
+        counts[h] = len(after[0])
+        out = _append(after, out, found)
+        found += counts[h]
+    return counts, _slice(out, 0, found), log_likelihoods
+
+
+@compiled
+def _predicted(
+    begin: int, end: int, parts: Parts, weights: Array, moved: MovedArrays, first: int
+) -> tuple[Parts, MovedArrays, int]:
+    """One hypothesis' components as predicted, the same in the event's space, and where the next one's begin."""
+    last = first + end - begin
+    home = _slice(parts, begin, end)
+    before = (weights[first:last], home[1], home[2], home[3], home[4], home[5], home[6], home[7])
+    return before, _slice_moved(moved, first, last), last
+
+
+@compiled
+def _append(after: Parts, out: Parts, found: int) -> Parts:
+    """Copy components behind the first `found` of `out`; return `out`, or a larger one that replaces it."""
+    if found + len(after[0]) > len(out[0]):
+        larger = _allocate(2 * (found + len(after[0])), out[1].shape[1])
+        _copy(_slice(out, 0, found), larger, 0)
+        out = larger
+    _copy(after, out, found)
+    return out
