@@ -11,7 +11,6 @@ the one of the greatest evidence (PMB filter at the true noise) plus log-prior.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,8 +28,9 @@ from stereophd.calibration.association import (
     with_cameras,
 )
 from stereophd.calibration.parameters import ParameterSet
-from stereophd.calibration.scale import ScaleMeasurement
-from stereophd.calibration.trajectories import Knots, fit_states, interpolation, knot_spacing, place_knots
+from stereophd.calibration.scale import ScaleMeasurement, log_scale
+from stereophd.calibration.tempered import Modes
+from stereophd.calibration.trajectories import Knots, fit_states, interpolation, knot_spacing, place_knots, positions
 from stereophd.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
@@ -48,6 +48,12 @@ LEAST_PRIOR_PROBABILITY = 1e-6
 MOST_RESIDUAL = 2.0
 # Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
 AGREEMENT = 1.0
+
+# Least share of the particles of a full posterior that a mode gets.
+LEAST_SHARE = 0.05
+# Steps in which the length of a path is measured, and the part of their distance to which two objects keep it.
+SPEED_STEPS = 200
+RIGID = 0.02
 
 SUCCEEDED = "succeeded"
 
@@ -222,15 +228,7 @@ def refitted(task: Task, fit: Fit, scans: Scans) -> Fit | None:
         return None
     rows, numbers = keep(trajectories, chosen)
     observations = scans.observations(numbers, detections[rows])
-    old_knot, old_weights = interpolation(fit.knots, trajectories[rows], observations.times)
-    from stereophd.calibration.trajectories import positions
-
-    points = positions(states, old_knot, old_weights)
-    knots = _knots(task, observations, points, fit.adjustment.values)
-    knot, weights = interpolation(knots, numbers, observations.times)
-    states = fit_states(knots, knot, weights, points, np.full(len(points), 1.0 / noise**2))
-    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale)
-    return Fit(adjust(problem, fit.adjustment.values, states), knots, observations, detections[rows])
+    return _adjusted_to(task, fit, observations, trajectories[rows], detections[rows], task.scale)
 
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:
@@ -257,8 +255,6 @@ def _length_of_noise(task: Task, observations: Observations, points: Array, valu
 
 
 def _noise(task: Task, fit: Fit) -> float:
-    from stereophd.calibration.trajectories import positions
-
     knot, weights = interpolation(fit.knots, fit.observations.trajectories, fit.observations.times)
     points = positions(fit.adjustment.states, knot, weights)
     return _length_of_noise(task, fit.observations, points, fit.adjustment.values)
@@ -271,7 +267,7 @@ def explained(task: Task, fit: Fit) -> float:
         for number, count in enumerate(np.bincount(task.scans.cameras, minlength=len(task.parameters.cameras)))
     )
     total = len(task.scans.points)
-    return len(fit.detections) / max(total - clutter, 2.0 * np.sqrt(max(total, 1)))
+    return float(len(fit.detections) / max(total - clutter, 2.0 * np.sqrt(max(total, 1))))
 
 
 def _disagreement(task: Task, fit: Fit, part: float) -> str | None:
@@ -315,5 +311,103 @@ def start_values(parameters: ParameterSet, seed: np.random.SeedSequence, count: 
     return draws
 
 
-# Runs starts (number, values) and yields their outcomes in order.
-Mapper = Callable[[Task, list[tuple[int, Array]]], "object"]
+def distinct_modes(starts: list[Start]) -> Modes:
+    """Modes of the posterior among the successful starts: optima, Laplace covariances, shares by evidence."""
+    found: list[Start] = []
+    for start in sorted((s for s in starts if s.succeeded), key=lambda s: -s.score):
+        if not any(agree(mode, start) for mode in found):
+            found.append(start)
+    fits = [mode.fit.adjustment for mode in found if mode.fit is not None]
+    # a mode that the evidence hardly supports still gets a twentieth: the sampler decides
+    share = np.exp(np.array([mode.score for mode in found]) - found[0].score)
+    share = np.maximum(share / share.sum(), LEAST_SHARE)
+    return Modes(np.stack([f.values for f in fits]), np.stack([f.covariance for f in fits]), share / share.sum())
+
+
+def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
+    """Adjust to the detections until a time only, with the association of the whole run; None without any."""
+    rows = np.flatnonzero(fit.observations.times <= time_s)
+    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
+    if not len(trajectories):
+        return None
+    observations = task.scans.observations(numbers.astype(np.int64), fit.detections[rows])
+    return _adjusted_to(task, fit, observations, fit.observations.trajectories[rows], fit.detections[rows], task.scale)
+
+
+def rescaled(task: Task, fit: Fit, kind: str, value: float, std: float) -> Fit | None:
+    """Adjust again, with the speed of all objects or the distance of two known.
+
+    Speeds and distances in units of the scene's scale do not depend on it, so each says what the scale is:
+    log s + log(known / found). The speeds of k objects do so independently.
+
+    Parameters
+    ----------
+    task, fit : Task, Fit
+    kind : str
+        ``speed`` (mean speed of every object) or ``length`` (distance of the two that keep it best).
+    value, std : float
+        What is known.
+
+    Returns
+    -------
+    Fit or None
+        None if no two objects keep their distance.
+    """
+    logarithm, _ = log_scale(task.parameters, task.reference, fit.adjustment.values)
+    if kind == "speed":
+        found = mean_speeds(fit)
+    else:
+        distance = rigid_distance(fit)
+        if distance is None:
+            return None
+        found = np.array([distance])
+    target = logarithm + float(np.log(value / found).mean())
+    measurement = ScaleMeasurement("log_scale", target, std / value / np.sqrt(len(found)))
+    return _adjusted_to(task, fit, fit.observations, fit.observations.trajectories, fit.detections, measurement)
+
+
+def mean_speeds(fit: Fit) -> Array:
+    """Mean speed of every trajectory, length/s."""
+    out = []
+    for j, (start, end) in enumerate(fit.knots.spans):
+        times = np.linspace(start, end, SPEED_STEPS + 1)
+        path = positions(fit.adjustment.states, *interpolation(fit.knots, np.full(len(times), j), times))
+        out.append(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) / max(end - start, 1e-300))
+    return np.array(out)
+
+
+def rigid_distance(fit: Fit) -> float | None:
+    """Mean distance of the two trajectories that keep it best, length; None if none do to `RIGID` of it."""
+    best, kept = RIGID, None
+    for i in range(fit.knots.count):
+        for j in range(i):
+            start, end = max(fit.knots.spans[[i, j], 0]), min(fit.knots.spans[[i, j], 1])
+            if end <= start:
+                continue
+            times = np.linspace(start, end, SPEED_STEPS)
+            paths = [
+                positions(fit.adjustment.states, *interpolation(fit.knots, np.full(len(times), k), times))
+                for k in (i, j)
+            ]
+            distances = np.linalg.norm(paths[0] - paths[1], axis=1)
+            if distances.std() < best * distances.mean():
+                best, kept = float(distances.std() / distances.mean()), float(distances.mean())
+    return kept
+
+
+def _adjusted_to(
+    task: Task,
+    fit: Fit,
+    observations: Observations,
+    of_fit: Integers,
+    detections: Integers,
+    scale: ScaleMeasurement | None,
+) -> Fit:
+    """Adjust to observations, starting from a fit; `of_fit` are their trajectories there."""
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
+    knots = _knots(task, observations, points, fit.adjustment.values)
+    knot, weights = interpolation(knots, observations.trajectories, observations.times)
+    noise = _length_of_noise(task, observations, points, fit.adjustment.values)
+    states = fit_states(knots, knot, weights, points, np.full(len(points), noise**-2))
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
+    return Fit(adjust(problem, fit.adjustment.values, states), knots, observations, detections)

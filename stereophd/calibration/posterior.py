@@ -65,10 +65,9 @@ def observability(parameters: ParameterSet, reference: int, values: Array, covar
         scale_ratio = float(np.sqrt(gradient @ covariance @ gradient / prior))
         allowed = int(scale_ratio > UNDETERMINED_RATIO)
     open_directions = int((ratios > UNDETERMINED_RATIO).sum())
+    status = PARTLY if open_directions <= len(std) // 2 else UNDETERMINED
     if open_directions <= allowed:
         status = DETERMINED
-    else:
-        status = PARTLY if open_directions <= len(std) // 2 else UNDETERMINED
     bits = -0.5 * float(np.log2(np.maximum(eigenvalues, 1e-300)).sum())
     own = np.sqrt(np.diag(covariance)) / std
     return Observability(ratios, directions, own, scale_ratio, bits, status)
@@ -96,9 +95,7 @@ class PoseSpread:
     center: float
 
 
-def pose_spread(
-    parameters: ParameterSet, reference: int, values: Array, covariance: Array, camera: str
-) -> PoseSpread:
+def pose_spread(parameters: ParameterSet, reference: int, values: Array, covariance: Array, camera: str) -> PoseSpread:
     """Spread of the pose of a camera under values (m,) with covariance (m, m)."""
     cameras = {c.name: c for c in parameters.build(values)}
     offset = cameras[camera].pose.center - parameters.cameras[reference].pose.center
