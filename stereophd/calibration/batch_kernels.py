@@ -8,7 +8,6 @@ depend on how the hypotheses are shared out over threads. A mixture is a tuple o
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -99,15 +98,6 @@ class Step(NamedTuple):
 
 
 @compiled
-def _take(parts: Parts, index: Integers) -> Parts:
-    """Return the components with these indices."""
-    return (
-        parts[0][index], parts[1][index], parts[2][index], parts[3][index], parts[4][index], parts[5][index],
-        parts[6][index], parts[7][index],
-    )  # fmt: skip
-
-
-@compiled
 def _slice(parts: Parts, first: int, last: int) -> Parts:
     """Return views of consecutive components."""
     return (
@@ -127,17 +117,29 @@ def _allocate(count: int, size: int) -> Parts:
 
 
 @compiled
-def _copy(source: Parts, target: Parts, first: int) -> None:
-    """Copy components to `target` from place `first` on."""
-    last = first + len(source[0])
-    target[0][first:last] = source[0]
-    target[1][first:last] = source[1]
-    target[2][first:last] = source[2]
-    target[3][first:last] = source[3]
-    target[4][first:last] = source[4]
-    target[5][first:last] = source[5]
-    target[6][first:last] = source[6]
-    target[7][first:last] = source[7]
+def _copy(source: Parts, index: Integers, target: Parts, first: int) -> None:
+    """Copy the components with these indices to `target`, from place `first` on.
+
+    Identities and reports are left alone: a conditional filter reports nothing. Loops, because NumPy's
+    assignments would take three times as long to compile.
+    """
+    size = source[1].shape[1]
+    for i in range(len(index)):
+        k, to = index[i], first + i
+        target[0][to], target[4][to] = source[0][k], source[4][k]
+        target[3][to], target[5][to] = source[3][k], source[5][k]
+        for a in range(size):
+            target[1][to, a] = source[1][k, a]
+            for b in range(size):
+                target[2][to, a, b] = source[2][k, a, b]
+
+
+@compiled
+def _take(parts: Parts, index: Integers) -> Parts:
+    """Return the components with these indices."""
+    out = _allocate(len(index), parts[1].shape[1])
+    _copy(parts, index, out, 0)
+    return out
 
 
 @compiled
@@ -265,13 +267,12 @@ def _reduce(parts: Parts, step: Step) -> Parts:
         weights, means, covariances, leaders = merge_sorted(
             found[0], found[1], found[2], found[3], found[4], step.merge_distance, step.mutual
         )
-        found = (
-            weights, means, covariances, found[3][leaders], found[4][leaders], found[5][leaders],
-            found[6][leaders], found[7][leaders],
-        )  # fmt: skip
+        heads = _take(found, leaders)
+        found = (weights, means, covariances, heads[3], heads[4], heads[5], heads[6], heads[7])
     if len(found[0]) > step.max_components:
-        order = np.argsort(-found[0], kind="mergesort")
-        found = _take(found, np.sort(order[: step.max_components]))
+        kept = np.zeros(len(found[0]), dtype=np.bool_)
+        kept[np.argsort(-found[0], kind="mergesort")[: step.max_components]] = True
+        found = _take(found, np.flatnonzero(kept))
     return found
 
 
@@ -420,7 +421,7 @@ def _append(after: Parts, out: Parts, found: int) -> Parts:
     """Copy components behind the first `found` of `out`; return `out`, or a larger one that replaces it."""
     if found + len(after[0]) > len(out[0]):
         larger = _allocate(2 * (found + len(after[0])), out[1].shape[1])
-        _copy(_slice(out, 0, found), larger, 0)
+        _copy(out, np.arange(found), larger, 0)
         out = larger
-    _copy(after, out, found)
+    _copy(after, np.arange(len(after[0])), out, found)
     return out

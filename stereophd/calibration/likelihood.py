@@ -3,6 +3,11 @@
 The log-likelihoods of the events, which the filter conditional on a hypothesis returns, add up to that of the
 log. With the PHD filter it is the paper's; with the PMB filter it is the Bethe value of the association problems,
 which is much smoother in the cameras.
+
+Scale. Larger cameras, distances and speeds give the same images, so that detections say nothing of scale; the priors
+of the objects' depth and speed do, and strongly: each of n objects multiplies the evidence of cameras s times as far
+apart by a power of s if its prior is too broad. `Evidence` can therefore compare all hypotheses at one scale, that of
+the prior mean, which leaves the scale to the prior of the cameras.
 """
 
 from __future__ import annotations
@@ -34,16 +39,24 @@ class Evidence:
         The log, in order of time.
     batch : FilterBatch
         The conditional filters.
+    scale_reference : int, optional
+        Number of the reference camera. Given, the cameras of a hypothesis are brought to the nominal scale
+        (`at_nominal_scale`): for problems in which nothing but the reference is known, and the objects' priors
+        shall not decide on the scale.
     """
 
     parameters: ParameterSet
     events: Sequence[Event]
     batch: FilterBatch
+    scale_reference: int | None = None
 
     def __call__(self, values: Array) -> Array:
         """Return the log-likelihoods (k,) of values (k, m)."""
         total = np.zeros(len(values))
         spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
+        if self.scale_reference is not None:
+            nominal = hypothesis_spaces(self.parameters, self.parameters.prior_mean[None], self.batch.template.rig)
+            spaces = at_nominal_scale(spaces, nominal[0], self.scale_reference)
         state = self.batch.init(len(values))
         for event in self.events:
             state, log_likelihoods = self.batch.step(state, event, spaces)
@@ -69,6 +82,38 @@ def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Arra
         spaces[:, number, CENTER : CENTER + 3] += center
         spaces[:, number, ROTATION : ROTATION + 9] = (turn @ camera.pose.rotation).reshape(-1, 9)
     return spaces
+
+
+def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
+    """Bring the cameras of hypotheses to one scale, about the reference camera.
+
+    The scale is the root of the sum of squared distances to the reference; with two cameras, their distance.
+
+    Parameters
+    ----------
+    spaces : array (k, c, 30)
+        Packed disparity spaces.
+    nominal : array (c, 30)
+        Cameras whose scale the others get.
+    reference : int
+        Number of the camera that stays where it is.
+
+    Returns
+    -------
+    array (k, c, 30)
+    """
+
+    def size(centers: Array) -> Array:
+        return np.asarray(np.sqrt(((centers - centers[:, reference, None]) ** 2).sum(axis=(1, 2))))
+
+    centers = spaces[:, :, CENTER : CENTER + 3]
+    whole, found = size(nominal[None, :, CENTER : CENTER + 3]), size(centers)
+    # cameras in one place have no scale
+    ratio = whole / np.where(found > 0.0, found, whole)
+    scaled = spaces.copy()
+    pivot = centers[:, reference, None]
+    scaled[:, :, CENTER : CENTER + 3] = pivot + ratio[:, None, None] * (centers - pivot)
+    return scaled
 
 
 def _rotations(vectors: Array) -> Array:
