@@ -207,7 +207,7 @@ def updated_components(
     """Components updated with detections, in the event's space."""
     moved, mixture = prediction.moved, prediction.mixture
     means, covariances = kalman_updates(
-        moved.means, moved.covariances, components, detections, event.points, event.covariances
+        moved.means, moved.covariances, components, detections, event.points, event.covariances, event.delays
     )
     return GaussianMixture(
         weights,

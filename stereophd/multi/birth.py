@@ -103,5 +103,11 @@ def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> t
     fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
     powers = np.array([[second, second, third], [second, second, third], [third, third, fourth]])
     velocity = rows @ np.swapaxes(rows, 1, 2) * prior.velocity_std**2
-    covariances[:, 3:, 3:] = velocity * powers
+    velocity = velocity * powers
+    covariances[:, 3:, 3:] = velocity
+    if event.delays is not None:
+        # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
+        delays = event.delays[:, None, None]
+        covariances[:, :3, :3] += delays**2 * velocity
+        covariances[:, :3, 3:] = covariances[:, 3:, :3] = -delays * velocity
     return means, covariances

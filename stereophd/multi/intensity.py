@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,8 +142,11 @@ class Info:
         Expected number of objects after the event.
     n_components : int
         Components after reduction.
+    detected : array of int
+        Labels that the event detected (`stereophd.multi.attribution.detected_labels`).
     """
 
     log_likelihood: float
     cardinality_mean: float
     n_components: int
+    detected: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64), compare=False)

@@ -18,6 +18,7 @@ from typing import ClassVar
 
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion
+from stereophd.multi.attribution import detected_labels
 from stereophd.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.multi.birth import BirthPrior, birth_moments
 from stereophd.multi.events import Event, Rig
@@ -95,6 +96,7 @@ class PmbFilter(DisparityFilter):
             event.points,
             event.covariances,
             event.areas,
+            event.delays,
             newborn_means,
             newborn_covariances,
             (event.camera, event.time_s, state.next_label),
@@ -106,6 +108,7 @@ class PmbFilter(DisparityFilter):
             ),
             settings.prune_weight,
         )
+        detected = detected_labels(parts[5], parts[0], len(mixture))
         parts, expected = reduce_tracks(
             parts,
             settings.recycle_below,
@@ -119,5 +122,5 @@ class PmbFilter(DisparityFilter):
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track),
-            Info(log_likelihood, expected, len(reduced)),
+            Info(log_likelihood, expected, len(reduced), detected),
         )

@@ -53,6 +53,7 @@ def update_tracks(
     points: Array,
     noises: Array,
     areas: Array,
+    delays: Array | None,
     newborn_means: Array,
     newborn_covariances: Array,
     place: tuple[int, float, int],
@@ -67,7 +68,7 @@ def update_tracks(
         The predicted mixture, at home (`GaussianMixture.parts`).
     moved : tuple
         The same components in the event's space (`stereophd.disparity.moments.Moved`).
-    points, noises, areas : arrays (m, 2), (m, 2, 2), (m,)
+    points, noises, areas, delays : arrays (m, 2), (m, 2, 2), (m,), (m,) or None
         Detections, as in `Event`.
     newborn_means, newborn_covariances : arrays (m, d), (m, d, d)
         Objects born with each detection.
@@ -91,7 +92,7 @@ def update_tracks(
     status, fraction = moved[3], moved[2]
     count, n_detections = len(weights), len(points)
     components, detections, densities = pair_likelihoods(
-        moved[0], moved[1], status != OUT_OF_VIEW, points, noises, areas
+        moved[0], moved[1], status != OUT_OF_VIEW, points, noises, areas, delays
     )
     detected = p_detect * fraction * weights
     joint = detected[components] * densities
@@ -137,10 +138,12 @@ def update_tracks(
     chosen = claiming[kept]
     out = _allocate(parts, components[chosen], n_detections)
     _fill_missed(parts, moved, detected, untouched / missed, member, camera, time_s, out)
-    means, covariances = kalman_updates(moved[0], moved[1], components[chosen], detections[chosen], points, noises)
+    means, covariances = kalman_updates(
+        moved[0], moved[1], components[chosen], detections[chosen], points, noises, delays
+    )
     existence = unclaimed * first / background
     new_means, new_covariances = _first_detections(
-        moved, points, noises, existence, birth / first, components, detections, joint, claims, first,
+        moved, points, noises, delays, existence, birth / first, components, detections, joint, claims, first,
         newborn_means, newborn_covariances, prune_weight,
     )  # fmt: skip
     end = count + len(chosen)
@@ -199,6 +202,7 @@ def _first_detections(
     moved: MovedArrays,
     points: Array,
     noises: Array,
+    delays: Array | None,
     existence: Array,
     born: Array,
     components: Integers,
@@ -222,7 +226,7 @@ def _first_detections(
         return newborn_means, newborn_covariances
     chosen = chosen[:count]
     groups = detections[chosen]
-    means, covariances = kalman_updates(moved[0], moved[1], components[chosen], groups, points, noises)
+    means, covariances = kalman_updates(moved[0], moved[1], components[chosen], groups, points, noises, delays)
     return mix_gaussians(
         groups, joint[chosen] / first[groups], means, covariances, born, newborn_means, newborn_covariances
     )
