@@ -54,12 +54,14 @@ class SampleArrays(NamedTuple):
 class EventArrays(NamedTuple):
     """Detections of an event (`stereophd.multi.events.Event`) and the objects they may have given birth to.
 
-    `points` (m, 2), `noises` (m, 2, 2), `areas` (m,), `birth_means` (m, d), `birth_covariances` (m, d, d).
+    `points` (m, 2), `noises` (m, 2, 2), `areas` (m,), `delays` (m,) or None, `birth_means` (m, d),
+    `birth_covariances` (m, d, d).
     """
 
     points: Array
     noises: Array
     areas: Array
+    delays: Array | None
     birth_means: Array
     birth_covariances: Array
 
@@ -303,7 +305,7 @@ def _phd_update(parts: Parts, moved: MovedArrays, event: EventArrays, step: Step
     n_detections, size = len(event.points), parts[1].shape[1]
     detected = step.p_detect * moved[2] * parts[0]
     components, detections, joint = pair_likelihoods(
-        moved[0], moved[1], moved[3] != OUT_OF_VIEW, event.points, event.noises, event.areas
+        moved[0], moved[1], moved[3] != OUT_OF_VIEW, event.points, event.noises, event.areas, event.delays
     )
     born = step.p_detect * step.births
     totals = np.full(n_detections, (step.clutter + born) / step.area)
@@ -315,7 +317,9 @@ def _phd_update(parts: Parts, moved: MovedArrays, event: EventArrays, step: Step
         joint[p] /= totals[detections[p]]
     kept = np.flatnonzero(joint >= step.prune_weight)
     components, detections = components[kept], detections[kept]
-    means, covariances = kalman_updates(moved[0], moved[1], components, detections, event.points, event.noises)
+    means, covariances = kalman_updates(
+        moved[0], moved[1], components, detections, event.points, event.noises, event.delays
+    )
 
     out = _allocate(len(detected) + len(kept) + n_detections, size)
     missed = _phd_missed(parts, moved, detected, step, out)
@@ -391,7 +395,8 @@ def pmb_update(
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], parts, weights, moved, first)
         updated, log_likelihoods[h] = update_tracks(
-            before, seen, event.points, event.noises, event.areas, event.birth_means, event.birth_covariances,
+            before, seen, event.points, event.noises, event.areas, event.delays,
+            event.birth_means, event.birth_covariances,
             (step.camera, step.time_s, step.next_label), (step.p_detect, step.clutter, step.births, step.area),
             step.prune_weight,
         )  # fmt: skip
