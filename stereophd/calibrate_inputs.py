@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ import numpy as np
 from stereophd.calibration.association import Scans
 from stereophd.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
 from stereophd.calibration.scale import ScaleMeasurement
-from stereophd.config import Config, MomentsConfig, PhdConfig, PmbConfig
+from stereophd.config import CameraConfig, Config, MomentsConfig, PhdConfig, PmbConfig, PoseConfig
 from stereophd.config_calibration import BaselineScale, CalibrationConfig, per_axis
 from stereophd.errors import InputError
 from stereophd.geometry.camera import Camera
@@ -94,6 +95,27 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
             if std > 0.0:
                 parameters.append(Parameter(name, camera.name, QUANTITIES[name], 0.0, std))
     return ParameterSet(cameras, tuple(parameters)), names.index(section.reference)
+
+
+def draw_guess(loaded: LoadedConfig, seed: np.random.SeedSequence) -> dict[str, CameraConfig]:
+    """Draw prior means about which the configuration's cameras are a draw from the prior."""
+    parameters, _ = build_parameters(loaded)
+    guess = parameters.guess(parameters.sample(np.random.default_rng(seed), 1)[0])
+    return with_poses(loaded.cameras, guess)
+
+
+def with_poses(configs: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
+    """Return the configurations of cameras with the poses of others; what did not move stays as it was written."""
+    out = {}
+    for camera in cameras:
+        config = configs[camera.name]
+        if config.pose.build() != camera.pose:
+            rows = [(float(a), float(b), float(c)) for a, b, c in camera.pose.rotation.tolist()]
+            x, y, z = camera.pose.center.tolist()
+            pose = PoseConfig(center=(x, y, z), rotation_matrix=(rows[0], rows[1], rows[2]))
+            config = config.model_copy(update={"pose": pose})
+        out[camera.name] = config
+    return out
 
 
 def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:

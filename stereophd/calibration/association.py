@@ -40,6 +40,8 @@ class Scans:
         Undistorted pixels of all detections and the inverse of their covariances.
     event_of : array (n,) of int
         Event of each detection.
+    detection_times : array (n,)
+        Time of each detection, s: of its event, and with a rolling shutter of its row.
     """
 
     events: tuple[Event, ...]
@@ -49,11 +51,15 @@ class Scans:
     points: Array
     precisions: Array
     event_of: Integers
+    detection_times: Array
 
     @staticmethod
     def of(events: Sequence[Event]) -> Scans:
         """Join events, which are in order of time."""
         counts = np.array([len(event.points) for event in events], dtype=np.int64)
+        times = [
+            event.time_s + (np.zeros(len(event.points)) if event.delays is None else event.delays) for event in events
+        ]
         return Scans(
             tuple(events),
             np.array([event.time_s for event in events]),
@@ -62,13 +68,16 @@ class Scans:
             np.concatenate([event.points for event in events]),
             np.linalg.inv(np.concatenate([event.covariances for event in events])),
             np.repeat(np.arange(len(events)), counts),
+            np.concatenate(times),
         )
 
     def observations(self, trajectories: Integers, detections: Integers, inflation: float = 1.0) -> Observations:
         """Detections (indices into all) of trajectories, their noise inflated."""
         events = self.event_of[detections]
         precisions = self.precisions[detections] / inflation**2
-        return Observations(trajectories, self.cameras[events], self.times[events], self.points[detections], precisions)
+        return Observations(
+            trajectories, self.cameras[events], self.detection_times[detections], self.points[detections], precisions
+        )
 
 
 @dataclass(frozen=True)
@@ -192,7 +201,7 @@ def fitted_detections(
         Sorted by trajectory and time.
     """
     owner = np.full(len(scans.points), -1)
-    times, of_camera = scans.times[scans.event_of], scans.cameras[scans.event_of]
+    times, of_camera = scans.detection_times, scans.cameras[scans.event_of]
     for j in np.argsort(-counts, kind="stable"):
         start, end = knots.spans[j]
         open_ = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
