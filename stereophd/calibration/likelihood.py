@@ -22,6 +22,7 @@ from stereophd.calibration.batch import FilterBatch
 from stereophd.calibration.parameters import CENTER as CENTER_NAMES
 from stereophd.calibration.parameters import ROTATION as ROTATION_NAMES
 from stereophd.calibration.parameters import ParameterSet
+from stereophd.calibration.scale import ScaleMeasurement, predicted
 from stereophd.geometry.layout import CENTER, ROTATION
 from stereophd.multi.events import Event, Rig, make_rig
 
@@ -41,18 +42,21 @@ class Evidence:
         The conditional filters.
     scale_reference : int, optional
         Number of the reference camera. Given, the cameras of a hypothesis are brought to the nominal scale
-        (`at_nominal_scale`): for problems in which nothing but the reference is known, and the objects' priors
-        shall not decide on the scale.
+        (`at_nominal_scale`): for problems whose scale is free (`stereophd.calibration.scale.scale_is_free`), if the
+        objects' priors shall not decide on it.
+    scale : ScaleMeasurement, optional
+        What else is known of the scale; its normal density is one more factor.
     """
 
     parameters: ParameterSet
     events: Sequence[Event]
     batch: FilterBatch
     scale_reference: int | None = None
+    scale: ScaleMeasurement | None = None
 
     def __call__(self, values: Array) -> Array:
         """Return the log-likelihoods (k,) of values (k, m)."""
-        total = np.zeros(len(values))
+        total = self._log_scale(values)
         spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
         if self.scale_reference is not None:
             nominal = hypothesis_spaces(self.parameters, self.parameters.prior_mean[None], self.batch.template.rig)
@@ -62,6 +66,15 @@ class Evidence:
             state, log_likelihoods = self.batch.step(state, event, spaces)
             total += log_likelihoods
         return total
+
+    def _log_scale(self, values: Array) -> Array:
+        """Log-density (k,) of what was measured of the scale; 0 where nothing was."""
+        scale = self.scale
+        if scale is None:
+            return np.zeros(len(values))
+        reference = 0 if self.scale_reference is None else self.scale_reference
+        found = np.array([predicted(self.parameters, reference, scale, row)[0] for row in values])
+        return np.asarray(-0.5 * ((found - scale.value) / scale.std) ** 2 - np.log(scale.std * np.sqrt(2.0 * np.pi)))
 
 
 def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Array:

@@ -8,6 +8,7 @@ import pytest
 from stereophd.calibration.batch import BatchState, FilterBatch
 from stereophd.calibration.likelihood import Evidence, at_nominal_scale, hypothesis_spaces
 from stereophd.calibration.parameters import ParameterSet
+from stereophd.calibration.scale import ScaleMeasurement
 from stereophd.disparity.moments import OUT_OF_VIEW
 from stereophd.motion import ConstantVelocity, Motion, Static
 from stereophd.multi.base import FilterState
@@ -156,6 +157,17 @@ def test_at_one_scale_the_evidence_does_not_depend_on_scale(parameters: Paramete
     together = spaces[:1].copy()
     together[0, 1] = together[0, 0]
     np.testing.assert_array_equal(at_nominal_scale(together, spaces[1], 0), together)
+
+
+def test_a_known_baseline_is_one_more_factor(parameters: ParameterSet) -> None:
+    batch = FilterBatch(make_template(parameters.cameras, "pmb"))
+    values = np.zeros((2, 6))
+    values[1, 0] = 6.0
+    known = Evidence(parameters, [], batch, 0, ScaleMeasurement("baseline", 43.0, 2.0, (0, 1)))
+    # distances of 40 and 46, both one and a half standard deviations off
+    expected = -0.5 * 1.5**2 - np.log(2.0 * np.sqrt(2.0 * np.pi))
+    np.testing.assert_allclose(known(values), expected)
+    assert Evidence(parameters, [], batch)(values).tolist() == [0.0, 0.0]
 
 
 def test_unsupported_filters_are_refused(parameters: ParameterSet) -> None:
