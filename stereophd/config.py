@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
+from stereophd.config_calibration import CalibrationConfig
 from stereophd.config_single import DisparityPrior, SingleConfig
 from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
@@ -568,3 +569,4 @@ class Config(Model):
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
+    calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
