@@ -140,7 +140,7 @@ class CalibrationConfig(Model):
     )
     annealed: AnnealedConfig = Field(default_factory=AnnealedConfig, description="settings of this method")
     sequential: SequentialConfig = Field(default_factory=SequentialConfig, description="settings of this method")
-    smc: SmcConfig = Field(default_factory=SmcConfig, description="settings of this method")
+    smc: SmcConfig = Field(default_factory=SmcConfig, description="settings of posterior smc")
 
     @model_validator(mode="after")
     def _reference_is_known(self) -> CalibrationConfig:
