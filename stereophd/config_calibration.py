@@ -41,7 +41,7 @@ def per_axis(spread: Any) -> tuple[float, float, float]:
 class BaselineScale(Model):
     """The distance between two cameras is known."""
 
-    kind: Literal["baseline"]
+    kind: Literal["baseline"] = Field(description="what fixes the scale")
     cameras: tuple[str, str] = Field(description="names of the two cameras")
     distance: Positive = Field(description="distance of their centres, length")
     std: Positive = Field(description="standard deviation of the distance, length")
@@ -50,7 +50,7 @@ class BaselineScale(Model):
 class SpeedScale(Model):
     """The objects' speed is known."""
 
-    kind: Literal["speed"]
+    kind: Literal["speed"] = Field(description="what fixes the scale")
     speed: Positive = Field(description="mean speed of every object, length/s")
     std: Positive = Field(description="standard deviation of the speed from object to object, length/s")
 
@@ -58,7 +58,7 @@ class SpeedScale(Model):
 class LengthScale(Model):
     """Two objects keep a known distance, as the ends of a rod do."""
 
-    kind: Literal["length"]
+    kind: Literal["length"] = Field(description="what fixes the scale")
     length: Positive = Field(description="distance of the two objects, length")
     std: Positive = Field(description="standard deviation of the distance, length")
 
@@ -66,7 +66,7 @@ class LengthScale(Model):
 class NoScale(Model):
     """Nothing but the prior says how large the scene is."""
 
-    kind: Literal["none"] = "none"
+    kind: Literal["none"] = Field("none", description="what fixes the scale")
 
 
 ScaleConfig = Annotated[NoScale | BaselineScale | SpeedScale | LengthScale, Field(discriminator="kind")]
@@ -127,7 +127,7 @@ class SmcConfig(Model):
 class CalibrationConfig(Model):
     """What `calibrate` estimates and how."""
 
-    method: Literal["annealed", "sequential"] = "annealed"
+    method: Literal["annealed", "sequential"] = Field("annealed", description="how the parameters are found")
     posterior: Literal["laplace", "smc"] = Field(
         "laplace", description="of method annealed: Gaussian at the optimum, or particles"
     )
@@ -135,10 +135,12 @@ class CalibrationConfig(Model):
     priors: dict[str, PosePrior] = Field(
         min_length=1, description="of the unknown cameras by name; a camera without a prior is known"
     )
-    scale: ScaleConfig = Field(default_factory=NoScale)
-    annealed: AnnealedConfig = Field(default_factory=AnnealedConfig)
-    sequential: SequentialConfig = Field(default_factory=SequentialConfig)
-    smc: SmcConfig = Field(default_factory=SmcConfig)
+    scale: ScaleConfig = Field(
+        default_factory=NoScale, description="what fixes the scale, which moving objects do not show"
+    )
+    annealed: AnnealedConfig = Field(default_factory=AnnealedConfig, description="settings of this method")
+    sequential: SequentialConfig = Field(default_factory=SequentialConfig, description="settings of this method")
+    smc: SmcConfig = Field(default_factory=SmcConfig, description="settings of posterior smc")
 
     @model_validator(mode="after")
     def _reference_is_known(self) -> CalibrationConfig:
