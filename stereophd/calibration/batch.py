@@ -28,7 +28,6 @@ Integers = NDArray[np.int64]
 
 # Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
 CHUNK = 8
-SAMPLED_METHODS = ("qmc", "particle")
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,9 @@ class FilterBatch:
     """Filters conditional on camera hypotheses.
 
     The same as `predict` and `update` of the filter for each hypothesis (to the rounding of sums), without
-    `extract`: no object is ever reported, so that none is protected from being forgotten for having been.
+    `extract`: no object is ever reported, so that none is protected from being forgotten for having been. All
+    components are moved by samples, whatever the template's method is: a rule that gives way to another at a
+    threshold would make the likelihood jump.
 
     Attributes
     ----------
@@ -93,15 +94,13 @@ class FilterBatch:
     Raises
     ------
     ValueError
-        The samples are not of a sampling method, or cameras move.
+        Cameras move.
     """
 
     template: PhdFilter | PmbFilter
     threads: int = 1
 
     def __post_init__(self) -> None:
-        if self.template.sets.method not in SAMPLED_METHODS:
-            raise ValueError(f"expected samples of one of {SAMPLED_METHODS}, found {self.template.sets.method}")
         if self.template.rig.moving:
             raise ValueError("expected cameras that stand still")
 
@@ -171,6 +170,7 @@ class FilterBatch:
             survival=float(settings.survival_per_s**elapsed),
             next_label=state.next_label,
             p_detect=float(camera.detector.p_detect),
+            shape_p_detect=float(camera.detector.p_detect) if template.split_missed else 0.0,
             clutter=float(camera.detector.clutter_per_frame),
             births=float(settings.birth.per_frame),
             area=float(camera.width * camera.height),

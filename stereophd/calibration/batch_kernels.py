@@ -70,7 +70,8 @@ class Step(NamedTuple):
     """Numbers of one event.
 
     `camera`, `time_s` of the event; `survival` since the last one; first unused label; `p_detect`, `clutter` and
-    `births` a frame, `area` of the camera's image (px^2); `acceleration_std` (3,) and `max_speed` of the motion;
+    `births` a frame, `area` of the camera's image (px^2); `shape_p_detect`: for the shape of the missed part, 0
+    where it keeps its own; `acceleration_std` (3,) and `max_speed` of the motion;
     `minimum`, `reserve_minimum`: fewest samples in view; `important`, `wide`: weight and relative spread of the
     disparity from which a component gets a second look; then the parameters of the reduction (`PhdSettings`,
     `PmbSettings`).
@@ -81,6 +82,7 @@ class Step(NamedTuple):
     survival: float
     next_label: int
     p_detect: float
+    shape_p_detect: float
     clutter: float
     births: float
     area: float
@@ -237,7 +239,7 @@ def predict(
                 homes[i] = spaces[h, cameras[i]]
             move_components(
                 means, covariances, homes, step.time_s - times, samples, sample_weights,
-                _noise(samples, destination, step), destination, step.p_detect, step.max_speed, minimum, region,
+                _noise(samples, destination, step), destination, step.shape_p_detect, step.max_speed, minimum, region,
                 outputs,
             )  # fmt: skip
         # after the break there is none: `outputs` is `moved` itself

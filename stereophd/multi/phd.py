@@ -41,6 +41,8 @@ class PhdSettings:
         See `stereophd.multi.reduce.reduce_mixture`.
     hysteresis : Hysteresis
         Which components are reported.
+    split_missed : bool
+        See `DisparityFilter`.
     """
 
     survival_per_s: float
@@ -50,6 +52,7 @@ class PhdSettings:
     max_components: int = 1000
     hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.8, 0.001))
     merge_mutual: bool = True
+    split_missed: bool = True
 
 
 @dataclass(frozen=True, init=False)
@@ -59,7 +62,16 @@ class PhdFilter(DisparityFilter):
     settings: PhdSettings
 
     def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PhdSettings, threads: int = 1) -> None:
-        super().__init__(rig, motion, sets, settings.survival_per_s, settings.birth, settings.hysteresis, threads)
+        super().__init__(
+            rig,
+            motion,
+            sets,
+            settings.survival_per_s,
+            settings.birth,
+            settings.hysteresis,
+            threads,
+            settings.split_missed,
+        )
         object.__setattr__(self, "settings", settings)
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:

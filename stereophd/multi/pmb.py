@@ -53,6 +53,8 @@ class PmbSettings:
         Hypotheses of a smaller share of their track are dropped.
     hysteresis : Hysteresis
         Which tracks are reported.
+    split_missed : bool
+        See `DisparityFilter`.
     """
 
     survival_per_s: float
@@ -64,6 +66,7 @@ class PmbSettings:
     hypothesis_distance: float = 4.0
     least_share: float = 1e-3
     hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.95, 0.01))
+    split_missed: bool = False
 
 
 @dataclass(frozen=True, init=False)
@@ -79,7 +82,16 @@ class PmbFilter(DisparityFilter):
     labels_may_split: ClassVar[bool] = False
 
     def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PmbSettings, threads: int = 1) -> None:
-        super().__init__(rig, motion, sets, settings.survival_per_s, settings.birth, settings.hysteresis, threads)
+        super().__init__(
+            rig,
+            motion,
+            sets,
+            settings.survival_per_s,
+            settings.birth,
+            settings.hysteresis,
+            threads,
+            settings.split_missed,
+        )
         object.__setattr__(self, "settings", settings)
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:

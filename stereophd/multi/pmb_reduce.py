@@ -87,8 +87,8 @@ def _drop_negligible(
             remains[member[k]] += parts[0][k]
     index = np.flatnonzero(kept)
     found = _take(parts, index)
-    for i, k in enumerate(index):
-        g = member[k]
+    for i in range(len(index)):
+        g = member[index[i]]
         found[0][i] *= min(existence[g], MOST_EXISTENCE) / remains[g]
     return found
 

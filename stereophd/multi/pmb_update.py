@@ -125,14 +125,16 @@ def update_tracks(
     owners = np.empty(n_pairs, dtype=np.int64)
     wanted = np.empty(n_pairs, dtype=np.int64)
     claim = np.zeros(n_pairs)
-    for i, p in enumerate(claiming):
+    for i in range(len(claiming)):
+        p = claiming[i]
         owners[pair[i]], wanted[pair[i]] = member[components[p]], detections[p]
         claim[pair[i]] += joint[p]
     odds = claim / (missed[owners] * background[wanted])
     share, untouched, unclaimed, log_bethe = association_marginals(owners, wanted, odds, n_groups, n_detections)
 
     taken = np.empty(len(claiming))
-    for i, p in enumerate(claiming):
+    for i in range(len(claiming)):
+        p = claiming[i]
         taken[i] = share[pair[i]] * joint[p] / claim[pair[i]] if claim[pair[i]] > 0.0 else 0.0
     kept = np.flatnonzero(taken >= LEAST_SHARE * prune_weight)
     chosen = claiming[kept]
