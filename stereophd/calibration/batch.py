@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.calibration.batch_kernels import EventArrays, SampleArrays, Step, phd_update, pmb_update, predict
+from stereophd.calibration.batch_arrays import EventArrays, SampleArrays, Step
+from stereophd.calibration.batch_kernels import phd_update, pmb_update, predict
 from stereophd.disparity.moments import FEWEST_SAMPLES, NO_REGION, WIDE_DISPARITY, minimum_in_view
 from stereophd.multi.base import IMPORTANT_WEIGHT
 from stereophd.multi.birth import birth_moments
