@@ -215,6 +215,8 @@ def _run_starts(
         for number in numbers:
             yield run_start(task, number, values[number], seeds[number])
         return
+    import warnings
+
     from joblib import Parallel, delayed
 
     # no more ahead than there are workers: starts that are not needed are not begun
@@ -223,7 +225,10 @@ def _run_starts(
     try:
         yield from outcomes
     finally:
-        outcomes.close()
+        with warnings.catch_warnings():
+            # that starts are given up when enough agree is meant
+            warnings.simplefilter("ignore", UserWarning)
+            outcomes.close()
 
 
 def _scaled_fit(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> Fit:

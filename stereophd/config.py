@@ -20,8 +20,6 @@ from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
 from stereophd.geometry.pose import Pose, rotation_from_vector
 
-Vector2 = tuple[Finite, Finite]
-
 # A rotation matrix typed by hand with six digits passes; a reflection or a scaled matrix does not.
 ROTATION_TOLERANCE = 1e-5
 

@@ -86,7 +86,12 @@ def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tup
 
 def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[int, Integers]]) -> TrackPairs:
     """Pair all tracks of different cameras that were seen at the same time."""
-    cameras, members, pair, rays, sigma, at = [], [], [], [], [], []
+    cameras: list[tuple[int, int]] = []
+    members: list[tuple[int, int]] = []
+    pair: list[Integers] = []
+    rays: list[Array] = []
+    sigma: list[Array] = []
+    at: list[Array] = []
     for a, (camera_a, rows_a) in enumerate(tracks):
         for b, (camera_b, rows_b) in enumerate(tracks):
             if camera_b <= camera_a:
