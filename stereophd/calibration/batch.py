@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.calibration.batch_kernels import EventArrays, SampleArrays, Step, phd_update, pmb_update, predict
+from stereophd.calibration.batch_arrays import EventArrays, SampleArrays, Step
+from stereophd.calibration.batch_kernels import phd_update, pmb_update, predict
 from stereophd.disparity.moments import FEWEST_SAMPLES, NO_REGION, WIDE_DISPARITY, minimum_in_view
 from stereophd.multi.base import IMPORTANT_WEIGHT
 from stereophd.multi.birth import birth_moments
@@ -28,7 +29,6 @@ Integers = NDArray[np.int64]
 
 # Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
 CHUNK = 8
-SAMPLED_METHODS = ("qmc", "particle")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,9 @@ class FilterBatch:
     """Filters conditional on camera hypotheses.
 
     The same as `predict` and `update` of the filter for each hypothesis (to the rounding of sums), without
-    `extract`: no object is ever reported, so that none is protected from being forgotten for having been.
+    `extract`: no object is ever reported, so that none is protected from being forgotten for having been. All
+    components are moved by samples, whatever the template's method is: a rule that gives way to another at a
+    threshold would make the likelihood jump.
 
     Attributes
     ----------
@@ -93,15 +95,13 @@ class FilterBatch:
     Raises
     ------
     ValueError
-        The samples are not of a sampling method, or cameras move.
+        Cameras move.
     """
 
     template: PhdFilter | PmbFilter
     threads: int = 1
 
     def __post_init__(self) -> None:
-        if self.template.sets.method not in SAMPLED_METHODS:
-            raise ValueError(f"expected samples of one of {SAMPLED_METHODS}, found {self.template.sets.method}")
         if self.template.rig.moving:
             raise ValueError("expected cameras that stand still")
 
@@ -171,6 +171,7 @@ class FilterBatch:
             survival=float(settings.survival_per_s**elapsed),
             next_label=state.next_label,
             p_detect=float(camera.detector.p_detect),
+            shape_p_detect=float(camera.detector.p_detect) if template.split_missed else 0.0,
             clutter=float(camera.detector.clutter_per_frame),
             births=float(settings.birth.per_frame),
             area=float(camera.width * camera.height),

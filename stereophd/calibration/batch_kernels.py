@@ -8,11 +8,22 @@ depend on how the hypotheses are shared out over threads. A mixture is a tuple o
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.calibration.batch_arrays import (
+    ROOM,
+    EventArrays,
+    SampleArrays,
+    Step,
+    allocate_moved,
+    allocate_parts,
+    append_parts,
+    predicted_parts,
+    slice_moved,
+    slice_parts,
+    take_parts,
+)
 from stereophd.compilation import compiled
 from stereophd.disparity.kernels import (
     IN_VIEW,
@@ -25,123 +36,13 @@ from stereophd.disparity.kernels import (
 from stereophd.disparity.space import PACKED_SIZE
 from stereophd.geometry.layout import ROTATION
 from stereophd.multi.association import kalman_updates, pair_likelihoods
-from stereophd.multi.intensity import UNLABELLED, Parts
+from stereophd.multi.intensity import Parts
 from stereophd.multi.pmb_reduce import reduce_tracks
 from stereophd.multi.pmb_update import update_tracks
 from stereophd.multi.reduce import merge_sorted
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-# Components that a hypothesis gets room for at first.
-ROOM = 256
-
-
-class SampleArrays(NamedTuple):
-    """Standard-normal samples of an event, shared by all hypotheses.
-
-    `samples` (rows, n) with `weights` (n,) of 1; `reserve` (rows, r) with `reserve_weights` (r,) for the second
-    look at components of which only a corner is in view (`stereophd.disparity.samples.SampleSets`).
-    """
-
-    samples: Array
-    weights: Array
-    reserve: Array
-    reserve_weights: Array
-
-
-class EventArrays(NamedTuple):
-    """Detections of an event (`stereophd.multi.events.Event`) and the objects they may have given birth to.
-
-    `points` (m, 2), `noises` (m, 2, 2), `areas` (m,), `delays` (m,) or None, `birth_means` (m, d),
-    `birth_covariances` (m, d, d).
-    """
-
-    points: Array
-    noises: Array
-    areas: Array
-    delays: Array | None
-    birth_means: Array
-    birth_covariances: Array
-
-
-class Step(NamedTuple):
-    """Numbers of one event.
-
-    `camera`, `time_s` of the event; `survival` since the last one; first unused label; `p_detect`, `clutter` and
-    `births` a frame, `area` of the camera's image (px^2); `acceleration_std` (3,) and `max_speed` of the motion;
-    `minimum`, `reserve_minimum`: fewest samples in view; `important`, `wide`: weight and relative spread of the
-    disparity from which a component gets a second look; then the parameters of the reduction (`PhdSettings`,
-    `PmbSettings`).
-    """
-
-    camera: int
-    time_s: float
-    survival: float
-    next_label: int
-    p_detect: float
-    clutter: float
-    births: float
-    area: float
-    acceleration_std: Array
-    max_speed: float
-    minimum: int
-    reserve_minimum: int
-    important: float
-    wide: float
-    prune_weight: float
-    merge_distance: float
-    max_components: int
-    mutual: bool
-    recycle_below: float
-    hypothesis_distance: float
-    least_share: float
-
-
-@compiled
-def _slice(parts: Parts, first: int, last: int) -> Parts:
-    """Return views of consecutive components."""
-    return (
-        parts[0][first:last], parts[1][first:last], parts[2][first:last], parts[3][first:last],
-        parts[4][first:last], parts[5][first:last], parts[6][first:last], parts[7][first:last],
-    )  # fmt: skip
-
-
-@compiled
-def _allocate(count: int, size: int) -> Parts:
-    """Room for components; pages that are never written are never allocated."""
-    return (
-        np.empty(count), np.empty((count, size)), np.empty((count, size, size)), np.empty(count, dtype=np.int64),
-        np.empty(count), np.empty(count, dtype=np.int64), np.full(count, UNLABELLED),
-        np.zeros(count, dtype=np.bool_),
-    )  # fmt: skip
-
-
-@compiled
-def _copy(source: Parts, index: Integers, target: Parts, first: int) -> None:
-    """Copy the components with these indices to `target`, from place `first` on.
-
-    Identities and reports are left alone: a conditional filter reports nothing. Loops, because NumPy's
-    assignments would take three times as long to compile.
-    """
-    size = source[1].shape[1]
-    for i in range(len(index)):
-        k, to = index[i], first + i
-        target[0][to], target[4][to] = source[0][k], source[4][k]
-        target[3][to], target[5][to] = source[3][k], source[5][k]
-        for a in range(size):
-            target[1][to, a] = source[1][k, a]
-            for b in range(size):
-                target[2][to, a, b] = source[2][k, a, b]
-
-
-@compiled
-def _take(parts: Parts, index: Integers) -> Parts:
-    """Return the components with these indices."""
-    out = _allocate(len(index), parts[1].shape[1])
-    _copy(parts, index, out, 0)
-    return out
 
 
 @compiled
@@ -154,24 +55,6 @@ def _noise(samples: Array, destination: Array, step: Step) -> Array:
         for b in range(3):
             axes[a, b] = destination[ROTATION + 3 * a + b] * step.acceleration_std[b]
     return motion_noise(samples, axes)
-
-
-@compiled
-def _allocate_moved(count: int, size: int) -> MovedArrays:
-    """Return the fields of `stereophd.disparity.moments.Moved`, nothing in view."""
-    return (
-        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
-        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
-    )  # fmt: skip
-
-
-@compiled
-def _slice_moved(moved: MovedArrays, first: int, last: int) -> MovedArrays:
-    """Return views of consecutive components."""
-    return (
-        moved[0][first:last], moved[1][first:last], moved[2][first:last], moved[3][first:last],
-        moved[4][first:last], moved[5][first:last], moved[6][first:last],
-    )  # fmt: skip
 
 
 @compiled
@@ -211,11 +94,11 @@ def predict(
     """
     size = parts[1].shape[1]
     total = (ends - begins).sum()
-    all_weights, all_moved = np.empty(total), _allocate_moved(total, size)
+    all_weights, all_moved = np.empty(total), allocate_moved(total, size)
     first = 0
     for h in range(len(begins)):
         last = first + ends[h] - begins[h]
-        weights, moved = all_weights[first:last], _slice_moved(all_moved, first, last)
+        weights, moved = all_weights[first:last], slice_moved(all_moved, first, last)
         first = last
         part = slice(begins[h], ends[h])
         means, covariances, cameras, times = parts[1][part], parts[2][part], parts[3][part], parts[4][part]
@@ -231,13 +114,13 @@ def predict(
                     break
                 samples, sample_weights, minimum = sets.reserve, sets.reserve_weights, step.reserve_minimum
                 means, covariances, cameras, times = means[which], covariances[which], cameras[which], times[which]
-                outputs = _allocate_moved(len(which), size)
+                outputs = allocate_moved(len(which), size)
             homes = np.empty((len(which), PACKED_SIZE))
             for i in range(len(which)):
                 homes[i] = spaces[h, cameras[i]]
             move_components(
                 means, covariances, homes, step.time_s - times, samples, sample_weights,
-                _noise(samples, destination, step), destination, step.p_detect, step.max_speed, minimum, region,
+                _noise(samples, destination, step), destination, step.shape_p_detect, step.max_speed, minimum, region,
                 outputs,
             )  # fmt: skip
         # after the break there is none: `outputs` is `moved` itself
@@ -264,17 +147,17 @@ def _forget(weights: Array, cameras: Integers, moved: MovedArrays, step: Step) -
 @compiled
 def _reduce(parts: Parts, step: Step) -> Parts:
     """`stereophd.multi.reduce.reduce_mixture` of components none of which is below the pruning weight."""
-    found = _take(parts, np.argsort(-parts[0], kind="mergesort"))
+    found = take_parts(parts, np.argsort(-parts[0], kind="mergesort"))
     if step.merge_distance > 0.0 and len(found[0]) > 1:
         weights, means, covariances, leaders = merge_sorted(
             found[0], found[1], found[2], found[3], found[4], step.merge_distance, step.mutual
         )
-        heads = _take(found, leaders)
+        heads = take_parts(found, leaders)
         found = (weights, means, covariances, heads[3], heads[4], heads[5], heads[6], heads[7])
     if len(found[0]) > step.max_components:
         kept = np.zeros(len(found[0]), dtype=np.bool_)
         kept[np.argsort(-found[0], kind="mergesort")[: step.max_components]] = True
-        found = _take(found, np.flatnonzero(kept))
+        found = take_parts(found, np.flatnonzero(kept))
     return found
 
 
@@ -321,7 +204,7 @@ def _phd_update(parts: Parts, moved: MovedArrays, event: EventArrays, step: Step
         moved[0], moved[1], components, detections, event.points, event.noises, event.delays
     )
 
-    out = _allocate(len(detected) + len(kept) + n_detections, size)
+    out = allocate_parts(len(detected) + len(kept) + n_detections, size)
     missed = _phd_missed(parts, moved, detected, step, out)
     found = missed + len(kept)
     out[0][missed:found], out[1][missed:found], out[2][missed:found] = joint[kept], means, covariances
@@ -333,7 +216,7 @@ def _phd_update(parts: Parts, moved: MovedArrays, event: EventArrays, step: Step
             out[1][found], out[2][found] = event.birth_means[j], event.birth_covariances[j]
             found += 1
     out[3][missed:found], out[4][missed:found] = step.camera, step.time_s
-    return _reduce(_slice(out, 0, found), step), log_likelihood
+    return _reduce(slice_parts(out, 0, found), step), log_likelihood
 
 
 @compiled
@@ -367,15 +250,15 @@ def phd_update(
         Of the event.
     """
     counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
-    out = _allocate(len(begins) * ROOM, parts[1].shape[1])
+    out = allocate_parts(len(begins) * ROOM, parts[1].shape[1])
     found, first = 0, 0
     for h in range(len(begins)):
-        before, seen, first = _predicted(begins[h], ends[h], parts, weights, moved, first)
+        before, seen, first = predicted_parts(begins[h], ends[h], parts, weights, moved, first)
         after, log_likelihoods[h] = _phd_update(before, seen, event, step)
         counts[h] = len(after[0])
-        out = _append(after, out, found)
+        out = append_parts(after, out, found)
         found += counts[h]
-    return counts, _slice(out, 0, found), log_likelihoods
+    return counts, slice_parts(out, 0, found), log_likelihoods
 
 
 @compiled
@@ -390,10 +273,10 @@ def pmb_update(
 ) -> tuple[Integers, Parts, Array]:
     """`PmbFilter.update` of some hypotheses; as `phd_update`."""
     counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
-    out = _allocate(len(begins) * ROOM, parts[1].shape[1])
+    out = allocate_parts(len(begins) * ROOM, parts[1].shape[1])
     found, first = 0, 0
     for h in range(len(begins)):
-        before, seen, first = _predicted(begins[h], ends[h], parts, weights, moved, first)
+        before, seen, first = predicted_parts(begins[h], ends[h], parts, weights, moved, first)
         updated, log_likelihoods[h] = update_tracks(
             before, seen, event.points, event.noises, event.areas, event.delays,
             event.birth_means, event.birth_covariances,
@@ -405,28 +288,6 @@ def pmb_update(
             step.hypothesis_distance, step.least_share,
         )  # fmt: skip
         counts[h] = len(after[0])
-        out = _append(after, out, found)
+        out = append_parts(after, out, found)
         found += counts[h]
-    return counts, _slice(out, 0, found), log_likelihoods
-
-
-@compiled
-def _predicted(
-    begin: int, end: int, parts: Parts, weights: Array, moved: MovedArrays, first: int
-) -> tuple[Parts, MovedArrays, int]:
-    """One hypothesis' components as predicted, the same in the event's space, and where the next one's begin."""
-    last = first + end - begin
-    home = _slice(parts, begin, end)
-    before = (weights[first:last], home[1], home[2], home[3], home[4], home[5], home[6], home[7])
-    return before, _slice_moved(moved, first, last), last
-
-
-@compiled
-def _append(after: Parts, out: Parts, found: int) -> Parts:
-    """Copy components behind the first `found` of `out`; return `out`, or a larger one that replaces it."""
-    if found + len(after[0]) > len(out[0]):
-        larger = _allocate(2 * (found + len(after[0])), out[1].shape[1])
-        _copy(out, np.arange(found), larger, 0)
-        out = larger
-    _copy(after, np.arange(len(after[0])), out, found)
-    return out
+    return counts, slice_parts(out, 0, found), log_likelihoods

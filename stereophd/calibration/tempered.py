@@ -25,8 +25,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
+from stereophd.calibration.modes import Modes
 from stereophd.calibration.parameters import ParameterSet
 from stereophd.calibration.resampling import (
     effective_sample_size,
@@ -36,14 +36,23 @@ from stereophd.calibration.resampling import (
     weighted_mean_covariance,
 )
 
+__all__ = [
+    "Modes",
+    "TemperedInfo",
+    "TemperedResult",
+    "TemperedSampler",
+    "TemperedSettings",
+    "TemperedState",
+    "run",
+    "temperature_rise",
+]
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # Log-likelihoods (k,) of parameter values (k, m).
 LogLikelihood = Callable[[Array], Array]
 
-# Degrees of freedom of the proposal's components: tails heavier than the posterior's, finite variance.
-DEGREES_OF_FREEDOM = 5.0
 # Of Gaussian random walks in m dimensions: 2.38 / sqrt(m) moves best (G. O. Roberts, A. Gelman, W. R. Gilks 1997).
 OPTIMAL_STEP = 2.38
 # The acceptance that the factor of the proposals is steered to, and how fast.
@@ -51,23 +60,6 @@ TARGET_ACCEPTANCE, ADAPTATION = 0.3, 1.0
 SMALLEST_STEP, LARGEST_STEP = 0.05, 4.0
 # Bisections of a tempering step: b to about one part in a million million.
 BISECTIONS = 40
-
-
-@dataclass(frozen=True)
-class Modes:
-    """Modes of the posterior, as another method has found them.
-
-    Attributes
-    ----------
-    means, covariances : arrays (j, m), (j, m, m)
-        Optimum and its (Laplace) covariance.
-    weights : array (j,)
-        Share of the particles drawn from each; positive, summing to 1.
-    """
-
-    means: Array
-    covariances: Array
-    weights: Array
 
 
 @dataclass(frozen=True)
@@ -219,7 +211,10 @@ class TemperedSampler:
         """Draw the particles from the proposal."""
         count = self.settings.particles
         rng = step_generator(self.seed, 0)
-        values = self.parameters.sample(rng, count) if self.modes is None else self._draw(self.modes, rng)
+        if self.modes is None:
+            values = self.parameters.sample(rng, count)
+        else:
+            values = self.modes.draw(count, self.settings.spread, rng)
         log_likelihoods = self.log_likelihood(values)
         return TemperedState(values, log_likelihoods, np.arange(count), 0.0, 0, 1.0, 0.0, 1)
 
@@ -285,33 +280,10 @@ class TemperedSampler:
         """Log-density (k,) of the distribution of the first particles at values (k, m)."""
         if self.modes is None:
             return self.parameters.log_prior(values)
-        parts = [
-            np.log(weight) + _log_student(values - mean, self.settings.spread * np.linalg.cholesky(covariance))
-            for mean, covariance, weight in zip(
-                self.modes.means, self.modes.covariances, self.modes.weights, strict=True
-            )
-        ]
-        return np.asarray(np.logaddexp.reduce(parts, axis=0))
-
-    def _draw(self, modes: Modes, rng: np.random.Generator) -> Array:
-        """Draw the particles (k, m) from the mixture of Student t distributions, stratified over the modes."""
-        count = self.settings.particles
-        which = np.searchsorted(np.cumsum(modes.weights), (np.arange(count) + 0.5) / count)
-        which = np.minimum(which, len(modes.weights) - 1)
-        factors = self.settings.spread * np.linalg.cholesky(modes.covariances)
-        normal = rng.standard_normal((count, self.parameters.size))
-        scale = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, count))
-        return np.asarray(modes.means[which] + scale[:, None] * np.einsum("kab,kb->ka", factors[which], normal))
+        return self.modes.log_density(values, self.settings.spread)
 
     def _mode_of(self, values: Array) -> Integers:
-        """Mode (k,) that each of values (k, m) is nearest to, in the mode's covariance."""
-        if self.modes is None:
-            return np.zeros(len(values), dtype=np.int64)
-        distances = [
-            (np.linalg.solve(np.linalg.cholesky(covariance), (values - mean).T) ** 2).sum(axis=0)
-            for mean, covariance in zip(self.modes.means, self.modes.covariances, strict=True)
-        ]
-        return np.asarray(np.argmin(distances, axis=0), dtype=np.int64)
+        return np.zeros(len(values), dtype=np.int64) if self.modes is None else self.modes.nearest(values)
 
     def _proposal_factors(self, values: Array) -> Array:
         """Cholesky factors (j, m, m) of the covariance of each mode's particles.
@@ -354,15 +326,6 @@ def _log_normal(differences: Array, factors: Array) -> Array:
     scaled = np.linalg.solve(factors, differences[..., None])[..., 0]
     log_determinant = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
     return np.asarray(-0.5 * (scaled**2).sum(axis=1) - log_determinant)
-
-
-def _log_student(differences: Array, factor: Array) -> Array:
-    """Log-density (k,) of the multivariate Student t of shape L L^T at differences (k, m); Cholesky factor L."""
-    size = len(factor)
-    squared = (np.linalg.solve(factor, differences.T) ** 2).sum(axis=0)
-    nu = DEGREES_OF_FREEDOM
-    constant = gammaln(0.5 * (nu + size)) - gammaln(0.5 * nu) - 0.5 * size * np.log(nu * np.pi)
-    return np.asarray(constant - np.log(np.diagonal(factor)).sum() - 0.5 * (nu + size) * np.log1p(squared / nu))
 
 
 def run(

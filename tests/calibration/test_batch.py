@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from stereophd.calibration.likelihood import Evidence, at_nominal_scale, hypothe
 from stereophd.calibration.parameters import ParameterSet
 from stereophd.calibration.scale import ScaleMeasurement
 from stereophd.disparity.moments import OUT_OF_VIEW
+from stereophd.geometry.pose import Pose
 from stereophd.motion import ConstantVelocity, Motion, Static
 from stereophd.multi.base import FilterState
 from stereophd.multi.events import make_rig
@@ -37,7 +40,7 @@ def with_cameras(template: PhdFilter | PmbFilter, parameters: ParameterSet, valu
     [
         ("phd", None, None, {}),
         ("phd", None, REGION, {"merge_mutual": False}),
-        ("phd", Static(), None, {"max_components": 12}),
+        ("phd", Static(), None, {"max_components": 12, "split_missed": False}),
         ("pmb", None, None, {}),
         ("pmb", ConstantVelocity([0.3, 0.3, 0.3]), REGION, {"max_components": 8}),
     ],
@@ -170,10 +173,14 @@ def test_a_known_baseline_is_one_more_factor(parameters: ParameterSet) -> None:
     assert Evidence(parameters, [], batch)(values).tolist() == [0.0, 0.0]
 
 
-def test_unsupported_filters_are_refused(parameters: ParameterSet) -> None:
+def test_moments_by_a_rule_are_taken_from_samples_and_moving_cameras_refused(parameters: ParameterSet) -> None:
+    events = make_events(parameters.cameras, 6)
     template = make_template(parameters.cameras)
-    object.__setattr__(template, "sets", type(template.sets)("linear", *(
-        getattr(template.sets, name) for name in ("sets", "reserve", "reserve_weights")
-    )))  # fmt: skip
-    with pytest.raises(ValueError, match="linear"):
-        FilterBatch(template)
+    ruled = make_template(parameters.cameras)
+    object.__setattr__(ruled, "sets", replace(ruled.sets, method="linear"))
+    expected = Evidence(parameters, events, FilterBatch(template))(np.zeros((1, 6)))
+    np.testing.assert_array_equal(Evidence(parameters, events, FilterBatch(ruled))(np.zeros((1, 6))), expected)
+    pose = parameters.cameras[0].pose
+    moving = replace(parameters.cameras[0], pose=Pose(pose.rotation, pose.center, velocity=(1.0, 0.0, 0.0)))
+    with pytest.raises(ValueError, match="stand still"):
+        FilterBatch(make_template((moving, parameters.cameras[1])))
