@@ -24,7 +24,8 @@ from stereophd.multi.pmb import PmbFilter
 from stereophd.track import build_filter
 
 if TYPE_CHECKING:
-    from stereophd.config_loading import LoadedConfig
+    from stereophd.config_single import SingleConfig
+from stereophd.config_loading import LoadedConfig
 
 
 @dataclass(frozen=True)
@@ -220,4 +221,8 @@ def phd_filter(
 def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:
     if loaded.config.filter is None:
         raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
+    if isinstance(loaded.config.filter, SingleConfig):
+        raise InputError(
+            f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
+        )
     return loaded.config.filter

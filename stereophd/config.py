@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
 from stereophd.config_calibration import CalibrationConfig
+from stereophd.config_single import DisparityPrior, SingleConfig
 from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
 from stereophd.geometry.pose import Pose, rotation_from_vector
@@ -280,13 +281,6 @@ class MomentsConfig(Model):
         return self
 
 
-class DisparityPrior(Model):
-    """Gaussian prior of the disparity of a new object."""
-
-    mean_px: Positive = Field(description="mean, px at the baseline")
-    std_px: Positive = Field(description="standard deviation, px at the baseline")
-
-
 class BirthConfig(Model):
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
@@ -379,7 +373,7 @@ class PhdConfig(Model):
 class PmbExtractionConfig(ExtractionConfig):
     """Thresholds of existence between which a track is reported."""
 
-    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.95, description="reported from this existence on")
+    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.98, description="reported from this existence on")
     release: Annotated[float, Field(gt=0, le=1)] = Field(
         0.01, description="a reported track stays reported until its existence falls below this"
     )
@@ -420,7 +414,7 @@ class PmbConfig(Model):
     )
 
 
-FilterConfig = Annotated[PhdConfig | PmbConfig, Field(discriminator="kind")]
+FilterConfig = Annotated[PhdConfig | PmbConfig | SingleConfig, Field(discriminator="kind")]
 
 
 class SmoothConfig(Model):
@@ -571,7 +565,7 @@ class Config(Model):
     motion: MotionConfig = Field(default_factory=MotionConfig, description="how objects move (track)")
     moments: MomentsConfig = Field(default_factory=MomentsConfig, description="how Gaussians are carried over (track)")
     region: RegionConfig | None = Field(None, description="where objects can be (track)")
-    filter: FilterConfig | None = Field(None, description="the multi-object filter (track)")
+    filter: FilterConfig | None = Field(None, description="the filter (track)")
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -25,6 +25,9 @@ MOST_FRAMES = 20_000
 MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
+
+# Correlation of successive residuals from which errors cannot pass for white noise.
+LASTING = 0.3
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -97,6 +100,8 @@ def _pass(
         if number % PROGRESS_EVERY == 0:
             alive = set(state.mixture.labels.tolist())
             settled.keep(alive)
+            for each in sums:
+                each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
             attribution.keep(state.mixture.labels)
             if progress is not None:
                 progress(reader.counts["rows"], reader.num_rows)
@@ -150,10 +155,22 @@ def estimate_detectors(
         texts = [_text(name, estimate) for name, estimate in found.items()]
         LOGGER.info("detectors, pass %d: %s", passes, "; ".join(texts))
     if not converged:
-        LOGGER.warning(
-            "detectors: still changing after %d passes; noise that is not white may have no estimate", passes
-        )
+        LOGGER.warning("detectors: still changing after %d passes", passes)
+    _warn(found, own_noise)
+    report = {name: _report(estimate) for name, estimate in found.items()}
+    return cameras, {"passes": passes, "converged": converged, "cameras": report}
+
+
+def _warn(found: Mapping[str, DetectorEstimate], own_noise: bool) -> None:
+    """Say which noise could not be estimated, and which is none."""
     for name, estimate in found.items():
+        if estimate.correlation is not None and estimate.correlation.max() > LASTING:
+            LOGGER.warning(
+                "detector of %s: errors last from frame to frame (correlation %.2f, %.2f along u, v): of pose, clock "
+                "or lens, or of smoothed labels; with noise estimated from them tracks will be overconfident",
+                name,
+                *estimate.correlation,
+            )
         if estimate.sigma_error is None and not own_noise:
             LOGGER.warning(
                 "detector of %s: %.0f detections of tracks that two cameras saw: too few to estimate the noise, "
@@ -161,8 +178,6 @@ def estimate_detectors(
                 name,
                 estimate.residuals,
             )
-    report = {name: _report(estimate) for name, estimate in found.items()}
-    return cameras, {"passes": passes, "converged": converged, "cameras": report}
 
 
 def _agree(present: Detector, estimate: DetectorEstimate) -> bool:
@@ -199,6 +214,7 @@ def _report(estimate: DetectorEstimate) -> dict[str, Any]:
         "sigma_px_standard_error": None if estimate.sigma_error is None else estimate.sigma_error.tolist(),
         "p_detect_standard_error": estimate.p_detect_error,
         "clutter_per_frame_standard_error": estimate.clutter_error,
+        "residual_correlation": None if estimate.correlation is None else estimate.correlation.tolist(),
         "residuals": estimate.residuals,
         "in_view": estimate.in_view,
         "frames": estimate.frames,

@@ -83,6 +83,8 @@ def test_the_true_values_are_found_from_a_start_far_away(logs: Path, tmp_path: P
             # three objects in view of both cameras for all but the first frames
             assert 500 < mine["in_view"] < 600
             assert 0.7 < mine["residuals"] / (mine["in_view"] * TRUE[name][1]) < 1.1
+            # white: five standard errors of a correlation from some 500 pairs
+            assert np.abs(mine["residual_correlation"]).max() < 5.0 / np.sqrt(mine["residuals"])
             # an error of 4 % of the noise: the estimate is worth something
             assert max(np.divide(mine["sigma_px_standard_error"], mine["sigma_px"])) < 0.07
     values = np.array(errors)
@@ -155,6 +157,14 @@ def test_too_little_to_estimate_from(logs: Path, tmp_path: Path, caplog: pytest.
         assert found[name]["sigma_px_standard_error"] is None
     assert found["right"]["frames"] == 0
     assert "too few to estimate the noise" in caplog.text
+
+
+def test_errors_that_last_are_not_taken_for_noise(logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A camera that leans by 0.3 degrees sees all objects 5 px off: residuals of successive frames agree."""
+    rotation = "cameras.right.pose.rotation_vector_deg=[0.3, 10.0, 0.0]"
+    found = estimated(logs, tmp_path / "out", 0, "detector=estimate", rotation, *given(TRUE))["detectors"]["cameras"]
+    assert max(found[name]["residual_correlation"][1] for name in TRUE) > 0.5
+    assert "errors last from frame to frame" in caplog.text
 
 
 def test_values_from_sums() -> None:

@@ -20,6 +20,10 @@ the frame, and M that it exists and made none. Frames count up to the last detec
 comes after is the object's end, not misses.
 
 Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame.
+
+Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
+of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
+white noise describes them; estimated as if they were, tracks become overconfident.
 """
 
 from __future__ import annotations
@@ -41,6 +45,8 @@ Integers = NDArray[np.int64]
 
 # A track whose alternatives are still undecided (the heaviest has less than this share) says nothing yet.
 DECIDED_SHARE = 0.9
+# A detection that is more probably a track's than not counts as its next residual.
+LIKELY = 0.5
 # Estimates from fewer residuals, or frames with a track in view, are not trusted.
 FEWEST_RESIDUALS = 50.0
 FEWEST_IN_VIEW = 50.0
@@ -60,6 +66,12 @@ class DetectorSums:
         Sums of D and M.
     frames, detections, attributed : int
         Frames, detections, and those of confirmed tracks.
+    products, norms : arrays (2,)
+        Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for residuals r = e / sqrt(S).
+    successions : int
+        Number of terms in these.
+    previous : dict
+        Label -> residual r (2,) of its last detection.
     """
 
     residuals: Array = field(default_factory=lambda: np.zeros(2))
@@ -72,6 +84,10 @@ class DetectorSums:
     frames: int = 0
     detections: int = 0
     attributed: int = 0
+    products: Array = field(default_factory=lambda: np.zeros(2))
+    norms: Array = field(default_factory=lambda: np.zeros(2))
+    successions: int = 0
+    previous: dict[int, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -84,6 +100,8 @@ class DetectorEstimate:
     sigma_error : array (2,) or None
         Standard errors of sigma, px.
     p_detect_error, clutter_error : float or None
+    correlation : array (2,) or None
+        Of the residuals of successive frames along u and v: 0 of white noise.
     residuals, in_view : float
         Expected numbers of detections behind sigma, and of frames with a track in view behind p_detect.
     frames : int
@@ -93,6 +111,7 @@ class DetectorEstimate:
     sigma_error: Array | None
     p_detect_error: float | None
     clutter_error: float | None
+    correlation: Array | None
     residuals: float
     in_view: float
     frames: int
@@ -153,11 +172,10 @@ def observe(
     missed = np.maximum(1.0 - expected, 1e-9)
     odds = expected[owners] * densities / (missed[owners] * max(background, 1e-300))
     share, untouched, _, _ = association_marginals(owners, targets, odds, len(chosen), len(event.points))
+    labels = prediction.mixture.labels[chosen]
     if with_noise and len(owners):
-        _add_residuals(sums, means[owners], covariances[owners], event, targets, share, camera)
-    return Sighting(
-        prediction.mixture.labels[chosen], 1.0 - untouched, untouched * existence * (1.0 - detector.p_detect) / missed
-    )
+        _add_residuals(sums, means[owners], covariances[owners], event, targets, share, camera, labels[owners])
+    return Sighting(labels, 1.0 - untouched, untouched * existence * (1.0 - detector.p_detect) / missed)
 
 
 def _decided(prediction: Prediction, settled: Integers) -> tuple[Integers, Array]:
@@ -179,6 +197,7 @@ def _add_residuals(
     targets: Integers,
     share: Array,
     camera: Camera,
+    labels: Integers,
 ) -> None:
     """Add pairs of components (p, d) and detections, of these probabilities, in distorted pixels."""
     observation = np.zeros((len(targets), 2, means.shape[1]))
@@ -199,6 +218,14 @@ def _add_residuals(
     sums.squares += (weights**2).sum(axis=0)
     sums.shares += (weights * noise / total).sum(axis=0)
     sums.pairs += float(share.sum())
+    for pair in np.flatnonzero(share > LIKELY):
+        residual = residuals[pair] / np.sqrt(total[pair])
+        before = sums.previous.get(int(labels[pair]))
+        sums.previous[int(labels[pair])] = residual
+        if before is not None:
+            sums.products += residual * before
+            sums.norms += (residual**2 + before**2) / 2.0
+            sums.successions += 1
 
 
 def estimate_detector(sums: DetectorSums, present: Detector) -> DetectorEstimate:
@@ -218,6 +245,8 @@ def estimate_detector(sums: DetectorSums, present: Detector) -> DetectorEstimate
     if sums.frames > 0:
         clutter = (max(sums.detections - sums.attributed, 0) + 0.5) / sums.frames
         clutter_error = float(np.sqrt(clutter / sums.frames))
+    correlation = sums.products / sums.norms if sums.successions >= FEWEST_RESIDUALS else None
     return DetectorEstimate(
-        Detector(sigma, p_detect, clutter), sigma_error, p_error, clutter_error, sums.pairs, in_view, sums.frames
-    )
+        Detector(sigma, p_detect, clutter), sigma_error, p_error, clutter_error, correlation, sums.pairs, in_view,
+        sums.frames,
+    )  # fmt: skip

@@ -21,7 +21,15 @@ from stereophd.disparity.initial import InitialPrior
 from stereophd.disparity.kernels import POSITION_ALONE, POSITION_WITH_VELOCITY
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.motion import Motion, Static
-from stereophd.single.base import SingleEstimate, SingleEstimator, SingleInfo, first_density, only_detection
+from stereophd.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    SingleState,
+    detection_time,
+    first_density,
+    only_detection,
+)
 from stereophd.single.gaussian import states_in_world
 from stereophd.single.resampling import SCHEMES
 from stereophd.single.settings import ParticleSettings
@@ -33,26 +41,22 @@ MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True)
-class ParticleState:
+class ParticleState(SingleState):
     """Weighted particles.
 
     Attributes
     ----------
     particles : array (d, n)
-        In the world, at the time of the last event; empty before the first detection.
+        In the world, at the time of the last detection; empty before the first.
     weights : array (n,)
         Sum to 1.
     log_weights : array (n,)
         Their logarithms, to a constant; of weights kept as numbers not used.
-    time_s : float
-    n_events : int
     """
 
     particles: Array
     weights: Array
     log_weights: Array
-    time_s: float
-    n_events: int
 
 
 @compiled
@@ -144,28 +148,31 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
 
     def init(self) -> ParticleState:
         """Return the state before the first detection."""
-        return ParticleState(np.empty((self.state_size, 0)), np.empty(0), np.empty(0), 0.0, 0)
+        return ParticleState(0.0, 0.0, 0, np.empty((self.state_size, 0)), np.empty(0), np.empty(0))
 
     def step(self, state: ParticleState, event: Event) -> tuple[ParticleState, SingleInfo]:
         """Resample, if due, move the particles to the event's time, and weigh them by its detection."""
+        if only_detection(event) is None:
+            after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
+            return after, SingleInfo(0.0, _effective(state.weights) if len(state.weights) else 0.0)
         rng = np.random.default_rng((self.seed, state.n_events))
-        found = only_detection(event) is not None
-        if state.particles.shape[1] == 0:
-            if not found:
-                return replace(state, time_s=event.time_s, n_events=state.n_events + 1), SingleInfo(0.0, 0.0)
-            return self._first(event, state.n_events + 1, rng)
-        state = self._predict(state, event.time_s, rng)
-        if not found:
-            return state, SingleInfo(0.0, _effective(state.weights))
-        space = self.rig.space(event.camera, event.time_s)
-        likelihood = log_likelihoods(state.particles, space, event.points[0], event.covariances[0])
-        state, evidence = self._update(state, likelihood)
-        return state, SingleInfo(evidence + float(np.log(event.areas[0])), _effective(state.weights))
+        time_s = detection_time(event)
+        space = self.rig.space(event.camera, time_s)
+        if len(state.weights) == 0:
+            particles = self._first(event, space, rng)
+            weights = np.full(particles.shape[1], 1.0 / particles.shape[1])
+            log_weights, log_likelihood = np.log(weights), first_density(self.rig, event)
+        else:
+            particles, weights, log_weights = self._predict(state, time_s, rng)
+            likelihood = log_likelihoods(particles, space, event.points[0], event.covariances[0])
+            weights, log_weights, evidence = self._update(weights, log_weights, likelihood)
+            log_likelihood = evidence + math.log(event.areas[0])
+        updated = ParticleState(event.time_s, time_s, state.n_events + 1, particles, weights, log_weights)
+        return updated, SingleInfo(log_likelihood, _effective(weights))
 
-    def _first(self, event: Event, n_events: int, rng: np.random.Generator) -> tuple[ParticleState, SingleInfo]:
-        """Particles on the ray of the first detection."""
+    def _first(self, event: Event, space: Array, rng: np.random.Generator) -> Array:
+        """Particles (d, n) on the ray of the first detection."""
         count, size = self.settings.particles, self.state_size
-        space = self.rig.space(event.camera, event.time_s)
         means, covariances = self.prior.moments(event.points, event.covariances, space, size)
         states = np.empty((count, size))
         states[:, :2] = rng.multivariate_normal(means[0, :2], covariances[0, :2, :2], count)
@@ -178,22 +185,19 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         particles = states_in_world(states, space, 0.0, limit).T[:size].copy()
         if size == 6 and not in_disparity:
             particles[3:] = rng.standard_normal((3, count)) * self.prior.velocity_std
-        state = ParticleState(
-            particles, np.full(count, 1.0 / count), np.full(count, -math.log(count)),
-            event.time_s, n_events,
-        )  # fmt: skip
-        return state, SingleInfo(first_density(self.rig, event), float(count))
+        return particles
 
-    def _predict(self, state: ParticleState, time_s: float, rng: np.random.Generator) -> ParticleState:
-        """Particles at a time, resampled first if too few of them carry the weight."""
+    def _predict(self, state: ParticleState, time_s: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """Particles, weights and their logarithms at a time, resampled first if few particles carry the weight."""
         count = len(state.weights)
-        dt = time_s - state.time_s
+        dt = time_s - state.home_s
         due = _effective(state.weights) < self.settings.resample_below * count
         index = np.arange(count)
         weights, log_weights = state.weights, state.log_weights
         if due:
             index = SCHEMES[self.settings.resampling](weights, rng.random(count + 1))
-            weights, log_weights = np.full(count, 1.0 / count), np.full(count, -math.log(count))
+            weights = np.full(count, 1.0 / count)
+            log_weights = np.log(weights)
         particles = state.particles
         if due and self.settings.regularised:
             particles, index = particles[:, index] + self._kernel(state, rng), np.arange(count)
@@ -203,7 +207,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             particles = _disturb(particles, index, dt, self.motion.acceleration_std, normal, limit)
         elif due:
             particles = np.ascontiguousarray(particles[:, index])
-        return ParticleState(particles, weights, log_weights, time_s, state.n_events + 1)
+        return particles, weights, log_weights
 
     def _kernel(self, state: ParticleState, rng: np.random.Generator) -> Array:
         """Draws (d, n) of the Gaussian kernel of least error for a Gaussian (Musso, Oudjane and Le Gland 2001)."""
@@ -214,26 +218,29 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(width * factor @ rng.standard_normal((size, count)))
 
-    def _update(self, state: ParticleState, log_likelihood: Array) -> tuple[ParticleState, float]:
-        """Weights after a detection, and the logarithm of its predicted density."""
+    def _update(self, weights: Array, log_weights: Array, log_likelihood: Array) -> tuple[Array, Array, float]:
+        """Weights and their logarithms after a detection, and the logarithm of its predicted density."""
         if self.settings.weights == "linear":
-            weights = state.weights * np.exp(log_likelihood)
-            total = float(weights.sum())
+            updated = weights * np.exp(log_likelihood)
+            total = float(updated.sum())
             if total > 0.0:
-                return replace(state, weights=weights / total), math.log(total)
+                return updated / total, log_weights, math.log(total)
         elif log_likelihood.max() > -np.inf:
-            weights, log_weights, evidence = _weigh(state.log_weights, log_likelihood)
-            return replace(state, weights=weights, log_weights=log_weights), evidence
+            return _weigh(log_weights, log_likelihood)
         # no particle can have made the detection: the smallest number there is
-        return state, math.log(np.finfo(float).tiny)
+        return weights, log_weights, math.log(np.finfo(float).tiny)
 
     def estimate(self, state: ParticleState) -> SingleEstimate | None:
         """Return the weighted mean and covariance, and the particle of the largest weight."""
-        if state.particles.shape[1] == 0:
+        if len(state.weights) == 0:
             return None
         mean, covariance = _moments(state.particles, state.weights)
         mode = np.zeros(6)
         mode[: self.state_size] = state.particles[:, int(np.argmax(state.weights))]
+        dt = state.time_s - state.home_s
+        if dt != 0.0:
+            matrix, noise = self.motion.transition(dt)
+            mean, mode, covariance = matrix @ mean, matrix @ mode, matrix @ covariance @ matrix.T + noise
         return SingleEstimate(mean, mode, covariance)
 
 
