@@ -15,6 +15,7 @@ from stereophd.calibration.parameters import CENTER, QUANTITIES, ROTATION, Param
 from stereophd.calibration.scale import ScaleMeasurement
 from stereophd.config import CameraConfig, Config, MomentsConfig, PhdConfig, PmbConfig, PoseConfig
 from stereophd.config_calibration import BaselineScale, CalibrationConfig, per_axis
+from stereophd.config_single import SingleConfig
 from stereophd.errors import InputError
 from stereophd.geometry.camera import Camera
 from stereophd.io.logs import LogReader
@@ -24,8 +25,7 @@ from stereophd.multi.pmb import PmbFilter
 from stereophd.track import build_filter
 
 if TYPE_CHECKING:
-    from stereophd.config_single import SingleConfig
-from stereophd.config_loading import LoadedConfig
+    from stereophd.config_loading import LoadedConfig
 
 
 @dataclass(frozen=True)

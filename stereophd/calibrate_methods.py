@@ -23,10 +23,12 @@ from stereophd.calibration.annealed import (
     distinct_modes,
     enough,
     fit_until,
+    real_detections,
     rescaled,
     run_start,
     start_values,
 )
+from stereophd.calibration.association import shared, track_detections
 from stereophd.calibration.batch import FilterBatch
 from stereophd.calibration.likelihood import Evidence
 from stereophd.calibration.resampling import effective_sample_size, weighted_mean_covariance
@@ -71,6 +73,8 @@ class Outcome:
     history : tuple of HistoryRow
     reason : str
         Why nothing was found; empty if something was.
+    doubt : str
+        Why the posterior is not to be trusted; empty if it may be.
     fit : Fit or None
         Trajectories and residuals, of method annealed.
     details : dict
@@ -83,6 +87,7 @@ class Outcome:
     log_weights: Array
     history: tuple[HistoryRow, ...]
     reason: str = ""
+    doubt: str = ""
     fit: Fit | None = None
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -188,7 +193,7 @@ def annealed_outcome(
     if best is None or best.fit is None:
         why = f"none of {len(starts)} starts agrees with the data"
         nothing = np.full((size, size), np.nan)
-        return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, None, details)
+        return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
     fit = _scaled_fit(section, task, best.fit, details)
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
     details["fit"] = _fit_report(problem, best, fit)
@@ -203,7 +208,7 @@ def annealed_outcome(
     rng = np.random.default_rng(seed_for(loaded, DRAWS_KEY))
     draws = mean + rng.standard_normal((GAUSSIAN_DRAWS, size)) @ np.linalg.cholesky(covariance).T
     weights = np.full(GAUSSIAN_DRAWS, -np.log(GAUSSIAN_DRAWS))
-    return Outcome(mean, covariance, draws, weights, history, "", fit, details)
+    return Outcome(mean, covariance, draws, weights, history, "", "", fit, details)
 
 
 def _run_starts(
@@ -219,16 +224,15 @@ def _run_starts(
 
     from joblib import Parallel, delayed
 
+    # that starts are given up once enough agree is meant
+    warnings.filterwarnings("ignore", message=".*tasks which were still being processed", category=UserWarning)
     # no more ahead than there are workers: starts that are not needed are not begun
     pool = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="n_jobs")
     outcomes = pool(delayed(run_start)(task, number, values[number], seeds[number]) for number in numbers)
     try:
         yield from outcomes
     finally:
-        with warnings.catch_warnings():
-            # that starts are given up when enough agree is meant
-            warnings.simplefilter("ignore", UserWarning)
-            outcomes.close()
+        outcomes.close()
 
 
 def _scaled_fit(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> Fit:
@@ -321,7 +325,27 @@ def sequential_outcome(
         "resampled": sum(info.resampled for info in result.history),
     }
     history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
-    return Outcome(mean, covariance, result.state.values, result.state.log_weights, history, "", None, details)
+    doubt = _doubt(loaded, section, problem, mean, details)
+    return Outcome(mean, covariance, result.state.values, result.state.log_weights, history, "", doubt, None, details)
+
+
+def _doubt(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    values: Array,
+    details: dict[str, Any],
+) -> str:
+    """Track with the cameras found: a filter that settled on wrong ones has no tracks that two cameras share."""
+    settings = section.annealed
+    scans = thinned(problem.scans, settings.max_events)
+    found = track_detections(pmb_filter(loaded, problem.parameters.build(values)), scans, 1.0)
+    chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], settings.min_detections)
+    part = int(np.isin(found.tracks, chosen).sum()) / real_detections(problem.parameters, scans)
+    details["explained"] = part
+    if part >= settings.min_tracked:
+        return ""
+    return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
 
 
 def smc_outcome(
@@ -366,4 +390,4 @@ def smc_outcome(
         "ancestors": result.ancestors,
         "modes": len(modes.weights),
     }
-    return Outcome(mean, covariance, result.values, result.log_weights, history, "", fit, details)
+    return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)

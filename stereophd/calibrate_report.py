@@ -32,6 +32,8 @@ def status_of(problem: CalibrationProblem, outcome: Outcome) -> tuple[str, str, 
     if outcome.reason:
         return UNDETERMINED, outcome.reason, None
     found = observability(problem.parameters, problem.reference, outcome.values, outcome.covariance)
+    if outcome.doubt:
+        return UNDETERMINED, outcome.doubt, found
     if found.status == DETERMINED:
         return DETERMINED, "", found
     count = int((found.ratios > UNDETERMINED_RATIO).sum())

@@ -240,7 +240,7 @@ def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
 
 
 def adjust(
-    problem: Problem, values: Array, states: Array, max_iterations: int = 60, tolerance: float = 1e-7
+    problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7
 ) -> Adjustment:
     """Minimise from values (m,) and knots (k, 2, 3).
 

@@ -327,12 +327,17 @@ def _noise(task: Task, fit: Fit) -> float:
 
 def explained(task: Task, fit: Fit) -> float:
     """Detections of shared trajectories, in parts of those that are not expected to be false."""
+    return len(fit.detections) / real_detections(task.parameters, task.scans)
+
+
+def real_detections(parameters: ParameterSet, scans: Scans) -> float:
+    """How many detections are not expected to be false; at least two standard deviations of the false ones."""
+    frames = np.bincount(scans.cameras, minlength=len(parameters.cameras))
     clutter = sum(
-        task.parameters.cameras[number].detector.clutter_per_frame * count
-        for number, count in enumerate(np.bincount(task.scans.cameras, minlength=len(task.parameters.cameras)))
+        camera.detector.clutter_per_frame * count for camera, count in zip(parameters.cameras, frames, strict=True)
     )
-    total = len(task.scans.points)
-    return float(len(fit.detections) / max(total - clutter, 2.0 * np.sqrt(max(total, 1))))
+    total = len(scans.points)
+    return float(max(total - clutter, 2.0 * np.sqrt(max(clutter, 1.0))))
 
 
 def _disagreement(task: Task, fit: Fit, part: float) -> str | None:

@@ -201,7 +201,7 @@ def motion_bands(knots: Knots) -> Array:
 def banded_product(bands: Array, vector: Array) -> Array:
     """Product of a symmetric matrix in lower banded form with a vector (size,)."""
     out = bands[0] * vector
-    for k in range(1, len(bands)):
+    for k in range(1, min(len(bands), len(vector))):
         out[k:] += bands[k, : len(vector) - k] * vector[: len(vector) - k]
         out[: len(vector) - k] += bands[k, : len(vector) - k] * vector[k:]
     return np.asarray(out)
