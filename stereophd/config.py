@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 
 from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
 from stereophd.config_calibration import CalibrationConfig
+from stereophd.config_experiment import ExperimentConfig
 from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
 from stereophd.geometry.pose import Pose, rotation_from_vector
@@ -449,3 +450,4 @@ class Config(Model):
     report: ReportConfig = Field(default_factory=ReportConfig)
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
     calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
+    experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")

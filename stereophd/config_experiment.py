@@ -1,0 +1,112 @@
+"""The ``experiment`` section of a configuration: a scenario, methods, cases, a number of runs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from stereophd.config_base import Finite, Model, Positive
+
+# Dotted paths of any keys of the configuration, and the values they take.
+Settings = dict[str, Any]
+
+
+class OspaSettings(Model):
+    """One OSPA distance."""
+
+    order: Annotated[float, Field(ge=1, allow_inf_nan=False)] = Field(2.0, description="order p")
+    cutoff: Positive = Field(description="cutoff c, length (mahalanobis: standard deviations)")
+    base: Literal["euclidean", "mahalanobis"] = "euclidean"
+
+    @property
+    def quantity(self) -> str:
+        """Name of the quantity in the results."""
+        base = "" if self.base == "euclidean" else "mahalanobis_"
+        return f"ospa_{base}p{self.order:g}_c{self.cutoff:g}"
+
+
+class MultiObjectScenario(Model):
+    """The scene of ``simulate``, tracked by ``filter``, scored by OSPA over time."""
+
+    kind: Literal["multi_object"]
+    tracker: Literal["filter", "known_association"] = Field(
+        "filter",
+        description="filter: the configuration's; known_association: least squares on all data so far with the true "
+        "associations, a limit for all trackers of straight paths",
+    )
+    ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)]
+
+
+Scenario = MultiObjectScenario
+
+
+class AxisConfig(Model):
+    """One thing that differs between the cases; the cases are all combinations of the axes."""
+
+    key: str | None = Field(None, description="dotted path of the key that takes the values")
+    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    unit: str = Field("", description="of the values, for names and figures")
+    settings: Annotated[dict[str, Settings], Field(min_length=1)] | None = Field(
+        None, description="instead of key and values: name of the value -> the keys that it sets, and their values"
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> AxisConfig:
+        if (self.key is None) != (self.values is None) or (self.key is None) == (self.settings is None):
+            raise ValueError("expected key and values, or settings")
+        return self
+
+    def points(self) -> list[tuple[str, Settings]]:
+        """Return the name of each value, and what it sets."""
+        if self.settings is not None:
+            return list(self.settings.items())
+        assert self.key is not None and self.values is not None
+        unit = f" {self.unit}" if self.unit else ""
+        return [(f"{_plain(value)}{unit}", {self.key: value}) for value in self.values]
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, (int, float)) and not isinstance(value, bool) else str(value)
+
+
+class FigureConfig(Model):
+    """What the figure shows: a panel a quantity, a line a method."""
+
+    title: str | None = None
+    quantities: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
+        None, description="names of quantities; default all that vary with time, or else all"
+    )
+    over: str | None = Field(
+        None, description="the axis of the cases along the figure; default time, or else the first axis"
+    )
+    log: bool = Field(False, description="logarithmic scale of the quantities")
+    most: Positive | None = Field(None, description="upper end of the scale of the quantities")
+
+
+class ExperimentConfig(Model):
+    """Monte Carlo runs of a scenario: every method in every case sees the same data in run k."""
+
+    name: str | None = Field(None, description="name in the results; default the name of the file")
+    scenario: Scenario
+    runs: Annotated[int, Field(ge=1)] = Field(description="number of runs of each method in each case")
+    methods: Annotated[dict[str, Settings], Field(min_length=1)] = Field(
+        description="name -> dotted paths of any keys of this file, and the values they take for this method"
+    )
+    cases: dict[str, AxisConfig] = Field(default_factory=dict, description="name of an axis -> what varies along it")
+    windows: dict[str, tuple[Finite, Finite]] = Field(
+        default_factory=dict, description="name -> first and last time, s: of every quantity also the mean over it"
+    )
+    table: tuple[str, ...] | None = Field(
+        None, description="quantities of the table on the terminal; default those without time"
+    )
+    figure: FigureConfig = Field(default_factory=FigureConfig)
+
+    @model_validator(mode="after")
+    def _order(self) -> ExperimentConfig:
+        for name, (low, high) in self.windows.items():
+            if low > high:
+                raise ValueError(f"windows.{name}: expected first <= last time, found [{low:g}, {high:g}]")
+        if self.figure.over is not None and self.figure.over not in self.cases:
+            raise ValueError(f"figure.over: expected the name of an axis of cases, found {self.figure.over}")
+        return self
