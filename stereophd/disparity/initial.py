@@ -1,0 +1,133 @@
+"""The Gaussian of an object that one camera has just seen for the first time (paper V-A).
+
+The pixel is observed; the depth comes from a prior on disparity, the velocity from N(0, sigma^2 I) in the
+world. Mapped to disparity space the velocity is
+
+    du = d a_u . v,  dv = d a_v . v,  dd = d^2 a_d . v,      (v in the camera's axes)
+
+with a_u = (fx, 0, cx - u) / s, a_v = (0, fy, cy - v) / s, a_d = (0, 0, -1) / s and s = f b: a polynomial
+in the disparity. Its moments under the prior are therefore known in closed form, and the Gaussian
+given here is the one that infinitely many samples would give. (A diagonal prior in px/s would lose
+near, fast objects and make far ones fly; the paper's experiments use one, so it can be had.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.disparity.space import BASELINE, VERTICAL
+from stereophd.geometry.layout import CX, CY, FX, FY
+
+Array = NDArray[np.float64]
+
+# Distance in standard deviations of disparity at which a depth range ends.
+DEPTH_RANGE_SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class InitialPrior:
+    """Prior of what the first detection of an object does not tell.
+
+    Attributes
+    ----------
+    disparity : tuple of float or None
+        Mean and standard deviation of the disparity, px.
+    depth_range : tuple of float or None
+        Instead of `disparity`, near and far depth: two standard deviations either side of the mean.
+    velocity_std : float
+        Standard deviation of each component of velocity in the world, length/s.
+    disparity_velocity_std : tuple of float or None
+        Instead of `velocity_std`, standard deviations of du, dv and dd, px/s, about 0.
+
+    Raises
+    ------
+    ValueError
+        Unless exactly one of `disparity` and `depth_range` is given.
+    """
+
+    disparity: tuple[float, float] | None = None
+    depth_range: tuple[float, float] | None = None
+    velocity_std: float = 0.0
+    disparity_velocity_std: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.disparity is None) == (self.depth_range is None):
+            raise ValueError("prior: expected exactly one of disparity and depth_range")
+
+    def disparity_moments(self, space: Array) -> tuple[float, float]:
+        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
+        return disparity_moments(self.disparity, self.depth_range, space)
+
+    def moments(self, points: Array, noises: Array, space: Array, size: int) -> tuple[Array, Array]:
+        """Means (m, d) and covariances (m, d, d) of objects first seen at `points`: see `initial_moments`."""
+        mean, std = self.disparity_moments(space)
+        means, covariances = initial_moments(points, noises, space, mean, std, self.velocity_std, size)
+        if size == 6 and self.disparity_velocity_std is not None:
+            covariances[:, 3:, 3:] = np.diag(np.square(self.disparity_velocity_std))
+        return means, covariances
+
+
+def disparity_moments(
+    disparity: tuple[float, float] | None, depth_range: tuple[float, float] | None, space: Array
+) -> tuple[float, float]:
+    """Mean and standard deviation of the disparity (px) in a packed space (30,), given either prior."""
+    if disparity is not None:
+        return disparity
+    assert depth_range is not None
+    scale = float((space[FY] if space[VERTICAL] == 1.0 else space[FX]) * space[BASELINE])
+    near, far = scale / depth_range[0], scale / depth_range[1]
+    return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)
+
+
+def initial_moments(
+    points: Array, noises: Array, space: Array, mean: float, std: float, velocity_std: float, size: int
+) -> tuple[Array, Array]:
+    """Gaussians of objects of which nothing but one detection each is known.
+
+    Parameters
+    ----------
+    points, noises : arrays (m, 2), (m, 2, 2)
+        Undistorted pixels, and their covariances, px^2.
+    space : array (30,)
+        Packed space of the camera that saw them.
+    mean, std : float
+        Prior of the disparity, px.
+    velocity_std : float
+        Standard deviation of each component of velocity in the world, length/s.
+    size : int
+        6, or 3 for static objects.
+
+    Returns
+    -------
+    means, covariances : arrays (m, d), (m, d, d)
+        In the camera's disparity space, given the detection.
+    """
+    count = len(points)
+    means = np.zeros((count, size))
+    means[:, :2] = points
+    means[:, 2] = mean
+    covariances = np.zeros((count, size, size))
+    covariances[:, :2, :2] = noises
+    covariances[:, 2, 2] = std**2
+    if size == 3:
+        return means, covariances
+    focal = space[FY] if space[VERTICAL] == 1.0 else space[FX]
+    scale = focal * space[BASELINE]
+    # rows of the map from camera velocity to (du / d, dv / d, dd / d^2), for every detection
+    rows = np.zeros((count, 3, 3))
+    rows[:, 0, 0] = space[FX] / scale
+    rows[:, 1, 1] = space[FY] / scale
+    rows[:, 0, 2] = (space[CX] - points[:, 0]) / scale
+    rows[:, 1, 2] = (space[CY] - points[:, 1]) / scale
+    rows[:, 2, 2] = -1.0 / scale
+    # E[d^2], E[d^3], E[d^4] of the prior, by the powers of d that each pair of components carries
+    second = mean**2 + std**2
+    third = mean**3 + 3.0 * mean * std**2
+    fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
+    powers = np.array([[second, second, third], [second, second, third], [third, third, fourth]])
+    velocity = rows @ np.swapaxes(rows, 1, 2) * velocity_std**2
+    covariances[:, 3:, 3:] = velocity * powers
+    return means, covariances
