@@ -11,7 +11,7 @@ import contextlib
 import json
 import logging
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import product
@@ -129,6 +129,11 @@ def experiment(
     with contextlib.suppress(OSError):
         store.folder.rmdir()
     return results
+
+
+def finished_runs(loaded: LoadedConfig, out_dir: Path | str) -> int:
+    """Return the number of finished runs that wait in an output folder for ``resume``."""
+    return sum(result.method != BOUND_METHOD for result in PartStore(Path(out_dir), loaded).read())
 
 
 def cases_of(settings: ExperimentConfig) -> list[tuple[str, tuple[str, ...], list[tuple[str, Settings]]]]:

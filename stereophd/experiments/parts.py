@@ -36,7 +36,7 @@ HASH_LENGTH = 16
 # Keys of the experiment that do not change a run.
 NOT_IN_HASH = ("runs", "windows", "table", "figure")
 
-CPU_KEY = b"cpu_s"
+ABOUT_KEY = b"about"
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,12 @@ class PartStore:
         key = json.dumps([method, case, [outcome.run for outcome in outcomes]])
         self.folder.mkdir(parents=True, exist_ok=True)
         name = f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.parquet"
-        cpu = json.dumps({str(outcome.run): outcome.cpu_s for outcome in outcomes})
+        # a run without rows (no bound is known) is a finished run too
+        cpu_s = [[outcome.run, outcome.cpu_s] for outcome in outcomes]
+        about = json.dumps({"method": method, "case": case, "cpu_s": cpu_s})
         with (
             atomic_write(self.folder / name) as path,
-            TableWriter(path, RUNS, {CPU_KEY: cpu.encode()}) as table,
+            TableWriter(path, RUNS, {ABOUT_KEY: about.encode()}) as table,
         ):
             for outcome in outcomes:
                 for series in outcome.series:
@@ -123,22 +125,19 @@ def columns_of(experiment: str, method: str, case: str, run: int, series: Series
 def _read(path: Path) -> Iterable[RunResult]:
     with open_parquet(path, "part of an experiment") as parquet:
         schema = parquet.schema_arrow
-        if schema.names != RUNS.names or CPU_KEY not in (schema.metadata or {}):
+        if schema.names != RUNS.names or ABOUT_KEY not in (schema.metadata or {}):
             raise InputError(f"{path}: expected a part of an experiment, found another table; remove it")
         with damaged_is_input_error(path):
             table = parquet.read()
-    cpu = json.loads(schema.metadata[CPU_KEY])
-    columns = {name: table.column(name).to_pylist() for name in ("method", "case", "quantity", "unit")}
+    about = json.loads(schema.metadata[ABOUT_KEY])
+    quantities, units = table.column("quantity").to_pylist(), table.column("unit").to_pylist()
     runs = table.column("run").to_numpy()
     values = table.column("value").to_numpy()
     times = table.column("time_s").to_numpy(zero_copy_only=False)  # null becomes NaN
-    keys = list(zip(columns["method"], columns["case"], runs.tolist(), strict=True))
-    starts = [i for i, key in enumerate(keys) if i == 0 or key != keys[i - 1]]
-    for start, end in zip(starts, [*starts[1:], len(keys)], strict=True):
-        method, case, run = keys[start]
-        quantities, units = columns["quantity"][start:end], columns["unit"][start:end]
-        series = _series(quantities, units, times[start:end], values[start:end])
-        yield RunResult(method, case, run, tuple(series), float(cpu[str(run)]))
+    for run, cpu_s in about["cpu_s"]:
+        start, end = np.searchsorted(runs, [run, run + 1]).tolist()
+        series = _series(quantities[start:end], units[start:end], times[start:end], values[start:end])
+        yield RunResult(about["method"], about["case"], run, tuple(series), cpu_s)
 
 
 def _series(quantities: list[str], units: list[str], times_s: Array, values: Array) -> Iterable[Series]:
@@ -148,7 +147,7 @@ def _series(quantities: list[str], units: list[str], times_s: Array, values: Arr
         for i in range(len(quantities))
         if i == 0 or quantities[i] != quantities[i - 1] or bool(whole[i]) or bool(whole[i - 1])
     ]
-    for start, end in zip(starts, [*starts[1:], len(quantities)], strict=True):
+    for start, end in zip(starts, [*starts, len(quantities)][1:], strict=False):
         own = None if whole[start] else times_s[start:end]
         yield Series(quantities[start], units[start], values[start:end], own)
 
