@@ -51,8 +51,8 @@ class SingleInfo:
     Attributes
     ----------
     log_likelihood : float
-        Logarithm of the density of the detection given all earlier ones, over undistorted pixels; 0 of
-        the first detection and of an event without one.
+        Logarithm of the density of the detection given all earlier ones, over distorted pixels: of the
+        first detection uniform over the image, of an event without one 0.
     effective : float
         Effective number of samples after the event: of a particle filter 1 / sum of squared weights, of
         the others that of the samples behind their Gaussian.
@@ -106,6 +106,12 @@ def only_detection(event: Event) -> int | None:
     if len(event.points) > 1:
         raise ValueError(f"expected at most one detection an event, found {len(event.points)} at {event.time_s:g} s")
     return 0 if len(event.points) else None
+
+
+def first_density(rig: Rig, event: Event) -> float:
+    """Logarithm of the density of a detection of which nothing was known: uniform over the image."""
+    camera = rig.cameras[event.camera]
+    return -float(np.log(camera.width * camera.height))
 
 
 AnyEstimator = SingleEstimator[Any]

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from stereophd.disparity.events import Rig
 from stereophd.disparity.initial import InitialPrior
-from stereophd.disparity.samples import SampleSets
-from stereophd.motion import Motion
+from stereophd.disparity.samples import Method, SampleSets, draw_sample_sets
+from stereophd.motion import Motion, Static
 from stereophd.single.base import AnyEstimator
-from stereophd.single.settings import EstimatorSettings
+from stereophd.single.cartesian import CartesianEstimator
+from stereophd.single.disparity import DisparityEstimator, RectifiedEstimator
+from stereophd.single.inverse_depth import InverseDepthEstimator
+from stereophd.single.particle import ParticleEstimator
+from stereophd.single.settings import CartesianSettings, DisparitySettings, EstimatorSettings, ParticleSettings
+
+# Scramble of the low-discrepancy points: any will do, and one that is fixed makes them a rule.
+SCRAMBLE = 5
 
 
 def build_estimator(
@@ -40,4 +49,27 @@ def build_estimator(
     ValueError
         If the estimator cannot work with these cameras (Algorithm 1 with cameras that are not rectified).
     """
-    raise NotImplementedError
+    if isinstance(settings, DisparitySettings):
+        if sets is None:
+            sets = sample_sets(settings, motion, rng)
+        kind = RectifiedEstimator if settings.rectified else DisparityEstimator
+        return kind(rig, motion, prior, sets)
+    if isinstance(settings, ParticleSettings):
+        return ParticleEstimator(rig, motion, prior, settings, int(rng.integers(2**63)))
+    if isinstance(settings, CartesianSettings):
+        return CartesianEstimator(rig, motion, prior, settings)
+    return InverseDepthEstimator(rig, motion, prior)
+
+
+def sample_sets(settings: DisparitySettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
+    """Return the samples of an estimator's moves; of ``particle`` drawn from the generator."""
+    rows = 3 if isinstance(motion, Static) else 12
+    if settings.method == "particle":
+        return draw_sample_sets("particle", settings.samples, rows, np.random.SeedSequence(int(rng.integers(2**63))))
+    return _rule(settings.method, settings.samples, rows)
+
+
+@cache
+def _rule(method: Method, samples: int, rows: int) -> SampleSets:
+    """Low-discrepancy sample sets, made once."""
+    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(SCRAMBLE))

@@ -6,14 +6,25 @@ given generators of the same seed see the same detections.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.disparity.events import Rig
+from stereophd.disparity.events import Event, Rig, make_event
 from stereophd.disparity.initial import InitialPrior
-from stereophd.motion import Motion
+from stereophd.disparity.space import DisparitySpace
+from stereophd.metrics.bounds import (
+    detection_information,
+    localisation_bounds,
+    posterior_bounds,
+    prior_information,
+    state_jacobian,
+)
+from stereophd.motion import Motion, Static
+from stereophd.single.base import AnyEstimator
+from stereophd.single.build import build_estimator
 from stereophd.single.settings import EstimatorSettings
 
 Array = NDArray[np.float64]
@@ -67,7 +78,16 @@ def localisation_run(
     ValueError
         If the object is not in view of a camera that should observe it.
     """
-    raise NotImplementedError
+    events = []
+    for camera in scenario.sequence:
+        event = _detection(scenario.rig, camera, 0.0, scenario.position, 1.0, rng)
+        if len(event.points) == 0:
+            name = scenario.rig.cameras[camera].name
+            raise ValueError(f"expected the object in view of {name}, found it out of view at {scenario.position}")
+        events.append(event)
+    estimator = build_estimator(settings, scenario.rig, Static(), scenario.prior, rng)
+    maps, means, covariances = _run(estimator, events, range(len(events)))
+    return LocalisationRun(maps[:, :3] - scenario.position, means[:, :3] - scenario.position, covariances[:, :3, :3])
 
 
 def localisation_bound(scenario: LocalisationScenario, with_prior: bool) -> Array:
@@ -76,7 +96,14 @@ def localisation_bound(scenario: LocalisationScenario, with_prior: bool) -> Arra
     Infinite where the observations so far (and the prior, if it is counted) do not determine the position.
     `stereophd.metrics.bounds.mean_error_norm` gives the mean length of an error with such a covariance.
     """
-    raise NotImplementedError
+    point = scenario.position
+    cameras = [scenario.rig.cameras[camera].at(0.0) for camera in scenario.sequence]
+    information = [detection_information(camera, point[None])[0] for camera in cameras]
+    prior = None
+    if with_prior:
+        space = DisparitySpace(cameras[0], scenario.rig.baseline, scenario.rig.rectification)
+        prior = prior_information(space, point, scenario.prior.disparity_moments(space.packed())[1])
+    return localisation_bounds(information, prior)
 
 
 @dataclass(frozen=True)
@@ -128,12 +155,93 @@ class TrackingRun:
 
 def tracking_run(scenario: TrackingScenario, settings: EstimatorSettings, rng: np.random.Generator) -> TrackingRun:
     """Draw a trajectory and its detections (where in view, with each detector's p_detect), and track it."""
-    raise NotImplementedError
+    states = draw_trajectory(scenario, rng)
+    events = []
+    for time_s, camera, state in zip(scenario.times.tolist(), scenario.cameras.tolist(), states, strict=True):
+        p_detect = scenario.rig.cameras[camera].detector.p_detect
+        events.append(_detection(scenario.rig, camera, time_s, state[:3], p_detect, rng))
+    estimator = build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, rng)
+    last = last_events(scenario.times)
+    maps, means, covariances = _run(estimator, events, last.tolist())
+    return TrackingRun(scenario.times[last], maps - states[last], means - states[last], covariances)
 
 
 def tracking_bound(scenario: TrackingScenario, rng: np.random.Generator, trajectories: int = 100) -> Array:
     """Posterior Cramer-Rao bound (t, 6, 6) on the covariance of the state at each distinct time.
 
-    The expected information of the detections is averaged over drawn trajectories.
+    The expected information of the detections is averaged over drawn trajectories, and multiplied by the
+    probability of detection, which makes the bound lower than the exact one where detections are missed. The
+    prior is that of the estimators; the trajectories start as the scenario says.
     """
-    raise NotImplementedError
+    rig, prior = scenario.rig, scenario.prior
+    states = np.array([draw_trajectory(scenario, rng) for _ in range(trajectories)])
+    information = np.zeros((len(scenario.times), 6, 6))
+    for k, (time_s, index) in enumerate(zip(scenario.times.tolist(), scenario.cameras.tolist(), strict=True)):
+        camera = rig.cameras[index].at(time_s)
+        points = states[:, k, :3]
+        seen = camera.in_view(points)
+        if seen.any():
+            share = camera.detector.p_detect / trajectories
+            information[k, :3, :3] = share * detection_information(camera, points[seen]).sum(axis=0)
+    # the camera that sees the object first is taken to be the first
+    space = DisparitySpace(
+        rig.cameras[int(scenario.cameras[0])].at(float(scenario.times[0])), rig.baseline, rig.rectification
+    )
+    first = np.zeros((6, 6))
+    to_disparity = state_jacobian(space, scenario.start)
+    disparity_std = prior.disparity_moments(space.packed())[1]
+    if prior.disparity_velocity_std is None:
+        first[2, 2] = disparity_std**-2
+        first = to_disparity.T @ first @ to_disparity
+        first[3:, 3:] += np.eye(3) / prior.velocity_std**2
+    else:
+        stds = np.array([np.inf, np.inf, disparity_std, *prior.disparity_velocity_std])
+        first = to_disparity.T @ np.diag(stds**-2.0) @ to_disparity
+    steps = [scenario.motion.transition(dt) for dt in np.diff(scenario.times).tolist()]
+    transitions, noises = np.array([f for f, _ in steps]), np.array([q for _, q in steps])
+    bounds = posterior_bounds(first + information[0], transitions, noises, information[1:])
+    return np.asarray(bounds[last_events(scenario.times)])
+
+
+def draw_trajectory(scenario: TrackingScenario, rng: np.random.Generator) -> Array:
+    """Draw the states (k, 6) of the object at the scenario's events."""
+    states = [np.asarray(scenario.start, dtype=float)]
+    shocks = rng.standard_normal((len(scenario.times) - 1, 2, 3)) * scenario.motion.acceleration_std
+    for dt, (with_velocity, alone) in zip(np.diff(scenario.times).tolist(), shocks, strict=True):
+        matrix, _ = scenario.motion.transition(dt)
+        state = matrix @ states[-1]
+        # white acceleration: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]]
+        state[:3] += dt**1.5 * (0.5 * with_velocity + alone / np.sqrt(12.0))
+        state[3:] += dt**0.5 * with_velocity
+        states.append(state)
+    return np.array(states)
+
+
+def last_events(times: Array) -> NDArray[np.intp]:
+    """Indices (t,) of the last event of each distinct time."""
+    return np.flatnonzero(np.append(np.diff(times) > 0.0, True))
+
+
+def _detection(rig: Rig, index: int, time_s: float, point: Array, p_detect: float, rng: np.random.Generator) -> Event:
+    """Event of one camera that sees a point (3,) of the world, if it is in view and detected."""
+    camera = rig.cameras[index].at(time_s)
+    noise, uniform = rng.standard_normal(2), rng.random()
+    pixel = camera.project(point[None])
+    seen = camera.contains(pixel) & (uniform < p_detect)
+    return make_event(camera, index, time_s, (pixel + camera.detector.sigma * noise)[seen])
+
+
+def _run(estimator: AnyEstimator, events: list[Event], report: Iterable[int]) -> tuple[Array, Array, Array]:
+    """Modes (k, 6), means (k, 6) and covariances (k, 6, 6) after the events with these numbers."""
+    state = estimator.init()
+    wanted = set(report)
+    maps, means, covariances = [], [], []
+    for number, event in enumerate(events):
+        state, _ = estimator.step(state, event)
+        if number not in wanted:
+            continue
+        estimate = estimator.estimate(state)
+        maps.append(np.full(6, np.nan) if estimate is None else estimate.map)
+        means.append(np.full(6, np.nan) if estimate is None else estimate.mean)
+        covariances.append(np.full((6, 6), np.nan) if estimate is None else estimate.covariance)
+    return np.array(maps), np.array(means), np.array(covariances)
