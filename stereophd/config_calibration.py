@@ -26,9 +26,7 @@ class PosePrior(Model):
     def _something_unknown(self) -> PosePrior:
         stds = [s for spread in (self.center_std, self.rotation_std_deg) for s in per_axis(spread)]
         if not any(stds):
-            raise ValueError(
-                "expected a standard deviation above 0, found none: a known camera has no prior"
-            )
+            raise ValueError("expected a standard deviation above 0, found none: a known camera has no prior")
         return self
 
 

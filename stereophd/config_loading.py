@@ -143,7 +143,7 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
     tree = copy.deepcopy(loaded.tree)
     for where, changes in settings:
         for key, value in changes.items():
-            change = Tree(copy.deepcopy(value), {(): Place(f"{loaded.path}: {where}: {key}")})
+            change = Tree(copy.deepcopy(value), {(): Place(f"{loaded.path}: {where}")})
             _apply(tree, _key_path(key), change)
     return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 

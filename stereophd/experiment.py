@@ -11,7 +11,7 @@ import contextlib
 import json
 import logging
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import product
@@ -25,8 +25,9 @@ from stereophd.config_loading import variant
 from stereophd.errors import InputError
 from stereophd.experiments.base import Series, find_kind
 from stereophd.experiments.execution import Progress, execute
-from stereophd.experiments.parts import PATTERN, PartStore, RunResult, columns_of, parquet_metadata
+from stereophd.experiments.parts import PATTERN, PartStore, RunResult, parquet_metadata
 from stereophd.experiments.summary import Summary, summarise, with_windows
+from stereophd.experiments.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.work import BOUND_METHOD, BOUND_RUN, Part
 from stereophd.io.atomic import OutputFolder, output_folder
 from stereophd.io.provenance import from_metadata, provenance, to_metadata
@@ -118,16 +119,24 @@ def experiment(
     if jobs < 1:
         raise InputError(f"jobs: expected at least 1, found {jobs}")
     parts = _plan(loaded, settings)
-    store = PartStore(Path(out_dir), loaded)
-    _prepare(store, Path(out_dir), loaded, resume, force)
-    bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
-    wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
-    execute(wanted, store, jobs, dask, progress)
-    results, runs = _results(loaded, settings, parts, store.read())
-    with OutputFolder(out_dir, [*FILES, PATTERN], force=True) as out:
-        _write(results, runs, loaded, out)
-    with contextlib.suppress(OSError):
-        store.folder.rmdir()
+    out = Path(out_dir)
+    store = PartStore(out, loaded)
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        if _is_finished(store, out, loaded, resume, force):
+            return _read_results(loaded, settings, out)
+        bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
+        wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
+        execute(wanted, store, jobs, dask, progress)
+        results, runs = _results(loaded, settings, parts, store.read())
+        with OutputFolder(out, [*FILES, PATTERN], force=True) as files:
+            _write(results, runs, loaded, files)
+    except BaseException:
+        # finished runs stay; folders that hold none do not
+        for folder in (store.folder, *made):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
     return results
 
 
@@ -165,8 +174,8 @@ def _plan(loaded: LoadedConfig, settings: ExperimentConfig) -> list[Part]:
     return parts
 
 
-def _prepare(store: PartStore, out: Path, loaded: LoadedConfig, resume: bool, force: bool) -> None:
-    """Check the output folder, and remove what is in the way of this experiment, where that is allowed."""
+def _is_finished(store: PartStore, out: Path, loaded: LoadedConfig, resume: bool, force: bool) -> bool:
+    """Check the output folder; remove what is in the way, where that is allowed. Return if there is nothing to do."""
     output_folder(out, True, [*FILES, PATTERN])
     if (out / RUNS_FILE).exists() and not force:
         record = from_metadata(parquet_metadata(out / RUNS_FILE)) or {}
@@ -174,6 +183,8 @@ def _prepare(store: PartStore, out: Path, loaded: LoadedConfig, resume: bool, fo
             raise InputError(f"output folder {out} already holds {RUNS_FILE}; use --force to replace it")
         if record.get("config_sha256") != loaded.sha256:
             raise InputError(f"output folder {out} holds the results of another configuration; use --force")
+        LOGGER.info("%s: the experiment is finished: nothing to resume", out)
+        return True
     if not resume and not force and (store.exists() or store.others()):
         raise InputError(f"output folder {out} holds runs of an unfinished experiment; use --resume or --force")
     if store.others() and not force:
@@ -183,6 +194,7 @@ def _prepare(store: PartStore, out: Path, loaded: LoadedConfig, resume: bool, fo
         )
     for folder in [*store.others(), *([] if resume else [store.folder])]:
         shutil.rmtree(folder, ignore_errors=True)
+    return False
 
 
 def _results(
@@ -208,8 +220,26 @@ def _results(
         cells.append(Cell(part.method, part.case, names[part.case], tuple(summaries)))
         runs += [RunResult(r.method, r.case, r.run, tuple(s), r.cpu_s) for r, s in zip(own, series, strict=True)]
         cpu.setdefault(part.method, []).extend(result.cpu_s for result in own)
-    name = settings.name or loaded.path.stem
-    return Results(name, settings, tuple(cells), _timing(cpu)), runs
+    return Results(_name(loaded), settings, tuple(cells), _timing(cpu)), runs
+
+
+def _name(loaded: LoadedConfig) -> str:
+    assert loaded.config.experiment is not None
+    return loaded.config.experiment.name or loaded.path.stem
+
+
+def _read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) -> Results:
+    """Return the results of a finished experiment from its files."""
+    names = {case: points for case, points, _ in cases_of(settings)}
+    found: dict[tuple[str, str], list[Summary]] = {}
+    for method, case, summary in read_summaries(out / SUMMARY_FILE):
+        found.setdefault((method, case), []).append(summary)
+    cells = tuple(Cell(*key, names[key[1]], tuple(summaries)) for key, summaries in found.items())
+    try:
+        timing = json.loads((out / TIMING_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{out / TIMING_FILE}: cannot be read ({error}); use --force to start anew") from error
+    return Results(_name(loaded), settings, cells, timing)
 
 
 def _timing(cpu: Mapping[str, list[float]]) -> dict[str, Any]:
@@ -229,8 +259,9 @@ def _write(results: Results, runs: list[RunResult], loaded: LoadedConfig, out: O
             for series in run.series:
                 table.append(columns_of(results.name, run.method, run.case, run.run, series))
     with TableWriter(out.path(SUMMARY_FILE), SUMMARY, metadata) as table:
-        for row in summary_rows(results):
-            table.append(row)
+        for cell in results.cells:
+            for summary in cell.summaries:
+                table.append(columns_of_summary(results.name, cell.method, cell.case, summary))
     text = json.dumps(results.timing, indent=2, allow_nan=False) + "\n"
     out.path(TIMING_FILE).write_text(text, encoding="utf-8")
     if find_spec("matplotlib") is None:
@@ -240,22 +271,3 @@ def _write(results: Results, runs: list[RunResult], loaded: LoadedConfig, out: O
     from stereophd.report.experiment_plots import write_figure
 
     write_figure(results, {name: out.path(name) for name in FIGURE_FILES})
-
-
-def summary_rows(results: Results) -> Iterator[dict[str, Any]]:
-    """Yield the columns of ``summary.parquet``, a quantity at a time."""
-    for cell in results.cells:
-        for one in cell.summaries:
-            yield {
-                "experiment": results.name,
-                "method": cell.method,
-                "case": cell.case,
-                "time_s": [None] * len(one.mean) if one.times_s is None else one.times_s,
-                "quantity": one.quantity,
-                "unit": one.unit,
-                "runs": one.runs,
-                **{name: np.ma.masked_invalid(getattr(one, name)) for name in ("mean", "std", "ci_low", "ci_high")},
-                "bound": np.ma.masked_invalid(one.bound),
-            }
-
-

@@ -16,7 +16,8 @@ def experiment_command(
     config: options.Config,
     out: options.Out,
     jobs: Annotated[
-        int, typer.Option("--jobs", metavar="N", min=1, help="Processes on this machine; the results do not depend on it.")
+        int,
+        typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it."),
     ] = 1,
     dask: Annotated[
         str | None,
@@ -27,9 +28,7 @@ def experiment_command(
             show_default=False,
         ),
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on where an interrupted experiment stopped.")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted experiment stopped.")] = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,

@@ -56,8 +56,9 @@ class Sightings:
     def until(self, time_s: float) -> Sightings:
         """Return the detections up to a time."""
         end = int(np.searchsorted(self.time_s, time_s, side="right"))
-        parts = (self.row, self.time_s, self.projection, self.points, self.whitening)
-        return Sightings(*(part[:end] for part in parts))
+        return Sightings(
+            self.row[:end], self.time_s[:end], self.projection[:end], self.points[:end], self.whitening[:end]
+        )
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ def _normal_equations(lines: _Lines, data: Sightings, parameters: Array) -> tupl
     slope = data.whitening @ slope
     residual = np.einsum("mij,mj->mi", data.whitening, data.points - pixels)
     jacobian = np.concatenate([slope @ to_world[data.row], elapsed[:, None, None] * slope], axis=2)
-    cost = np.bincount(data.row, (residual**2).sum(axis=1), minlength=count)
+    cost: Array = np.bincount(data.row, (residual**2).sum(axis=1), minlength=count).astype(np.float64)
     gradient = np.zeros((count, 6))
     np.add.at(gradient, data.row, np.einsum("mij,mi->mj", jacobian, residual))
     information = np.zeros((count, 6, 6))

@@ -7,7 +7,7 @@ without the files between.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
 
 def _scenario(loaded: LoadedConfig) -> MultiObjectScenario:
     assert loaded.config.experiment is not None
-    return cast(MultiObjectScenario, loaded.config.experiment.scenario)
+    return loaded.config.experiment.scenario
 
 
 def _true_time(cameras: Sequence[Camera], frame: SimulatedFrame) -> float:

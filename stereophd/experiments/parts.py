@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 import stereophd
 from stereophd.errors import InputError
 from stereophd.experiments.base import Array, Series
+from stereophd.experiments.tables import columns_of, pieces
 from stereophd.experiments.work import Chunk, Outcome
 from stereophd.io.atomic import atomic_write
 from stereophd.io.provenance import sha256_of
@@ -107,21 +108,6 @@ class PartStore:
         return [result for path in sorted(self.folder.glob("*.parquet")) for result in _read(path)]
 
 
-def columns_of(experiment: str, method: str, case: str, run: int, series: Series) -> dict[str, Any]:
-    """Return rows of ``runs.parquet``."""
-    times: Any = [None] * len(series.values) if series.times_s is None else series.times_s
-    return {
-        "experiment": experiment,
-        "method": method,
-        "case": case,
-        "run": run,
-        "time_s": times,
-        "quantity": series.quantity,
-        "unit": series.unit,
-        "value": series.values,
-    }
-
-
 def _read(path: Path) -> Iterable[RunResult]:
     with open_parquet(path, "part of an experiment") as parquet:
         schema = parquet.schema_arrow
@@ -141,15 +127,9 @@ def _read(path: Path) -> Iterable[RunResult]:
 
 
 def _series(quantities: list[str], units: list[str], times_s: Array, values: Array) -> Iterable[Series]:
-    whole = np.isnan(times_s)
-    starts = [
-        i
-        for i in range(len(quantities))
-        if i == 0 or quantities[i] != quantities[i - 1] or bool(whole[i]) or bool(whole[i - 1])
-    ]
-    for start, end in zip(starts, [*starts, len(quantities)][1:], strict=False):
-        own = None if whole[start] else times_s[start:end]
-        yield Series(quantities[start], units[start], values[start:end], own)
+    for piece in pieces(quantities, times_s):
+        own = None if np.isnan(times_s[piece.start]) else times_s[piece]
+        yield Series(quantities[piece.start], units[piece.start], values[piece], own)
 
 
 def parquet_metadata(path: Path) -> dict[bytes, bytes]:

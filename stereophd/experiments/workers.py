@@ -64,14 +64,14 @@ class DaskWorkers:
         except ImportError:
             raise InputError("--dask needs Dask, which is not installed: pip install 'stereophd[dask]'") from None
         try:
-            self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
+            self._client = Client(address, timeout=CONNECT_S)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"--dask {address}: expected the address of a Dask scheduler, found no answer") from error
 
     @property
     def count(self) -> int:
         """Number of threads of the workers that are there now, at least 1."""
-        return max(1, sum(self._client.nthreads().values()))
+        return max(1, sum(int(threads) for threads in self._client.nthreads().values()))
 
     def __call__(self, chunks: Sequence[Chunk]) -> Iterator[ChunkResult]:
         """Do chunks; those of a worker that dies are done by others."""

@@ -25,7 +25,14 @@ if TYPE_CHECKING:
     from stereophd.experiments.summary import Summary
 
 BOUND_LABEL = "bound"
+DASHES = (0, (4, 3))
+
+# What a line holds of a summary.
+STATISTICS = ("mean", "ci_low", "ci_high", "bound")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+# Small files that are still sharp enough for a page.
+DPI = 100
 
 # Points of one case that stand side by side, as a share of the distance between cases.
 SPREAD = 0.6
@@ -58,8 +65,7 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
             kind = name.rsplit(".", 1)[1]
             # What the files say about when and by what they were made would differ between runs.
             metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
-            options = {"dpi": 100} if kind == "png" else {}
-            figure.savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.12, **options)
+            figure.savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.12, dpi=DPI)
 
 
 def _draw(results: Results) -> Figure:
@@ -68,7 +74,8 @@ def _draw(results: Results) -> Figure:
     over = settings.over or (None if _vary_with_time(results, quantities) else next(iter(results.config.cases), None))
     groups = _groups(results, over)
     shape = (len(quantities), len(groups))
-    figure = Figure(figsize=(1.8 + 4.4 * shape[1] + (2.2 if shape[1] == 1 else 0.0), 0.9 + 2.3 * shape[0]), layout="constrained")
+    width = 1.8 + 4.4 * shape[1] + (2.2 if shape[1] == 1 else 0.0)
+    figure = Figure(figsize=(width, 0.9 + 2.3 * shape[0]), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False)
     for row, quantity in enumerate(quantities):
@@ -85,7 +92,8 @@ def _draw(results: Results) -> Figure:
         if row == 0:
             legend_right(legend)
     if settings.title:
-        figure.suptitle(settings.title, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
+        text = f"{settings.title} ({results.config.runs} runs)"
+        figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
     return figure
 
 
@@ -169,7 +177,7 @@ def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: st
         _Line(
             method,
             np.array([x for x, _ in points]),
-            *(np.array([getattr(one, name)[0] for _, one in points]) for name in ("mean", "ci_low", "ci_high", "bound")),
+            *(np.array([getattr(one, name)[0] for _, one in points]) for name in STATISTICS),
         )
         for method, points in found.items()
     ]
@@ -177,12 +185,19 @@ def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: st
 
 def _draw_curves(axes: Axes, lines: Sequence[_Line], marked: bool = False) -> None:
     for line, colour, marker in zip(lines, _cycle(TRACK_COLOURS, lines), _cycle(MARKERS, lines), strict=True):
-        style = {"marker": marker, "markersize": 4} if marked else {}
         axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(line.x, line.mean, color=colour, linewidth=1.4, label=line.label, **style)
+        axes.plot(
+            line.x,
+            line.mean,
+            color=colour,
+            linewidth=1.4,
+            label=line.label,
+            marker=marker if marked else None,
+            markersize=4,
+        )
     bound = next((line for line in lines if np.isfinite(line.bound).any()), None)
     if bound is not None:
-        axes.plot(bound.x, bound.bound, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label=BOUND_LABEL)
+        axes.plot(bound.x, bound.bound, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
     axes.margins(x=0.02)
 
 
@@ -201,7 +216,7 @@ def _draw_points(axes: Axes, lines: Sequence[_Line], names: Sequence[str]) -> No
     if bound is not None:
         half = 0.5 * SPREAD + 0.08
         axes.hlines(
-            bound.bound, bound.x - half, bound.x + half, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label=BOUND_LABEL
+            bound.bound, bound.x - half, bound.x + half, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL
         )
     axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.6, len(names) - 0.4)
