@@ -125,16 +125,18 @@ def localisation_bounds(information: Iterable[Array], prior: Array | None = None
 
 
 def inverse_information(information: Array) -> Array:
-    """Bound on the covariance: the inverse of an information matrix (d, d), infinite if it is singular."""
-    scale = np.sqrt(np.diag(information))
-    if not (scale > 0.0).all():
-        return np.full(information.shape, np.inf)
-    scaled = information / np.outer(scale, scale)
+    """Bounds on the covariance: inverses of information matrices (..., d, d), infinite where singular."""
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    out = np.full(information.shape, np.inf)
+    usable = np.asarray((np.isfinite(diagonal) & (diagonal > 0.0)).all(axis=-1))
+    scale = np.sqrt(np.where(usable[..., None], diagonal, 1.0))
+    scale = scale[..., :, None] * scale[..., None, :]
+    scaled = np.where(usable[..., None, None], information, np.eye(information.shape[-1])) / scale
     values = np.linalg.eigvalsh(scaled)
-    if not values[0] * WORST_CONDITION > values[-1]:
-        return np.full(information.shape, np.inf)
-    covariance = np.linalg.inv(scaled) / np.outer(scale, scale)
-    return np.asarray((covariance + covariance.T) / 2.0)
+    usable &= values[..., 0] * WORST_CONDITION > values[..., -1]
+    covariance = np.linalg.inv(scaled[usable]) / scale[usable]
+    out[usable] = (covariance + np.swapaxes(covariance, -1, -2)) / 2.0
+    return out
 
 
 def to_disparity(covariance: Array, space: DisparitySpace, point: Array) -> Array:
@@ -152,18 +154,24 @@ def to_world(covariance: Array, space: DisparitySpace, point: Array) -> Array:
 def posterior_bounds(first: Array, transitions: Array, noises: Array, information: Array) -> Array:
     """Posterior bounds on the covariance of a state over time (Tichavsky, Muravchik and Nehorai 1998).
 
+    With the information expected over all trajectories this is their bound. With that of the detections along
+    one trajectory it is the covariance that a Kalman filter linearised at the truth would have; averaged over
+    trajectories it is the larger, hence sharper, of the two: far away the direction of the weakest
+    information turns with the bearing, and an average over bearings knows more than any one of them.
+
     Parameters
     ----------
-    first : array (d, d)
-        Information on the state at the first event, its detection included.
+    first : array (..., d, d)
+        Information on the state at the first event, its detection included; of several trajectories at once
+        with leading axes.
     transitions, noises : arrays (k, d, d)
         F and Q of the steps to the following events; for events at one time the identity and 0.
-    information : array (k, d, d)
-        Expected information of the detections of these events.
+    information : array (k, ..., d, d)
+        Information of the detections of these events.
 
     Returns
     -------
-    array (k + 1, d, d)
+    array (k + 1, ..., d, d)
         After each event; infinite while the state is not determined.
 
     Notes
@@ -174,13 +182,12 @@ def posterior_bounds(first: Array, transitions: Array, noises: Array, informatio
     current = np.array(first, dtype=float)
     out = [inverse_information(current)]
     for transition, noise, gained in zip(transitions, noises, information, strict=True):
-        covariance = out[-1]
-        if np.isfinite(covariance).all():
-            current = np.linalg.inv(transition @ covariance @ transition.T + noise)
-        else:
-            back = np.linalg.inv(transition)
-            current = back.T @ current @ back
-        current = (current + current.T) / 2.0 + gained
+        known = np.isfinite(out[-1]).all(axis=(-2, -1))
+        predicted = np.empty_like(current)
+        predicted[known] = np.linalg.inv(transition @ out[-1][known] @ transition.T + noise)
+        back = np.linalg.inv(transition)
+        predicted[~known] = back.T @ current[~known] @ back
+        current = (predicted + np.swapaxes(predicted, -1, -2)) / 2.0 + gained
         out.append(inverse_information(current))
     return np.array(out)
 

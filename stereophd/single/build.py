@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stereophd.disparity.events import Rig
 from stereophd.disparity.initial import InitialPrior
@@ -16,6 +18,8 @@ from stereophd.single.disparity import DisparityEstimator, RectifiedEstimator
 from stereophd.single.inverse_depth import InverseDepthEstimator
 from stereophd.single.particle import ParticleEstimator
 from stereophd.single.settings import CartesianSettings, DisparitySettings, EstimatorSettings, ParticleSettings
+
+Array = NDArray[np.float64]
 
 # Scramble of the low-discrepancy points: any will do, and one that is fixed makes them a rule.
 SCRAMBLE = 5
@@ -65,8 +69,29 @@ def sample_sets(settings: DisparitySettings, motion: Motion, rng: np.random.Gene
     """Return the samples of an estimator's moves; of ``particle`` drawn from the generator."""
     rows = 3 if isinstance(motion, Static) else 12
     if settings.method == "particle":
-        return draw_sample_sets("particle", settings.samples, rows, np.random.SeedSequence(int(rng.integers(2**63))))
+        return fresh_samples(settings.samples, rows, int(rng.integers(2**63)))
     return _rule(settings.method, settings.samples, rows)
+
+
+@dataclass(frozen=True)
+class FreshSamples(SampleSets):
+    """Pseudo-random samples drawn anew for every event, as the paper draws them (IV-B a).
+
+    Filters of many objects use a few sets in turn. Of one object, tracked over hundreds of events, the errors of
+    the same few sets would add up.
+    """
+
+    seed: int
+
+    def turn(self, index: int) -> Array:
+        """Return the samples (rows, n) of event number `index`."""
+        return np.random.default_rng((self.seed, index)).standard_normal(self.sets.shape[1:])
+
+
+def fresh_samples(samples: int, rows: int, seed: int) -> FreshSamples:
+    """Return pseudo-random samples whose reserve, for tails in view, is a low-discrepancy set."""
+    reserve = _rule("qmc", 64, rows)
+    return FreshSamples("particle", np.empty((1, rows, samples)), reserve.reserve, reserve.reserve_weights, seed)
 
 
 @cache

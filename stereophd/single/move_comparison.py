@@ -12,11 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.disparity.moments import OUT_OF_VIEW, move
 from stereophd.disparity.samples import Method
 from stereophd.disparity.space import DisparitySpace
 from stereophd.motion import Motion
+from stereophd.single.build import sample_sets
+from stereophd.single.settings import DisparitySettings
 
 Array = NDArray[np.float64]
+
+# Samples drawn at once.
+CLOUD = 200_000
+# Fewest samples in view from which the reference is taken.
+MIN_SEEN = 1000
 
 
 @dataclass(frozen=True)
@@ -84,23 +92,80 @@ def gaussian_of_object(
     rng : Generator
         Of the sample by whose moments the velocity in disparity space is found.
     """
-    raise NotImplementedError
+    points = point + rng.standard_normal((CLOUD, 3)) * stds
+    velocities = velocity + rng.standard_normal((CLOUD, 3)) * velocity_std
+    states = space.from_world(np.concatenate([space.to_world(points), velocities], axis=1))
+    return states.mean(axis=0), np.cov(states.T)
 
 
 def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1_000_000) -> MoveMoments:
-    """Moments of a very large pseudo-random sample carried over by the textbook."""
-    raise NotImplementedError
+    """Moments of the part in view of a very large pseudo-random sample carried over by the textbook.
+
+    Raises
+    ------
+    ValueError
+        If next to nothing of it is in view.
+    """
+    count = np.zeros(2)
+    sums, squares = np.zeros(6), np.zeros((6, 6))
+    transition, noise = case.motion.transition(case.dt)
+    # the rounding of the squares stays small about any point near the mean
+    origin = case.destination.from_world((transition @ case.home.to_world(case.mean[None])[0])[None])[0]
+    remaining = samples
+    while remaining > 0:
+        drawn = min(remaining, CLOUD)
+        remaining -= drawn
+        world = case.home.to_world(rng.multivariate_normal(case.mean, case.covariance, drawn))
+        if case.motion.max_speed is not None:
+            speed = np.linalg.norm(world[:, 3:], axis=1, keepdims=True)
+            world[:, 3:] *= np.minimum(1.0, case.motion.max_speed / speed)
+        world = world @ transition.T + rng.multivariate_normal(np.zeros(6), noise, drawn)
+        seen = case.destination.camera.in_view(world[:, :3])
+        moved = case.destination.from_world(world[seen]) - origin
+        count += drawn, len(moved)
+        sums += moved.sum(axis=0)
+        squares += moved.T @ moved
+    if count[1] < MIN_SEEN:
+        raise ValueError(f"expected a Gaussian partly in view of {case.destination.camera.name}, found it out of view")
+    mean = sums / count[1]
+    covariance = squares / count[1] - np.outer(mean, mean)
+    return MoveMoments("reference", samples, origin + mean, covariance, float(count[1] / count[0]), 0.0)
 
 
 def compare_move(
     case: MoveCase, method: Method, samples: int, reference: MoveMoments, rng: np.random.Generator
 ) -> MoveMoments:
     """Carry the Gaussian over by one method, once, and compare with the reference."""
-    raise NotImplementedError
+    settings = DisparitySettings(method, samples)
+    moved = move(
+        case.mean[None],
+        case.covariance[None],
+        case.home.packed()[None],
+        np.array([case.dt]),
+        case.destination.packed(),
+        case.motion,
+        sample_sets(settings, case.motion, rng),
+        0,
+        important=np.array([True]),
+    )
+    if moved.status[0] == OUT_OF_VIEW:
+        nothing = np.full(6, np.nan), np.full((6, 6), np.nan)
+        return MoveMoments(method, samples, *nothing, float(moved.fraction[0]), np.inf)
+    mean, covariance = moved.means[0], moved.covariances[0]
+    divergence = gaussian_divergence(reference.mean, reference.covariance, mean, covariance)
+    return MoveMoments(method, samples, mean, covariance, float(moved.fraction[0]), divergence)
 
 
 def compare_moves(
     case: MoveCase, methods: Sequence[tuple[Method, int]], reference: MoveMoments, rng: np.random.Generator
 ) -> tuple[MoveMoments, ...]:
     """`compare_move` for several methods, each with its number of samples."""
-    raise NotImplementedError
+    return tuple(compare_move(case, method, samples, reference, rng) for method, samples in methods)
+
+
+def gaussian_divergence(mean: Array, covariance: Array, other_mean: Array, other_covariance: Array) -> float:
+    """Kullback-Leibler divergence D(N(mean, covariance) || N(other_mean, other_covariance)), nat."""
+    precision = np.linalg.inv(other_covariance)
+    shift = other_mean - mean
+    logs = np.linalg.slogdet(other_covariance)[1] - np.linalg.slogdet(covariance)[1]
+    return float(0.5 * (np.trace(precision @ covariance) + shift @ precision @ shift - len(mean) + logs))

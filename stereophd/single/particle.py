@@ -195,6 +195,8 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             index = SCHEMES[self.settings.resampling](weights, rng.random(count + 1))
             weights, log_weights = np.full(count, 1.0 / count), np.full(count, -math.log(count))
         particles = state.particles
+        if due and self.settings.regularised:
+            particles, index = particles[:, index] + self._kernel(state, rng), np.arange(count)
         if not isinstance(self.motion, Static) and dt != 0.0:
             limit = np.inf if self.motion.max_speed is None else self.motion.max_speed
             normal = rng.standard_normal((6, count))
@@ -202,6 +204,15 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         elif due:
             particles = np.ascontiguousarray(particles[:, index])
         return ParticleState(particles, weights, log_weights, time_s, state.n_events + 1)
+
+    def _kernel(self, state: ParticleState, rng: np.random.Generator) -> Array:
+        """Draws (d, n) of the Gaussian kernel of least error for a Gaussian (Musso, Oudjane and Le Gland 2001)."""
+        size, count = state.particles.shape
+        width = (4.0 / (count * (size + 2.0))) ** (1.0 / (size + 4.0))
+        covariance = _moments(state.particles, state.weights)[1][:size, :size]
+        values, vectors = np.linalg.eigh(covariance)
+        factor = vectors * np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(width * factor @ rng.standard_normal((size, count)))
 
     def _update(self, state: ParticleState, log_likelihood: Array) -> tuple[ParticleState, float]:
         """Weights after a detection, and the logarithm of its predicted density."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,41 +167,62 @@ def tracking_run(scenario: TrackingScenario, settings: EstimatorSettings, rng: n
     return TrackingRun(scenario.times[last], maps - states[last], means - states[last], covariances)
 
 
-def tracking_bound(scenario: TrackingScenario, rng: np.random.Generator, trajectories: int = 100) -> Array:
-    """Posterior Cramer-Rao bound (t, 6, 6) on the covariance of the state at each distinct time.
+def tracking_bound(
+    scenario: TrackingScenario,
+    rng: np.random.Generator,
+    trajectories: int = 100,
+    kind: Literal["conditional", "posterior"] = "conditional",
+) -> Array:
+    """Bound (t, 6, 6) on the covariance of the state at each distinct time.
 
-    The expected information of the detections is averaged over drawn trajectories, and multiplied by the
-    probability of detection, which makes the bound lower than the exact one where detections are missed. The
-    prior is that of the estimators; the trajectories start as the scenario says.
+    Parameters
+    ----------
+    scenario : TrackingScenario
+    rng : Generator
+        Of the trajectories; detections are not drawn.
+    trajectories : int
+        To average over.
+    kind : {"conditional", "posterior"}
+        Average of the bounds along each trajectory; or the bound of the average information (Tichavsky,
+        Muravchik and Nehorai 1998), which is lower. See `stereophd.metrics.bounds.posterior_bounds`.
+
+    Notes
+    -----
+    The information of a detection is multiplied by its probability, which makes the bound lower than the
+    exact one where detections are missed. The prior is that of the estimators.
     """
-    rig, prior = scenario.rig, scenario.prior
     states = np.array([draw_trajectory(scenario, rng) for _ in range(trajectories)])
-    information = np.zeros((len(scenario.times), 6, 6))
+    information = np.zeros((len(scenario.times), trajectories, 6, 6))
     for k, (time_s, index) in enumerate(zip(scenario.times.tolist(), scenario.cameras.tolist(), strict=True)):
-        camera = rig.cameras[index].at(time_s)
+        camera = scenario.rig.cameras[index].at(time_s)
         points = states[:, k, :3]
         seen = camera.in_view(points)
-        if seen.any():
-            share = camera.detector.p_detect / trajectories
-            information[k, :3, :3] = share * detection_information(camera, points[seen]).sum(axis=0)
-    # the camera that sees the object first is taken to be the first
-    space = DisparitySpace(
-        rig.cameras[int(scenario.cameras[0])].at(float(scenario.times[0])), rig.baseline, rig.rectification
-    )
-    first = np.zeros((6, 6))
-    to_disparity = state_jacobian(space, scenario.start)
-    disparity_std = prior.disparity_moments(space.packed())[1]
-    if prior.disparity_velocity_std is None:
-        first[2, 2] = disparity_std**-2
-        first = to_disparity.T @ first @ to_disparity
-        first[3:, 3:] += np.eye(3) / prior.velocity_std**2
-    else:
-        stds = np.array([np.inf, np.inf, disparity_std, *prior.disparity_velocity_std])
-        first = to_disparity.T @ np.diag(stds**-2.0) @ to_disparity
+        information[k, seen, :3, :3] = camera.detector.p_detect * detection_information(camera, points[seen])
+    if kind == "posterior":
+        information = information.mean(axis=1, keepdims=True)
     steps = [scenario.motion.transition(dt) for dt in np.diff(scenario.times).tolist()]
     transitions, noises = np.array([f for f, _ in steps]), np.array([q for _, q in steps])
-    bounds = posterior_bounds(first + information[0], transitions, noises, information[1:])
-    return np.asarray(bounds[last_events(scenario.times)])
+    bounds = posterior_bounds(_state_prior_information(scenario) + information[0], transitions, noises, information[1:])
+    return np.asarray(bounds[last_events(scenario.times)].mean(axis=1))
+
+
+def _state_prior_information(scenario: TrackingScenario) -> Array:
+    """Information (6, 6) on the first state in the world in the prior on disparity and velocity.
+
+    The camera that sees the object first is taken to be that of the first event.
+    """
+    rig, prior = scenario.rig, scenario.prior
+    camera = rig.cameras[int(scenario.cameras[0])].at(float(scenario.times[0]))
+    space = DisparitySpace(camera, rig.baseline, rig.rectification)
+    to_disparity = state_jacobian(space, scenario.start)
+    precision = np.zeros(6)
+    precision[2] = prior.disparity_moments(space.packed())[1] ** -2
+    if prior.disparity_velocity_std is not None:
+        precision[3:] = np.array(prior.disparity_velocity_std) ** -2
+    information = to_disparity.T @ np.diag(precision) @ to_disparity
+    if prior.disparity_velocity_std is None:
+        information[3:, 3:] += np.eye(3) / prior.velocity_std**2
+    return np.asarray(information)
 
 
 def draw_trajectory(scenario: TrackingScenario, rng: np.random.Generator) -> Array:

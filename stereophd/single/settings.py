@@ -42,12 +42,15 @@ class ParticleSettings:
     resampling : {"systematic", "stratified", "residual", "multinomial"}
     resample_below : float
         Resample where the effective number of particles is below this fraction; 0 is never.
+    regularised : bool
+        Spread resampled particles by a Gaussian kernel of the optimal width (paper [37]).
     """
 
     particles: int = 1000
     weights: Weights = "logarithmic"
     resampling: Resampling = "systematic"
     resample_below: float = 0.5
+    regularised: bool = False
 
 
 @dataclass(frozen=True)
