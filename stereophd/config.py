@@ -15,6 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
 from stereophd.config_calibration import CalibrationConfig
 from stereophd.config_experiment import ExperimentConfig
+from stereophd.config_single import DisparityPrior, SingleConfig
 from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
 from stereophd.geometry.pose import Pose, rotation_from_vector
@@ -228,13 +229,6 @@ class MomentsConfig(Model):
         return self
 
 
-class DisparityPrior(Model):
-    """Gaussian prior of the disparity of a new object."""
-
-    mean_px: Finite
-    std_px: Positive
-
-
 class BirthConfig(Model):
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
@@ -354,7 +348,7 @@ class PmbConfig(Model):
     extraction: PmbExtractionConfig = Field(default_factory=PmbExtractionConfig)
 
 
-FilterConfig = Annotated[PhdConfig | PmbConfig, Field(discriminator="kind")]
+FilterConfig = Annotated[PhdConfig | PmbConfig | SingleConfig, Field(discriminator="kind")]
 
 
 class SmoothConfig(Model):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from stereophd.config_base import Finite, Model, Positive
+from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
 
 # Dotted paths of any keys of the configuration, and the values they take.
 Settings = dict[str, Any]
@@ -38,7 +38,49 @@ class MultiObjectScenario(Model):
     ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)]
 
 
-Scenario = MultiObjectScenario
+class LocalisationScenario(Model):
+    """A static object observed by one camera after another, located by ``filter`` (kind single)."""
+
+    kind: Literal["localisation"]
+    position: Vector3 = Field(description="of the object, in the world")
+    sequence: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+        description="name of the camera of each observation"
+    )
+    rounds: Annotated[int, Field(ge=1)] = Field(1, description="how often the sequence is gone through")
+    interval_s: Positive = Field(1.0, description="time between observations, for the figure")
+    bound_with_prior: bool = Field(False, description="whether the bound counts the prior of the disparity")
+
+
+class TrackingScenario(Model):
+    """A moving object seen by all cameras at the same times, tracked by ``filter`` (kind single)."""
+
+    kind: Literal["tracking"]
+    position: Vector3 = Field(description="of the object at the first time")
+    velocity: Vector3 = Field(description="of the object at the first time; it accelerates as ``motion`` says")
+    steps: Annotated[int, Field(ge=1)] = Field(description="number of times")
+    interval_s: Positive = Field(description="between them, s")
+    bound_trajectories: Annotated[int, Field(ge=1)] = Field(
+        100, description="drawn trajectories over which the information of the bound is averaged"
+    )
+
+
+class MoveScenario(Model):
+    """A Gaussian carried from one disparity space to another as ``moments`` says; compared with a large sample."""
+
+    kind: Literal["move"]
+    home: str = Field(description="camera in whose disparity space it begins")
+    destination: str = Field(description="camera to whose disparity space it is carried")
+    point_px: Vector3 = Field(description="mean of u, v and d")
+    std_px: tuple[Positive, Positive, Positive] = Field(description="their standard deviations")
+    velocity: Vector3 = Field((0.0, 0.0, 0.0), description="mean velocity in the world")
+    velocity_std: Positive = Field(description="standard deviation of each of its components")
+    interval_s: NonNegative = Field(description="how long the object moves, s")
+    reference_samples: Annotated[int, Field(ge=1000)] = Field(1_000_000, description="samples of the reference")
+
+
+Scenario = Annotated[
+    MultiObjectScenario | LocalisationScenario | TrackingScenario | MoveScenario, Field(discriminator="kind")
+]
 
 
 class AxisConfig(Model):

@@ -10,6 +10,9 @@ import typer
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, load, print_data, progress_bar, quiet_pipe, to_json
 
+# Characters of a line of the table where no terminal limits it.
+PIPED_WIDTH = 180
+
 
 def experiment_command(
     context: typer.Context,
@@ -58,4 +61,4 @@ def experiment_command(
         from rich.console import Console
 
         with quiet_pipe():
-            print_results(results, Console(soft_wrap=not sys.stdout.isatty()))
+            print_results(results, Console(width=None if sys.stdout.isatty() else PIPED_WIDTH))

@@ -68,7 +68,9 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
 
 def _scenario(loaded: LoadedConfig) -> MultiObjectScenario:
     assert loaded.config.experiment is not None
-    return loaded.config.experiment.scenario
+    scenario = loaded.config.experiment.scenario
+    assert isinstance(scenario, MultiObjectScenario)
+    return scenario
 
 
 def _true_time(cameras: Sequence[Camera], frame: SimulatedFrame) -> float:

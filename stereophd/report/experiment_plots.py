@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stereophd.experiments.base import Array
+from stereophd.report.experiment_moves import draw_moves
 from stereophd.report.style import INK, STYLE, TRACK_COLOURS, legend_right
 
 if TYPE_CHECKING:
@@ -60,7 +61,9 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
         Name that ends in ``.png`` or ``.svg`` -> where to write.
     """
     with mpl.rc_context(STYLE):
-        figure = _draw(results)
+        moved = results.config.scenario.kind == "move"
+        figure = draw_moves(results) if moved else _draw(results)
+        _add_title(figure, results)
         for name, path in paths.items():
             kind = name.rsplit(".", 1)[1]
             # What the files say about when and by what they were made would differ between runs.
@@ -91,10 +94,14 @@ def _draw(results: Results) -> Figure:
         legend = grid[row, -1]
         if row == 0:
             legend_right(legend)
-    if settings.title:
-        text = f"{settings.title} ({results.config.runs} runs)"
-        figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
     return figure
+
+
+def _add_title(figure: Figure, results: Results) -> None:
+    title = results.config.figure.title
+    if title:
+        text = f"{title}: {results.config.runs} runs"
+        figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
 
 
 def _quantities(results: Results) -> list[str]:
