@@ -7,10 +7,12 @@ keys are errors. Reading files, overrides and error messages live in `stereophd.
 
 from __future__ import annotations
 
+import json
+from contextlib import suppress
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
 from stereophd.config_calibration import CalibrationConfig
@@ -158,6 +160,17 @@ class CameraConfig(Model):
     frame_rate_hz: Positive | None = Field(None, description="frames per second (simulate)")
     phase_s: Finite = Field(0.0, description="time of the first frame after the start (simulate)")
     clock: ClockConfig = Field(default_factory=ClockConfig)
+    readout_s: Finite = Field(
+        0.0,
+        description="rolling shutter: a detection in row v was made readout_s * v / height after the time of its "
+        "frame, s; negative: read from the bottom up",
+    )
+
+    @model_validator(mode="after")
+    def _readout_at_rest(self) -> CameraConfig:
+        if self.readout_s != 0.0 and (any(self.pose.velocity) or any(self.pose.rotation_rate_deg_s)):
+            raise ValueError(f"readout_s: expected 0 of a camera that moves, found {self.readout_s:g}")
+        return self
 
     def build(self, name: str) -> Camera:
         """Return the geometric `Camera` of this name."""
@@ -181,6 +194,7 @@ class CameraConfig(Model):
             frame_rate_hz=self.frame_rate_hz,
             phase_s=self.phase_s,
             clock=Clock(self.clock.offset_s, self.clock.rate),
+            readout_s=self.readout_s,
         )
 
 
@@ -309,6 +323,12 @@ class PhdConfig(Model):
         description="mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)",
     )
     max_components: Annotated[int, Field(ge=1)] = 1000
+    missed: Literal["split", "keep"] = Field(
+        "split",
+        description="what a miss says of a component that is partly in view. split: the part in view becomes less "
+        "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
+        "detectors miss an occluded object for many frames in a row, and each would squeeze the shape",
+    )
     extraction: ExtractionConfig = Field(default_factory=ExtractionConfig)
 
 
@@ -345,6 +365,12 @@ class PmbConfig(Model):
     least_share: Annotated[float, Field(ge=0, lt=1)] = Field(
         1e-3, description="hypotheses of a smaller share of their track are dropped"
     )
+    missed: Literal["split", "keep"] = Field(
+        "keep",
+        description="what a miss says of a component that is partly in view. split: the part in view becomes less "
+        "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
+        "detectors miss an occluded object for many frames in a row, and each would squeeze the shape",
+    )
     extraction: PmbExtractionConfig = Field(default_factory=PmbExtractionConfig)
 
 
@@ -359,9 +385,64 @@ class SmoothConfig(Model):
     )
 
 
+class CameraTimes(Model):
+    """Estimates after every frame of one camera."""
+
+    camera: str = Field(description="name of the camera")
+
+
+class GridTimes(Model):
+    """Estimates on a fixed grid of times."""
+
+    grid: Positive = Field(description="step of the grid, s: its times are the multiples of it")
+
+
+# A finer grid would repeat times that are written to the nanosecond, and fill the disk.
+SHORTEST_GRID_S = 1e-6
+
+
+def _parse_times(value: Any) -> Any:
+    """Turn the short forms ``camera NAME`` and ``grid DT`` into mappings; refuse what is neither, in a sentence."""
+    if value == "events":
+        return value
+    found = value
+    if isinstance(value, str):
+        kind, _, rest = value.partition(" ")
+        value = {kind: rest.strip()}
+        if kind == "grid":
+            with suppress(ValueError):
+                value = {kind: float(rest)}
+    if isinstance(value, dict) and len(value) == 1:
+        camera, grid = value.get("camera"), value.get("grid")
+        if isinstance(camera, str) and camera:
+            return value
+        if isinstance(grid, int | float) and not isinstance(grid, bool):
+            if SHORTEST_GRID_S <= grid < np.inf:
+                return value
+            raise ValueError(f"expected a grid of at least {SHORTEST_GRID_S:g} s, found {grid:g}")
+    raise ValueError(f"expected events, camera NAME or grid DT (in seconds), found {json.dumps(found)}")
+
+
+ReportTimes = Annotated[
+    Literal["events"] | CameraTimes | GridTimes,
+    BeforeValidator(
+        _parse_times,
+        json_schema_input_type=Literal["events"]
+        | Annotated[str, Field(pattern=r"^(camera|grid) +\S")]
+        | CameraTimes
+        | GridTimes,
+    ),
+]
+
+
 class ReportConfig(Model):
     """Which estimates are written."""
 
+    times: ReportTimes = Field(
+        "events",
+        description="when estimates are written: events (after every event), camera NAME (after every frame of that "
+        "camera) or grid DT (at the multiples of DT seconds, predicted from the last event before each)",
+    )
     max_position_std: Positive | None = Field(
         None,
         description="leave out estimates whose position is less certain (square root of the trace of its "

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from stereophd.config import CameraConfig, CamerasFile, Config
-from stereophd.config_errors import describe
+from stereophd.config import CameraConfig, CamerasFile, CameraTimes, Config
+from stereophd.config_errors import describe, nearest
 from stereophd.config_yaml import KeyPath, Place, Tree, parse_yaml, read_yaml
 from stereophd.errors import InputError
 from stereophd.io.provenance import sha256_of
@@ -120,6 +120,7 @@ def load_config(
     if seed is not None:
         _apply(tree, ("seed",), Tree(seed, {(): Place("--seed")}))
     config = _validate(Config, tree)
+    _check_camera_of_reports(config, tree)
     if unit is not None and unit != config.units.length:
         raise InputError(f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}")
     return _loaded(config, source, inputs, tree)
@@ -196,6 +197,16 @@ def _validate(model: type[AnyModel], tree: Tree) -> AnyModel:
         details = error.errors(include_url=False, include_input=False)
         message = describe([dict(detail) for detail in details], tree, _schema(model))
         raise InputError(message) from None
+
+
+def _check_camera_of_reports(config: Config, tree: Tree) -> None:
+    """Refuse estimates after the frames of a camera that does not exist."""
+    times, cameras = config.report.times, config.cameras
+    if isinstance(times, CameraTimes) and isinstance(cameras, dict) and times.camera not in cameras:
+        path = ("report", "times")
+        close = nearest(times.camera, cameras)
+        where = f"{tree.place(path)}: report.times"
+        raise InputError(f"{where}: expected the name of a camera, found {times.camera}{close}")
 
 
 def _inline_cameras(tree: Tree, path: Path) -> tuple[str, str]:

@@ -8,14 +8,23 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config import BirthConfig, Config, MotionConfig, PhdConfig, PmbConfig, RegionConfig
+from stereophd.config import (
+    BirthConfig,
+    CameraTimes,
+    Config,
+    GridTimes,
+    MotionConfig,
+    PhdConfig,
+    PmbConfig,
+    RegionConfig,
+    ReportConfig,
+)
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
@@ -26,24 +35,19 @@ from stereophd.io.tables import SCANS, TRACKS, TableWriter
 from stereophd.motion import ConstantVelocity, Motion, Static
 from stereophd.multi.base import DisparityFilter
 from stereophd.multi.birth import BirthPrior
-from stereophd.multi.events import make_event, make_rig
+from stereophd.multi.events import make_rig
 from stereophd.multi.extract import Hysteresis
 from stereophd.multi.phd import PhdFilter, PhdSettings
 from stereophd.multi.pmb import PmbFilter, PmbSettings
-from stereophd.track_output import EventRecord, smoothed_records, write_records
+from stereophd.track_output import smoothed_records, write_records
+from stereophd.track_run import Progress, ReportTimes, run_filter
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
     from stereophd.geometry.camera import Camera
 
-# Called with (done, total), in rows of the log.
-Progress = Callable[[int, int], None]
-
 FILES = ("tracks.parquet", "scans.parquet", "report.json")
 REPORT_VERSION = 1
-
-# Events between two calls of `progress`.
-PROGRESS_EVERY = 50
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -98,10 +102,11 @@ def track(
             TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
         ):
             unusable = [0]
-            records = _run(multi_filter, reader, unusable, progress)
+            records = run_filter(multi_filter, reader, report_times(config.report), unusable, progress)
             if config.report.smooth is not None:
                 records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
-            summary = write_records(records, tracks, scans, config.report.max_position_std)
+            names = [camera.name for camera in cameras]
+            summary = write_records(records, tracks, scans, names, config.report.max_position_std)
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": config.units.length,
@@ -168,6 +173,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
             max_components=settings.max_components,
             hypothesis_distance=settings.hypothesis_distance,
             least_share=settings.least_share,
+            split_missed=settings.missed == "split",
             hysteresis=hysteresis,
         )
         return PmbFilter(rig, motion, sets, pmb, threads)
@@ -177,6 +183,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         prune_weight=settings.prune_weight,
         merge_distance=settings.merge_distance,
         merge_mutual=settings.merge_rule == "mutual",
+        split_missed=settings.missed == "split",
         max_components=settings.max_components,
         hysteresis=hysteresis,
     )
@@ -198,6 +205,14 @@ def _check_birth_rate(settings: PhdConfig | PmbConfig, cameras: tuple[Camera, ..
                 f"{settings.prune_weight:g}, found {settings.birth.per_frame:g}: beside the clutter of "
                 f"{camera.name} a newborn weighs {existence:.2g}"
             )
+
+
+def report_times(config: ReportConfig) -> ReportTimes:
+    """Return when estimates are reported."""
+    times = config.times
+    return ReportTimes(
+        times.camera if isinstance(times, CameraTimes) else None, times.grid if isinstance(times, GridTimes) else None
+    )
 
 
 def build_motion(config: MotionConfig) -> Motion:
@@ -224,22 +239,3 @@ def _birth_prior(config: BirthConfig) -> BirthPrior:
     prior = config.disparity
     disparity = None if prior is None else (prior.mean_px, prior.std_px)
     return BirthPrior(config.per_frame, disparity, config.depth_range, config.velocity_std)
-
-
-def _run(
-    multi_filter: DisparityFilter, reader: LogReader, unusable: list[int], progress: Progress | None
-) -> Iterator[EventRecord]:
-    """Run the filter over the log, event by event; `unusable` counts detections that have no undistorted place."""
-    state = multi_filter.init()
-    for number, frame in enumerate(reader):
-        camera = multi_filter.rig.cameras[frame.camera]
-        frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
-        event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
-        unusable[0] += len(frame.pixels) - len(event.points)
-        first_label = state.next_label
-        state, info, estimates = multi_filter.step(state, event)
-        yield EventRecord(frame.time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates)
-        if progress is not None and number % PROGRESS_EVERY == 0:
-            progress(reader.counts["rows"], reader.num_rows)
-    if progress is not None:
-        progress(reader.num_rows, reader.num_rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,38 +12,15 @@ from numpy.typing import NDArray
 
 from stereophd.io.tables import TableWriter
 from stereophd.motion import Motion
-from stereophd.multi.intensity import Estimates, Info
+from stereophd.multi.intensity import Estimates
 from stereophd.smoothing import Trajectory, extend_back, smooth, stitch
+from stereophd.track_run import Record
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.
 SEEN_EXISTENCE = 0.5
-
-
-@dataclass(frozen=True)
-class EventRecord:
-    """One event of a run.
-
-    Attributes
-    ----------
-    time_s, camera, frame : float, str, int
-        As in ``scans.parquet``.
-    n_detections : int
-    first_label : int
-        Smallest label that an object first detected in this event can have.
-    info : Info
-    estimates : Estimates
-    """
-
-    time_s: float
-    camera: str
-    frame: int
-    n_detections: int
-    first_label: int
-    info: Info
-    estimates: Estimates
 
 
 @dataclass
@@ -56,12 +34,37 @@ class _Identity:
 
 
 def write_records(
-    records: Iterable[EventRecord], tracks: TableWriter, scans: TableWriter, max_position_std: float | None
+    records: Iterable[Record],
+    tracks: TableWriter,
+    scans: TableWriter,
+    cameras: Sequence[str],
+    max_position_std: float | None = None,
 ) -> dict[str, Any]:
-    """Write events as they come; return the figures of the run for ``report.json``."""
+    """Write what is to be reported as it comes; return the figures of the run for ``report.json``.
+
+    Parameters
+    ----------
+    records : iterable of Record
+    tracks, scans : TableWriter
+    cameras : sequence of str
+        Names, in order, for the numbers of detections of each track.
+    max_position_std : float, optional
+        Estimates of a less certain position are left out.
+    """
     identities: dict[int, _Identity] = {}
+    detections: dict[int, Counter[str]] = {}
     events, log_likelihood = 0, 0.0
+    # since the last row: what happened between two reports belongs to the second
+    new_detections, new_log_likelihood = 0, 0.0
     for record in records:
+        events += record.is_event
+        log_likelihood += record.info.log_likelihood
+        new_detections += record.n_detections
+        new_log_likelihood += record.info.log_likelihood
+        for track_id, counts in record.attributed.items():
+            detections.setdefault(track_id, Counter()).update(counts)
+        if not record.reported:
+            continue
         estimates = record.estimates
         if max_position_std is not None:
             estimates = estimates.certain(max_position_std)
@@ -69,20 +72,20 @@ def write_records(
         scans.append(
             {
                 **key,
-                "n_detections": np.array([record.n_detections]),
+                "n_detections": np.array([new_detections]),
                 "cardinality_mean": record.info.cardinality_mean,
                 "cardinality_estimate": len(estimates.track_ids),
-                "log_likelihood": record.info.log_likelihood,
+                "log_likelihood": new_log_likelihood,
                 "n_components": record.info.n_components,
             }
         )
+        new_detections, new_log_likelihood = 0, 0.0
         if len(estimates.track_ids):
             tracks.append({**key, **_columns(estimates)})
         _summarise(identities, estimates, record.time_s)
-        events += 1
-        log_likelihood += record.info.log_likelihood
     return {
         "events": events,
+        "reports": scans.rows,
         "estimates": tracks.rows,
         "log_likelihood": log_likelihood,
         "tracks": [
@@ -91,6 +94,7 @@ def write_records(
                 "first_s": identity.first_s,
                 "last_s": identity.last_s,
                 "n_estimates": identity.n_estimates,
+                "n_detections": {name: detections.get(track_id, Counter())[name] for name in cameras},
                 "mean_existence": identity.existence / identity.n_estimates,
             }
             for track_id, identity in sorted(identities.items())
@@ -116,30 +120,37 @@ def _summarise(identities: dict[int, _Identity], estimates: Estimates, time_s: f
         identity.existence += existence
 
 
-def smoothed_records(records: Iterable[EventRecord], motion: Motion, max_gap_s: float) -> Iterator[EventRecord]:
-    """Yield the events of a whole run with smoothed estimates in place of the filtered ones.
+def smoothed_records(records: Iterable[Record], motion: Motion, max_gap_s: float) -> Iterator[Record]:
+    """Yield the records of a whole run with smoothed estimates in place of the filtered ones.
 
     Every track reaches back to its first detection, ends where it was last more probable than not, and
-    is stitched to the track that it continues, if any.
+    is stitched to the track that it continues, if any. Predictions to the times of a grid are smoothed as
+    events are that measure nothing: the state between two events given both, by the motion model.
     """
     whole = list(records)
     times = np.array([record.time_s for record in whole])
     labels = np.array([record.first_label for record in whole], dtype=np.int64)
     trajectories = [_smooth_back(t, label, times, labels, motion) for t, label in _trajectories(whole, times)]
     continued = stitch(trajectories, motion, max_gap_s)
+
+    def name(track_id: int) -> int:
+        while track_id in continued:
+            track_id = continued[track_id]
+        return track_id
+
     rows: list[list[tuple[int, Trajectory, int]]] = [[] for _ in whole]
     for trajectory in trajectories:
-        name = trajectory.track_id
-        while name in continued:
-            name = continued[name]
-        for k, event in enumerate(trajectory.events.tolist()):
-            rows[event].append((name, trajectory, k))
+        for k, number in enumerate(trajectory.events.tolist()):
+            rows[number].append((name(trajectory.track_id), trajectory, k))
     for record, found in zip(whole, rows, strict=True):
         found.sort(key=lambda row: row[0])
-        yield replace(record, estimates=_estimates(found))
+        attributed: dict[int, Counter[str]] = {}
+        for track_id, counts in record.attributed.items():
+            attributed.setdefault(name(track_id), Counter()).update(counts)
+        yield replace(record, estimates=_estimates(found), attributed=attributed)
 
 
-def _trajectories(records: Sequence[EventRecord], times: NDArray[np.float64]) -> list[tuple[Trajectory, int]]:
+def _trajectories(records: Sequence[Record], times: NDArray[np.float64]) -> list[tuple[Trajectory, int]]:
     """Filtered states of every track, in order of identity, with the label of its first report."""
     events: dict[int, list[tuple[int, int]]] = {}
     for number, record in enumerate(records):

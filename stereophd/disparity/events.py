@@ -32,6 +32,8 @@ class Event:
     areas : array (m,)
         Area of an undistorted pixel per distorted pixel: turns densities over the undistorted plane
         into densities over the image, where clutter and births are uniform.
+    delays : array (m,), optional
+        Time of each detection after `time_s`, s, of a rolling shutter; None: all are of that time.
     """
 
     time_s: float
@@ -39,6 +41,7 @@ class Event:
     points: Array
     covariances: Array
     areas: Array
+    delays: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -125,11 +128,13 @@ def make_event(camera: Camera, index: int, time_s: float, pixels: Array, sigma: 
         covariances = np.zeros((len(pixels), 2, 2))
         covariances[:, 0, 0] = std[order, 0] ** 2
         covariances[:, 1, 1] = std[order, 1] ** 2
-        return Event(time_s, index, pixels[order], covariances, np.ones(len(pixels)))
+        delays = camera.row_delays(pixels[order, 1])
+        return Event(time_s, index, pixels[order], covariances, np.ones(len(pixels)), delays)
     points, jacobian = camera.undistort_pixels(pixels)
     scaled = jacobian * std[:, None, :]
     covariances = scaled @ np.swapaxes(scaled, 1, 2)
     areas = np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])
     order = np.lexsort((points[:, 1], points[:, 0]))
     order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
-    return Event(time_s, index, points[order], covariances[order], areas[order])
+    delays = camera.row_delays(pixels[order, 1])
+    return Event(time_s, index, points[order], covariances[order], areas[order], delays)

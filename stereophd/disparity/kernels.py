@@ -486,7 +486,10 @@ def move_components(
                 status[k] = IN_VIEW if seen_weight == whole_weight else PARTLY_IN_VIEW
         if status[k] == OUT_OF_VIEW:
             mask[:] = 0.0
-        if status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
+        if status[k] == PARTLY_IN_VIEW and p_detect == 0.0 and inside[k] == 1.0:
+            missed_means[k] = means[k]
+            missed_covariances[k] = covariances[k]
+        elif status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
             missed_moments(
                 means[k], factor, samples, weights, mask, p_detect, minimum,
                 missed_means[k], missed_covariances[k],

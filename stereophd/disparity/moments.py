@@ -65,6 +65,14 @@ class Moved:
     missed_covariances: Array
     inside: Array
 
+    @property
+    def arrays(self) -> kernels.MovedArrays:
+        """The fields, in order: what compiled code takes."""
+        return (
+            self.means, self.covariances, self.fraction, self.status, self.missed_means, self.missed_covariances,
+            self.inside,
+        )  # fmt: skip
+
 
 def minimum_in_view(samples: int) -> int:
     """Fewest samples in view from which a Gaussian is fitted: 24, or an eighth, of at least 48."""
@@ -104,7 +112,7 @@ def move(
     turn : int
         Number of the event: picks the set.
     p_detect : float
-        Probability of detection inside the image, for the missed part.
+        Probability of detection inside the image, for the shape of the missed part: 0 leaves it as it was.
     important : array (n,) of bool, optional
         Components to look at with more samples when too few are in view: an object at the edge of the
         field of view would otherwise be taken for a new one.

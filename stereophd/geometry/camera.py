@@ -109,6 +109,10 @@ class Camera:
         Time of the first frame after the start, s, for simulation.
     clock : Clock
         The camera's own clock.
+    readout_s : float
+        Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from
+        the bottom up): what lies in row v, distorted, was seen ``readout_s * v / height`` after the time of
+        the frame, which is that of row 0. Zero: all rows at once.
 
     Raises
     ------
@@ -129,6 +133,7 @@ class Camera:
     frame_rate_hz: float | None = None
     phase_s: float = 0.0
     clock: Clock = field(default_factory=Clock)
+    readout_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("width", "height", "fx", "fy"):
@@ -143,6 +148,10 @@ class Camera:
         if self.pose.is_static:
             return self
         return replace(self, pose=self.pose.at(time_s))
+
+    def row_delays(self, rows: FloatArray) -> FloatArray | None:
+        """Return when rows (n,) of the distorted image are read, s after the frame's time; None without readout."""
+        return None if self.readout_s == 0.0 else self.readout_s / self.height * rows
 
     @property
     def intrinsic_matrix(self) -> FloatArray:

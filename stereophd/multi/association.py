@@ -1,4 +1,17 @@
-"""Likelihoods of all plausible pairs of a component and a detection, and Kalman updates of pairs."""
+"""Likelihoods of all plausible pairs of a component and a detection, and Kalman updates of pairs.
+
+The observation of a component y = (u, v, d, du, dv, dd) is its pixel, H = [I_2 0] (eq. 4). A rolling shutter
+reads detection j at a delay tau_j after the time of the frame, at which the components are; the pixel has then
+moved on, to first order by tau_j (du, dv), so that
+
+    z_j = H_j y + noise,    H_j = [I_2 0 | tau_j I_2 0],
+
+which is still linear: S = P_pp + tau (P_pv + P_vp) + tau^2 P_vv + R with the blocks of pixel and pixel velocity.
+Since tau_j follows from the detection's own row nothing has to be solved for. Left out are the second order,
+tau v_z / z of the correction (v_z / z: the relative speed towards the camera), and the change of the row's time
+with the noise of the row, (readout time of one row) dv of the noise: both far below a hundredth of a pixel for
+readouts of some 30 ms. Static objects (d = 3) have not moved.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +32,13 @@ REACH_SIGMAS = 9.0
 
 @compiled
 def pair_likelihoods(
-    means: Array, covariances: Array, seen: NDArray[np.bool_], points: Array, noises: Array, areas: Array
+    means: Array,
+    covariances: Array,
+    seen: NDArray[np.bool_],
+    points: Array,
+    noises: Array,
+    areas: Array,
+    delays: Array | None = None,
 ) -> tuple[Integers, Integers, Array]:
     """Predicted density N(z; H m, H P H^T + R) of every pair within reach, eq. (4) and (5).
 
@@ -31,6 +50,8 @@ def pair_likelihoods(
         Components to consider.
     points, noises, areas : arrays (m, 2), (m, 2, 2), (m,)
         Detections of an `Event`, ordered by u.
+    delays : array (m,), optional
+        Time of each detection after that of the components, s.
 
     Returns
     -------
@@ -47,11 +68,20 @@ def pair_likelihoods(
     high = np.zeros(count, dtype=np.int64)
     total = 0
     column = points[:, 0].copy()
+    earliest, latest = 0.0, 0.0
+    if delays is not None and means.shape[1] == 6 and len(delays) > 0:
+        earliest, latest = delays.min(), delays.max()
     for k in range(count):
         if seen[k]:
-            reach = REACH_SIGMAS * math.sqrt(covariances[k, 0, 0] + largest)
-            low[k] = np.searchsorted(column, means[k, 0] - reach)
-            high[k] = np.searchsorted(column, means[k, 0] + reach)
+            from_u, to_u, variance = means[k, 0], means[k, 0], covariances[k, 0, 0]
+            if delays is not None and means.shape[1] == 6:
+                # the mean is between its values at the ends of the delays, the variance below the larger there
+                first, last = means[k, 0] + earliest * means[k, 3], means[k, 0] + latest * means[k, 3]
+                from_u, to_u = min(first, last), max(first, last)
+                variance = max(_delayed(covariances[k], 0, 0, earliest), _delayed(covariances[k], 0, 0, latest))
+            reach = REACH_SIGMAS * math.sqrt(variance + largest)
+            low[k] = np.searchsorted(column, from_u - reach)
+            high[k] = np.searchsorted(column, to_u + reach)
             total += high[k] - low[k]
     components = np.empty(total, dtype=np.int64)
     detections = np.empty(total, dtype=np.int64)
@@ -62,9 +92,15 @@ def pair_likelihoods(
             s00 = covariances[k, 0, 0] + noises[j, 0, 0]
             s01 = covariances[k, 0, 1] + noises[j, 0, 1]
             s11 = covariances[k, 1, 1] + noises[j, 1, 1]
-            determinant = s00 * s11 - s01 * s01
             du = points[j, 0] - means[k, 0]
             dv = points[j, 1] - means[k, 1]
+            if delays is not None and means.shape[1] == 6:
+                s00 = _delayed(covariances[k], 0, 0, delays[j]) + noises[j, 0, 0]
+                s01 = _delayed(covariances[k], 0, 1, delays[j]) + noises[j, 0, 1]
+                s11 = _delayed(covariances[k], 1, 1, delays[j]) + noises[j, 1, 1]
+                du -= delays[j] * means[k, 3]
+                dv -= delays[j] * means[k, 4]
+            determinant = s00 * s11 - s01 * s01
             squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
             if squared > REACH_SIGMAS * REACH_SIGMAS:
                 continue
@@ -76,10 +112,23 @@ def pair_likelihoods(
 
 
 @compiled
+def _delayed(covariance: Array, a: int, b: int, delay: float) -> float:
+    """Covariance of pixel coordinates a and b (0 or 1) of a moving component after a delay: H P H^T."""
+    cross = covariance[a, 3 + b] + covariance[3 + a, b]
+    return float(covariance[a, b] + delay * cross + delay * delay * covariance[3 + a, 3 + b])
+
+
+@compiled
 def kalman_updates(
-    means: Array, covariances: Array, components: Integers, detections: Integers, points: Array, noises: Array
+    means: Array,
+    covariances: Array,
+    components: Integers,
+    detections: Integers,
+    points: Array,
+    noises: Array,
+    delays: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Kalman update of each pair with H = [I_2 0] (eq. 4).
+    """Kalman update of each pair with H = [I_2 0] (eq. 4), or after delays (see above).
 
     Returns means (p, d) and covariances (p, d, d) of the updated components.
     """
@@ -88,22 +137,37 @@ def kalman_updates(
     out_means = np.empty((count, size))
     out_covariances = np.empty((count, size, size))
     gain = np.empty((size, 2))
+    # row a: covariance of the state with the observed u and v
+    observed = np.empty((size, 2))
     for i in range(count):
         k, j = components[i], detections[i]
         covariance = covariances[k]
-        s00 = covariance[0, 0] + noises[j, 0, 0]
-        s01 = covariance[0, 1] + noises[j, 0, 1]
-        s11 = covariance[1, 1] + noises[j, 1, 1]
-        determinant = s00 * s11 - s01 * s01
         du = points[j, 0] - means[k, 0]
         dv = points[j, 1] - means[k, 1]
         for a in range(size):
-            gain[a, 0] = (covariance[a, 0] * s11 - covariance[a, 1] * s01) / determinant
-            gain[a, 1] = (covariance[a, 1] * s00 - covariance[a, 0] * s01) / determinant
+            observed[a, 0] = covariance[a, 0]
+            observed[a, 1] = covariance[a, 1]
+        s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+        if delays is not None and size == 6:
+            du -= delays[j] * means[k, 3]
+            dv -= delays[j] * means[k, 4]
+            for a in range(size):
+                observed[a, 0] += delays[j] * covariance[a, 3]
+                observed[a, 1] += delays[j] * covariance[a, 4]
+            s00 = _delayed(covariance, 0, 0, delays[j])
+            s01 = _delayed(covariance, 0, 1, delays[j])
+            s11 = _delayed(covariance, 1, 1, delays[j])
+        s00 = s00 + noises[j, 0, 0]
+        s01 = s01 + noises[j, 0, 1]
+        s11 = s11 + noises[j, 1, 1]
+        determinant = s00 * s11 - s01 * s01
+        for a in range(size):
+            gain[a, 0] = (observed[a, 0] * s11 - observed[a, 1] * s01) / determinant
+            gain[a, 1] = (observed[a, 1] * s00 - observed[a, 0] * s01) / determinant
             out_means[i, a] = means[k, a] + gain[a, 0] * du + gain[a, 1] * dv
         for a in range(size):
             for b in range(a + 1):
-                value = covariance[a, b] - gain[a, 0] * covariance[b, 0] - gain[a, 1] * covariance[b, 1]
+                value = covariance[a, b] - gain[a, 0] * observed[b, 0] - gain[a, 1] * observed[b, 1]
                 out_covariances[i, a, b] = value
                 out_covariances[i, b, a] = value
     return out_means, out_covariances

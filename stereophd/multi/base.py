@@ -77,6 +77,9 @@ class DisparityFilter(ABC):
         Which objects are reported.
     threads : int
         Threads of the sample trips; results do not depend on it.
+    split_missed : bool
+        Whether a component that is partly in view loses the part in view when it is missed (paper VI-C), or
+        keeps its shape and only becomes less probable.
     """
 
     rig: Rig
@@ -86,6 +89,7 @@ class DisparityFilter(ABC):
     birth: BirthPrior
     hysteresis: Hysteresis
     threads: int
+    split_missed: bool
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
@@ -117,7 +121,7 @@ class DisparityFilter(ABC):
             self.motion,
             self.sets,
             state.n_events,
-            self.rig.cameras[event.camera].detector.p_detect,
+            self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0,
             weights >= IMPORTANT_WEIGHT,
             self.threads,
             self.rig.region,
@@ -207,7 +211,7 @@ def updated_components(
     """Components updated with detections, in the event's space."""
     moved, mixture = prediction.moved, prediction.mixture
     means, covariances = kalman_updates(
-        moved.means, moved.covariances, components, detections, event.points, event.covariances
+        moved.means, moved.covariances, components, detections, event.points, event.covariances, event.delays
     )
     return GaussianMixture(
         weights,

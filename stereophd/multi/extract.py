@@ -7,7 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.compilation import compiled
 from stereophd.multi.intensity import UNLABELLED, GaussianMixture
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,8 @@ class Selection:
     """Outcome of `select_objects`: the relabelled mixture, and which components are reported."""
 
     mixture: GaussianMixture
-    index: NDArray[np.intp]
-    existence: NDArray[np.float64]
+    index: Integers
+    existence: Array
     next_label: int
     next_track: int
 
@@ -62,35 +66,67 @@ def select_objects(
     -------
     Selection
     """
-    labels = mixture.labels.copy()
-    order = np.lexsort((-mixture.weights, labels))
-    order = order[labels[order] != UNLABELLED]
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = labels[order][1:] != labels[order][:-1]
-    apart = order[~first & (mixture.weights[order] >= hysteresis.confirm)] if split else order[:0]
-    if len(apart):
-        labels[apart] = next_label + np.arange(len(apart))
-        next_label += len(apart)
-        tracks, reported = mixture.tracks.copy(), mixture.reported.copy()
-        tracks[apart], reported[apart] = -1, False
-        mixture = replace(mixture, labels=labels, tracks=tracks, reported=reported)
-        order = np.lexsort((-mixture.weights, labels))
-        order = order[labels[order] != UNLABELLED]
-        first[1:] = labels[order][1:] != labels[order][:-1]
-    if len(order) == 0:
-        return Selection(mixture, np.empty(0, dtype=np.intp), np.empty(0), next_label, next_track)
+    labels, tracks, reported, index, existence, next_label, next_track = _select(
+        mixture.weights,
+        mixture.labels,
+        mixture.tracks,
+        mixture.reported,
+        hysteresis.confirm,
+        hysteresis.release,
+        next_label,
+        next_track,
+        split,
+    )
+    mixture = replace(mixture, labels=labels, tracks=tracks, reported=reported)
+    return Selection(mixture, index, existence, next_label, next_track)
 
-    group = np.cumsum(first) - 1
-    leaders = order[first]
-    totals = np.asarray(np.bincount(group, weights=mixture.weights[order]), dtype=np.float64)
-    # any part of a label may carry its identity: the heaviest may come from a merged newborn
-    tracks = np.maximum.reduceat(mixture.tracks[order], np.flatnonzero(first))
-    was_reported = np.logical_or.reduceat(mixture.reported[order], np.flatnonzero(first))
-    shown = totals >= np.where(was_reported, hysteresis.release, hysteresis.confirm)
-    fresh = np.flatnonzero(shown & (tracks < 0))
-    tracks[fresh] = next_track + np.arange(len(fresh))
 
-    new_tracks, new_reported = np.full_like(mixture.tracks, UNLABELLED), np.zeros_like(mixture.reported)
-    new_tracks[order], new_reported[order] = tracks[group], shown[group]
-    mixture = replace(mixture, tracks=new_tracks, reported=new_reported)
-    return Selection(mixture, leaders[shown], totals[shown], next_label, next_track + len(fresh))
+@compiled
+def _select(
+    weights: Array,
+    labels: Integers,
+    tracks: Integers,
+    reported: NDArray[np.bool_],
+    confirm: float,
+    release: float,
+    next_label: int,
+    next_track: int,
+    split: bool,
+) -> tuple[Integers, Integers, NDArray[np.bool_], Integers, Array, int, int]:
+    """Return labels, identities and flags of all components, then the chosen ones, their existences and counters."""
+    # by label, heaviest first
+    order = np.argsort(-weights, kind="mergesort")
+    order = order[np.argsort(labels[order], kind="mergesort")]
+    known, labels, tracks, reported = labels, labels.copy(), tracks.copy(), reported.copy()
+    for i in range(1, len(order)):
+        k = order[i]
+        if split and known[k] != UNLABELLED and known[k] == known[order[i - 1]] and weights[k] >= confirm:
+            labels[k], tracks[k], reported[k] = next_label, UNLABELLED, False
+            next_label += 1
+    if split:
+        order = order[np.argsort(labels[order], kind="mergesort")]
+    index = np.empty(len(order), dtype=np.int64)
+    existence = np.empty(len(order))
+    found, start = 0, 0
+    while start < len(order):
+        label, end = labels[order[start]], start
+        total, track, was_reported = 0.0, UNLABELLED, False
+        while end < len(order) and labels[order[end]] == label:
+            # any part of a label may carry its identity: the heaviest may come from a merged newborn
+            k = order[end]
+            total += weights[k]
+            track = max(track, tracks[k])
+            was_reported = was_reported or reported[k]
+            end += 1
+        shown = label != UNLABELLED and total >= (release if was_reported else confirm)
+        if shown:
+            if track < 0:
+                track = next_track
+                next_track += 1
+            index[found], existence[found] = order[start], total
+            found += 1
+        for k in order[start:end]:
+            tracks[k] = track if label != UNLABELLED else UNLABELLED
+            reported[k] = shown
+        start = end
+    return labels, tracks, reported, index[:found], existence[:found], next_label, next_track

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+# The fields of a mixture, in order, for compiled code.
+Parts = tuple[Array, Array, Array, Integers, Array, Integers, Integers, NDArray[np.bool_]]
 
 # Label of components that stand for objects never detected; identity of labels never reported.
 UNLABELLED = -1
@@ -48,6 +51,14 @@ class GaussianMixture:
 
     def __len__(self) -> int:
         return len(self.weights)
+
+    @property
+    def parts(self) -> Parts:
+        """The fields, in order: what compiled code takes and returns."""
+        return (
+            self.weights, self.means, self.covariances, self.cameras, self.times, self.labels, self.tracks,
+            self.reported,
+        )  # fmt: skip
 
     def take(self, index: NDArray[np.intp]) -> GaussianMixture:
         """Return the components with these indices."""
@@ -131,8 +142,11 @@ class Info:
         Expected number of objects after the event.
     n_components : int
         Components after reduction.
+    detected : array of int
+        Labels that the event detected (`stereophd.multi.attribution.detected_labels`).
     """
 
     log_likelihood: float
     cardinality_mean: float
     n_components: int
+    detected: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64), compare=False)

@@ -16,6 +16,7 @@ from stereophd.disparity.moments import OUT_OF_VIEW
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion
 from stereophd.multi.association import pair_likelihoods
+from stereophd.multi.attribution import detected_labels
 from stereophd.multi.base import DisparityFilter, FilterState, Prediction, missed_states, updated_components
 from stereophd.multi.birth import BirthPrior
 from stereophd.multi.events import Event, Rig
@@ -40,6 +41,8 @@ class PhdSettings:
         See `stereophd.multi.reduce.reduce_mixture`.
     hysteresis : Hysteresis
         Which components are reported.
+    split_missed : bool
+        See `DisparityFilter`.
     """
 
     survival_per_s: float
@@ -49,6 +52,7 @@ class PhdSettings:
     max_components: int = 1000
     hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.8, 0.001))
     merge_mutual: bool = True
+    split_missed: bool = True
 
 
 @dataclass(frozen=True, init=False)
@@ -58,7 +62,16 @@ class PhdFilter(DisparityFilter):
     settings: PhdSettings
 
     def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PhdSettings, threads: int = 1) -> None:
-        super().__init__(rig, motion, sets, settings.survival_per_s, settings.birth, settings.hysteresis, threads)
+        super().__init__(
+            rig,
+            motion,
+            sets,
+            settings.survival_per_s,
+            settings.birth,
+            settings.hysteresis,
+            threads,
+            settings.split_missed,
+        )
         object.__setattr__(self, "settings", settings)
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
@@ -75,6 +88,7 @@ class PhdFilter(DisparityFilter):
             event.points,
             event.covariances,
             event.areas,
+            event.delays,
         )
         # clutter, births and components compete for every detection
         born = p_detect * settings.birth.per_frame
@@ -87,13 +101,15 @@ class PhdFilter(DisparityFilter):
         missed = missed_states(prediction, event).with_weights(mixture.weights - detected)
         updated = updated_components(prediction, event, components[kept], detections[kept], weights[kept])
         births = self.births(event, np.asarray(born * per_area / totals), state.next_label)
+        parts = concatenate([missed, updated, births])
+        detected_now = detected_labels(parts.labels, parts.weights, len(missed))
         reduced = reduce_mixture(
-            concatenate([missed, updated, births]),
+            parts,
             settings.prune_weight,
             settings.merge_distance,
             settings.max_components,
             settings.merge_mutual,
         )
-        info = Info(log_likelihood, float(reduced.weights.sum()), len(reduced))
+        info = Info(log_likelihood, float(reduced.weights.sum()), len(reduced), detected_now)
         label = state.next_label + len(event.points)
         return FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track), info

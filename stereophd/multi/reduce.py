@@ -69,7 +69,7 @@ def reduce_mixture(
 
 
 @compiled
-def _squared_distance(difference: Array, factor: Array, scratch: Array) -> float:
+def squared_distance(difference: Array, factor: Array, scratch: Array) -> float:
     """Squared Mahalanobis distance of a difference (d,), given the Cholesky factor (d, d)."""
     total = 0.0
     for a in range(difference.shape[0]):
@@ -131,11 +131,11 @@ def merge_sorted(
                 factored[k] = cholesky(covariances[k], factors[k])
                 if not factored[k]:
                     continue
-            if _squared_distance(difference, factors[k], scratch) > distance:
+            if squared_distance(difference, factors[k], scratch) > distance:
                 continue
             if mutual and not factored[leader]:
                 factored[leader] = cholesky(covariances[leader], factors[leader])
-            if not mutual or (factored[leader] and _squared_distance(difference, factors[leader], scratch) <= distance):
+            if not mutual or (factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance):
                 members[found] = k
                 found += 1
         total = 0.0

@@ -16,6 +16,10 @@ from stereophd.simulation.timing import FloatArray, IntArray, TimeGrid, instants
 # Label of a false detection.
 CLUTTER_ID = -1
 
+# Row times are exact to a picosecond; each iteration gains a digit or more at the speeds that a camera can follow.
+READOUT_ITERATIONS = 50
+READOUT_TOLERANCE_S = 1e-12
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -106,16 +110,41 @@ def _detect(
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Return frame index (k,), pixels (k, 2) and object (k,) of the true detections in a window."""
     columns = np.searchsorted(window.times_s, times_s)
-    points = window.states[:, columns, :3].transpose(1, 0, 2)  # (frames, objects, 3)
-    shape = points.shape[:2]
+    states = window.states[:, columns].transpose(1, 0, 2)  # (frames, objects, 6)
+    shape = states.shape[:2]
     detected = generator.random(shape) < camera.detector.p_detect
     noise = generator.standard_normal((*shape, 2)) * np.asarray(camera.detector.sigma)
-    frame, row = np.nonzero(detected & ~np.isnan(points[:, :, 0]))
-    pixels, in_view = _project_in_view(camera, points[frame, row], times_s[frame])
+    frame, row = np.nonzero(detected & ~np.isnan(states[:, :, 0]))
+    points = states[frame, row, :3]
+    if camera.readout_s != 0.0:
+        points = points + _row_delays(camera, points, states[frame, row, 3:])[:, None] * states[frame, row, 3:]
+    pixels, in_view = _project_in_view(camera, points, times_s[frame])
     pixels = pixels + noise[frame, row]
     # Noise over the edge of the image is no detection: the sensor ends there.
     kept = in_view & _inside_image(camera, pixels)
     return frame[kept], pixels[kept], window.object_id[row[kept]]
+
+
+def _row_delays(camera: Camera, points: FloatArray, velocities: FloatArray) -> FloatArray:
+    """Return when a rolling shutter reads moving points (n, 3), s after the time of the frame at which they are there.
+
+    The delay t solves t = readout v(x + t dx/dt) / height, v being the distorted row: iterated from the middle
+    row on, a contraction by the speed along the rows over that of the readout. During a readout objects move on
+    straight. NaN for a point that keeps pace with the readout: it may be seen many times, or never.
+    """
+    outermost = np.array([-0.5, camera.height - 0.5])
+    delays = np.full(len(points), camera.readout_s / 2.0)
+    change = np.zeros(len(points))
+    for _ in range(READOUT_ITERATIONS):
+        rows = camera.project(points + delays[:, None] * velocities)[:, 1]
+        # outside the image (NaN: behind the camera) nothing is read: any time will do
+        rows = np.clip(np.where(np.isnan(rows), camera.height / 2.0, rows), *outermost)
+        found = camera.readout_s / camera.height * rows
+        change = np.abs(found - delays)
+        delays = found
+        if not (change > READOUT_TOLERANCE_S).any():
+            break
+    return np.where(change > READOUT_TOLERANCE_S, np.nan, delays)
 
 
 def _project_in_view(camera: Camera, points: FloatArray, times_s: FloatArray) -> tuple[FloatArray, BoolArray]:

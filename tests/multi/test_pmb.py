@@ -20,7 +20,8 @@ from stereophd.multi.birth import BirthPrior
 from stereophd.multi.events import Event, make_event, make_rig
 from stereophd.multi.extract import Hysteresis
 from stereophd.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info
-from stereophd.multi.pmb import PmbFilter, PmbSettings, mix_gaussians
+from stereophd.multi.pmb import PmbFilter, PmbSettings
+from stereophd.multi.pmb_update import mix_gaussians
 from tests.disparity.cases import make_camera, random_covariance, state_in, weighted
 from tests.multi.scenes import PRIOR, make_mixture
 from tests.multi.test_phd_textbook import (
