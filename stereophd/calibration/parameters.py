@@ -124,6 +124,17 @@ class ParameterSet:
             of_camera.setdefault(parameter.camera, {})[parameter.name] = value
         return tuple(moved_camera(c, of_camera[c.name]) if c.name in of_camera else c for c in self.cameras)
 
+    def guess(self, values: ArrayLike) -> tuple[Camera, ...]:
+        """Return the prior-mean cameras from which values (m,) lead to the cameras of this set.
+
+        With values drawn from the prior the cameras of this set are a draw from the prior about the guess.
+        """
+        offsets = np.asarray(values, dtype=np.float64)
+        of_camera: dict[str, dict[str, float]] = {}
+        for parameter, value in zip(self.parameters, offsets.tolist(), strict=True):
+            of_camera.setdefault(parameter.camera, {})[parameter.name] = value
+        return tuple(guess_of(c, of_camera[c.name]) if c.name in of_camera else c for c in self.cameras)
+
     def log_prior(self, values: ArrayLike) -> Array:
         """Log-density of the prior at values (..., m), shape (...)."""
         scaled = (np.asarray(values, dtype=np.float64) - self.prior_mean) / self.prior_std
@@ -142,6 +153,15 @@ def moved_camera(camera: Camera, values: Mapping[str, float]) -> Camera:
     turn = rotation_from_vector([values.get(name, 0.0) for name in ROTATION])
     moved = Pose(turn @ pose.rotation, pose.center + offset, pose.velocity, pose.rotation_rate, pose.time_s)
     return replace(camera, pose=moved)
+
+
+def guess_of(camera: Camera, values: Mapping[str, float]) -> Camera:
+    """Return the camera that `moved_camera` moves to this one, by the same values."""
+    pose = camera.pose
+    offset = np.array([values.get(name, 0.0) for name in CENTER])
+    turn = rotation_from_vector([values.get(name, 0.0) for name in ROTATION])
+    back = Pose(turn.T @ pose.rotation, pose.center - offset, pose.velocity, pose.rotation_rate, pose.time_s)
+    return replace(camera, pose=back)
 
 
 def pose_offsets(camera: Camera, other: Camera) -> Array:

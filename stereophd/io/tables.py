@@ -41,7 +41,9 @@ __all__ = [
     "TableWriter",
     "check_columns",
     "damaged_is_input_error",
+    "history_schema",
     "open_parquet",
+    "posterior_schema",
     "read_table",
 ]
 
@@ -107,6 +109,17 @@ SUMMARY = _schema(
     },
     nullable=("time_s", "mean", "std", "ci_low", "ci_high", "bound"),
 )
+
+
+def posterior_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of a posterior: one row a particle, one column a parameter (`names`), and its weight."""
+    return _schema({"weight": FLOAT, **dict.fromkeys(names, FLOAT)})
+
+
+def history_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of a history: one row a time, the means of the parameters and their covariance, row-major."""
+    covariance = pa.list_(pa.field("item", FLOAT, nullable=False), len(names) ** 2)
+    return _schema({"time_s": FLOAT, **dict.fromkeys(names, FLOAT), "covariance": covariance})
 
 
 def _array(chunks: list[tuple[Any, int]], field: pa.Field) -> pa.Array:
