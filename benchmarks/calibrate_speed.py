@@ -210,7 +210,10 @@ def table(report: dict[str, object]) -> str:
         f"{'':28}{'filter':>12}{'floor':>12}",
     ]
     rows = {"wall_s": "wall clock, s", "processor_s": "processor, s"}
-    rows |= {"hypotheses_times_events_per_s": "hypotheses x events / s", "processor_ns_per_trip": "processor, ns a trip"}
+    rows |= {
+        "hypotheses_times_events_per_s": "hypotheses x events / s",
+        "processor_ns_per_trip": "processor, ns a trip",
+    }
     for key, title in rows.items():
         values = report[key]
         lines.append(f"{title:28}{values['filter']:12.1f}{values['floor']:12.1f}")  # type: ignore[index]

@@ -8,7 +8,6 @@ depend on how the hypotheses are shared out over threads. A mixture is a tuple o
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np

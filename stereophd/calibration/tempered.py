@@ -296,7 +296,9 @@ class TemperedSampler:
     def _draw(self, modes: Modes, rng: np.random.Generator) -> Array:
         """Draw the particles (k, m) from the mixture of Student t distributions, stratified over the modes."""
         count = self.settings.particles
-        which = np.searchsorted(np.cumsum(modes.weights), (np.arange(count) + 0.5) / count).clip(0, len(modes.weights) - 1)
+        which = np.searchsorted(np.cumsum(modes.weights), (np.arange(count) + 0.5) / count).clip(
+            0, len(modes.weights) - 1
+        )
         factors = self.settings.spread * np.linalg.cholesky(modes.covariances)
         normal = rng.standard_normal((count, self.parameters.size))
         scale = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, count))
@@ -361,9 +363,7 @@ def _log_student(differences: Array, factor: Array) -> Array:
     squared = (np.linalg.solve(factor, differences.T) ** 2).sum(axis=0)
     nu = DEGREES_OF_FREEDOM
     constant = gammaln(0.5 * (nu + size)) - gammaln(0.5 * nu) - 0.5 * size * np.log(nu * np.pi)
-    return np.asarray(
-        constant - np.log(np.diagonal(factor)).sum() - 0.5 * (nu + size) * np.log1p(squared / nu)
-    )
+    return np.asarray(constant - np.log(np.diagonal(factor)).sum() - 0.5 * (nu + size) * np.log1p(squared / nu))
 
 
 def run(

@@ -23,7 +23,8 @@ from stereophd.multi.events import make_event
 from stereophd.simulate import build_scene
 from stereophd.simulation.detections import CLUTTER_ID, Scene, SimulatedFrame, simulate_frames, truth_rows
 from stereophd.track import build_filter
-from stereophd.track_output import EventRecord, smoothed_records
+from stereophd.track_output import smoothed_records
+from stereophd.track_run import Record
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -98,7 +99,7 @@ def _filtered(
     return _points([estimates[event] for event in last.tolist()])
 
 
-def _records(multi_filter: DisparityFilter, frames: Sequence[SimulatedFrame]) -> Iterator[EventRecord]:
+def _records(multi_filter: DisparityFilter, frames: Sequence[SimulatedFrame]) -> Iterator[Record]:
     state = multi_filter.init()
     for frame in frames:
         camera = multi_filter.rig.cameras[frame.camera]
@@ -106,7 +107,7 @@ def _records(multi_filter: DisparityFilter, frames: Sequence[SimulatedFrame]) ->
         event = make_event(camera.at(time_s), frame.camera, time_s, frame.pixels)
         first_label = state.next_label
         state, info, estimates = multi_filter.step(state, event)
-        yield EventRecord(time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates)
+        yield Record(time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates)
 
 
 def _points(estimates: Sequence[Estimates]) -> PointSets:
