@@ -520,7 +520,7 @@ class Config(Model):
     motion: MotionConfig = Field(default_factory=MotionConfig)
     moments: MomentsConfig = Field(default_factory=MomentsConfig)
     region: RegionConfig | None = Field(None, description="where objects can be (track)")
-    filter: FilterConfig | None = Field(None, description="the multi-object filter (track)")
+    filter: FilterConfig | None = Field(None, description="the filter (track)")
     input: InputConfig = Field(default_factory=InputConfig)
     report: ReportConfig = Field(default_factory=ReportConfig)
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +27,7 @@ from stereophd.config import (
     RegionConfig,
     ReportConfig,
 )
+from stereophd.config_single import SingleConfig
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
@@ -40,7 +43,8 @@ from stereophd.multi.extract import Hysteresis
 from stereophd.multi.phd import PhdFilter, PhdSettings
 from stereophd.multi.pmb import PmbFilter, PmbSettings
 from stereophd.track_output import smoothed_records, write_records
-from stereophd.track_run import Progress, ReportTimes, run_filter
+from stereophd.track_run import Progress, Record, ReportTimes, run_filter
+from stereophd.track_single import build_single, run_single
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -90,7 +94,7 @@ def track(
     """
     config = loaded.config
     cameras = loaded.build_cameras()
-    multi_filter = build_filter(config, cameras, loaded.path, threads)
+    motion, run = _prepare(config, cameras, loaded.path, threads)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, config.seed)
     _announce_compilation()
     reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
@@ -102,9 +106,9 @@ def track(
             TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
         ):
             unusable = [0]
-            records = run_filter(multi_filter, reader, report_times(config.report), unusable, progress)
+            records = run(reader, report_times(config.report), unusable, progress)
             if config.report.smooth is not None:
-                records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
+                records = smoothed_records(records, motion, config.report.smooth.max_gap_s)
             names = [camera.name for camera in cameras]
             summary = write_records(records, tracks, scans, names, config.report.max_position_std)
         report = {
@@ -143,17 +147,31 @@ def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Came
         )
 
 
+def _prepare(
+    config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int
+) -> tuple[Motion, Callable[[LogReader, ReportTimes, list[int], Progress | None], Iterator[Record]]]:
+    """Return the motion model, and what runs the filter or the single-object estimator over a log."""
+    if isinstance(config.filter, SingleConfig):
+        motion, point = build_motion(config.motion), config.filter.point
+        estimator = build_single(config, motion, cameras, path)
+        return motion, partial(run_single, estimator, point)
+    multi_filter = build_filter(config, cameras, path, threads)
+    return multi_filter.motion, partial(run_filter, multi_filter)
+
+
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
     """Return the multi-object filter that a configuration describes.
 
     Raises
     ------
     InputError
-        The configuration (read from `path`) has no ``filter`` section.
+        The configuration (read from `path`) has no ``filter`` section, or not one for many objects.
     """
     settings = config.filter
     if settings is None:
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
+    if isinstance(settings, SingleConfig):
+        raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
     motion = build_motion(config.motion)
     rows = 3 if isinstance(motion, Static) else 12
     # spawned by purpose: the simulation's random numbers have keys of their own

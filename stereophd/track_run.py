@@ -139,7 +139,7 @@ def run_filter(
     last: Record | None = None
     for number, frame in enumerate(reader):
         if last is not None:
-            yield from _predictions(multi_filter, state, last, times.grid_s, frame.time_s - _same_time(frame.time_s))
+            yield from _predictions(multi_filter, state, last, times.grid_s, frame.time_s - same_time(frame.time_s))
         camera = multi_filter.rig.cameras[frame.camera]
         frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
         event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
@@ -157,7 +157,7 @@ def run_filter(
             if progress is not None:
                 progress(reader.counts["rows"], reader.num_rows)
     if last is not None:
-        yield from _predictions(multi_filter, state, last, times.grid_s, last.time_s + _same_time(last.time_s))
+        yield from _predictions(multi_filter, state, last, times.grid_s, last.time_s + same_time(last.time_s))
     if progress is not None:
         progress(reader.num_rows, reader.num_rows)
 
@@ -168,7 +168,7 @@ def _predictions(
     """Yield the objects after an event at the times of the grid before `until_s`."""
     if grid_s is None:
         return
-    for time_s in grid_times(grid_s, last.time_s - _same_time(last.time_s), until_s):
+    for time_s in grid_times(grid_s, last.time_s - same_time(last.time_s), until_s):
         faded = multi_filter.survival_per_s ** max(time_s - last.time_s, 0.0)
         there = replace(state, mixture=state.mixture.with_weights(state.mixture.weights * faded), time_s=time_s)
         info = replace(last.info, log_likelihood=0.0, cardinality_mean=last.info.cardinality_mean * faded)
@@ -187,6 +187,6 @@ def grid_times(step_s: float, from_s: float, until_s: float) -> Iterator[float]:
         index += 1
 
 
-def _same_time(time_s: float) -> float:
+def same_time(time_s: float) -> float:
     """Distance, s, up to which a time of the grid is that of an event at `time_s`."""
     return max(SAME_TIME_S, SAME_TIME_ULPS * float(np.spacing(abs(time_s))))

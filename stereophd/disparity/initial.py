@@ -83,7 +83,14 @@ def disparity_moments(
 
 
 def initial_moments(
-    points: Array, noises: Array, space: Array, mean: float, std: float, velocity_std: float, size: int
+    points: Array,
+    noises: Array,
+    space: Array,
+    mean: float,
+    std: float,
+    velocity_std: float,
+    size: int,
+    delays: Array | None = None,
 ) -> tuple[Array, Array]:
     """Gaussians of objects of which nothing but one detection each is known.
 
@@ -99,6 +106,8 @@ def initial_moments(
         Standard deviation of each component of velocity in the world, length/s.
     size : int
         6, or 3 for static objects.
+    delays : array (m,), optional
+        Time of each detection after that of the Gaussian, s.
 
     Returns
     -------
@@ -129,5 +138,11 @@ def initial_moments(
     fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
     powers = np.array([[second, second, third], [second, second, third], [third, third, fourth]])
     velocity = rows @ np.swapaxes(rows, 1, 2) * velocity_std**2
-    covariances[:, 3:, 3:] = velocity * powers
+    velocity = velocity * powers
+    covariances[:, 3:, 3:] = velocity
+    if delays is not None:
+        # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
+        delays = delays[:, None, None]
+        covariances[:, :3, :3] += delays**2 * velocity
+        covariances[:, :3, 3:] = covariances[:, 3:, :3] = -delays * velocity
     return means, covariances

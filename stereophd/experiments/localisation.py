@@ -11,14 +11,13 @@ from stereophd.errors import InputError
 from stereophd.experiments.base import Array, Kind, Series, run_seed
 from stereophd.experiments.single_object import (
     bounds_of,
-    estimator_of,
     last_of,
-    prior_of,
     rig_of,
     series_of_errors,
     single_config,
 )
 from stereophd.single.scenarios import LocalisationScenario, localisation_bound, localisation_run
+from stereophd.track_single import estimator_settings, initial_prior
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -41,7 +40,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the error of the position after each observation, and after the last one."""
     scenario = _scenario(loaded)
     rng = np.random.default_rng(run_seed(loaded.config.seed, number))
-    result = localisation_run(scenario, estimator_of(loaded), rng)
+    result = localisation_run(scenario, estimator_settings(loaded.config), rng)
     reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
     unit = loaded.config.units.length
     series = series_of_errors("position", unit, _times(loaded), reported, result.covariances, result.mean_errors)
@@ -78,7 +77,7 @@ def _scenario(loaded: LoadedConfig) -> LocalisationScenario:
                 f"found {name}"
             )
     sequence = tuple(names.index(name) for name in settings.sequence) * settings.rounds
-    return LocalisationScenario(rig, np.array(settings.position), prior_of(loaded), sequence)
+    return LocalisationScenario(rig, np.array(settings.position), initial_prior(single_config(loaded).prior), sequence)
 
 
 KIND = Kind(run, bounds, check)

@@ -1,4 +1,4 @@
-"""What the scenarios of one object share: from a configuration to an estimator, and errors to series."""
+"""What the scenarios of one object share: the section they need, and errors and bounds as series."""
 
 from __future__ import annotations
 
@@ -6,26 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.config_single import (
-    CartesianEstimatorConfig,
-    DisparityEstimatorConfig,
-    ParticleEstimatorConfig,
-    RectifiedEstimatorConfig,
-    SingleConfig,
-)
+from stereophd.config_single import SingleConfig
 from stereophd.disparity.events import Rig, make_rig
-from stereophd.disparity.initial import InitialPrior
 from stereophd.errors import InputError
 from stereophd.experiments.base import Array, Series
 from stereophd.metrics.bounds import mean_error_norm
 from stereophd.metrics.consistency import nees
-from stereophd.single.settings import (
-    CartesianSettings,
-    DisparitySettings,
-    EstimatorSettings,
-    InverseDepthSettings,
-    ParticleSettings,
-)
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -86,28 +72,3 @@ def bounds_of(name: str, unit: str, times_s: Array, covariances: Array) -> list[
 def last_of(series: Series, name: str) -> Series:
     """Return the last value of a series as one of the whole run."""
     return Series(name, series.unit, series.values[-1:])
-
-
-def estimator_of(loaded: LoadedConfig) -> EstimatorSettings:
-    """Return the settings of the estimator that a configuration names."""
-    estimator = single_config(loaded).estimator
-    moments = loaded.config.moments
-    if isinstance(estimator, ParticleEstimatorConfig):
-        return ParticleSettings(**estimator.model_dump(exclude={"kind"}))
-    if isinstance(estimator, CartesianEstimatorConfig):
-        return CartesianSettings(estimator.rule)
-    if isinstance(estimator, DisparityEstimatorConfig | RectifiedEstimatorConfig):
-        rectified = isinstance(estimator, RectifiedEstimatorConfig)
-        return DisparitySettings(moments.method, moments.samples, rectified)
-    return InverseDepthSettings()
-
-
-def prior_of(loaded: LoadedConfig) -> InitialPrior:
-    """Return the prior of an object when it is first seen."""
-    prior = single_config(loaded).prior
-    return InitialPrior(
-        disparity=None if prior.disparity is None else (prior.disparity.mean_px, prior.disparity.std_px),
-        depth_range=prior.depth_range,
-        velocity_std=prior.velocity_std or 0.0,
-        disparity_velocity_std=prior.disparity_velocity_std_px_s,
-    )

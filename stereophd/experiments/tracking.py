@@ -11,14 +11,13 @@ from stereophd.errors import InputError
 from stereophd.experiments.base import Kind, Series, run_seed
 from stereophd.experiments.single_object import (
     bounds_of,
-    estimator_of,
-    prior_of,
     rig_of,
     series_of_errors,
     single_config,
 )
 from stereophd.single.scenarios import TrackingScenario, tracking_bound, tracking_run
 from stereophd.track import build_motion
+from stereophd.track_single import estimator_settings, initial_prior
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -42,7 +41,7 @@ def check(loaded: LoadedConfig) -> None:
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the errors of position and velocity over time."""
     rng = np.random.default_rng(run_seed(loaded.config.seed, number))
-    result = tracking_run(_scenario(loaded), estimator_of(loaded), rng)
+    result = tracking_run(_scenario(loaded), estimator_settings(loaded.config), rng)
     reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
     series = []
     for name, unit, part in _parts(loaded):
@@ -83,7 +82,7 @@ def _scenario(loaded: LoadedConfig) -> TrackingScenario:
         rig,
         np.array([*settings.position, *settings.velocity]),
         build_motion(loaded.config.motion),
-        prior_of(loaded),
+        initial_prior(single_config(loaded).prior),
         times,
         np.tile(np.arange(count), settings.steps),
     )

@@ -62,10 +62,4 @@ def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> t
         In the camera's disparity space, given the detection.
     """
     mean, std = prior.disparity_moments(space)
-    means, covariances = initial_moments(event.points, event.covariances, space, mean, std, prior.velocity_std, size)
-    if event.delays is not None and size == 6:
-        # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
-        delays, velocity = event.delays[:, None, None], covariances[:, 3:, 3:].copy()
-        covariances[:, :3, :3] += delays**2 * velocity
-        covariances[:, :3, 3:] = covariances[:, 3:, :3] = -delays * velocity
-    return means, covariances
+    return initial_moments(event.points, event.covariances, space, mean, std, prior.velocity_std, size, event.delays)

@@ -9,7 +9,7 @@ result, of those that draw random numbers too.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -20,12 +20,33 @@ from stereophd.disparity.initial import InitialPrior
 from stereophd.motion import Motion, Static
 
 Array = NDArray[np.float64]
-State = TypeVar("State")
+
+
+@dataclass(frozen=True)
+class SingleState:
+    """What the states of all estimators have.
+
+    Attributes
+    ----------
+    time_s : float
+        Time for which `SingleEstimator.estimate` speaks: that of the last event, or later.
+    home_s : float
+        Time of what is known of the object: that of the last detection.
+    n_events : int
+        Events so far.
+    """
+
+    time_s: float
+    home_s: float
+    n_events: int
+
+
+State = TypeVar("State", bound=SingleState)
 
 
 @dataclass(frozen=True)
 class SingleEstimate:
-    """Where the object is, in the world, at the time of the last event.
+    """Where the object is, in the world.
 
     Attributes
     ----------
@@ -92,7 +113,11 @@ class SingleEstimator(ABC, Generic[State]):
 
     @abstractmethod
     def estimate(self, state: State) -> SingleEstimate | None:
-        """Return where the object is at the time of the last event; None before its first detection."""
+        """Return where the object is at the state's time; None before its first detection."""
+
+    def at(self, state: State, time_s: float) -> State:
+        """Return the state of which `estimate` speaks for a time after the last event."""
+        return replace(state, time_s=time_s)
 
 
 def only_detection(event: Event) -> int | None:
@@ -106,6 +131,11 @@ def only_detection(event: Event) -> int | None:
     if len(event.points) > 1:
         raise ValueError(f"expected at most one detection an event, found {len(event.points)} at {event.time_s:g} s")
     return 0 if len(event.points) else None
+
+
+def detection_time(event: Event) -> float:
+    """Time of the event's only detection, s: a rolling shutter reads its row later than the first."""
+    return event.time_s if event.delays is None else event.time_s + float(event.delays[0])
 
 
 def first_density(rig: Rig, event: Event) -> float:

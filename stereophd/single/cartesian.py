@@ -19,7 +19,14 @@ from stereophd.disparity.kernels import condition
 from stereophd.disparity.samples import cubature_points
 from stereophd.geometry.layout import FX, FY
 from stereophd.motion import Motion
-from stereophd.single.base import SingleEstimate, SingleEstimator, SingleInfo, first_density, only_detection
+from stereophd.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    detection_time,
+    first_density,
+    only_detection,
+)
 from stereophd.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
 from stereophd.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
 from stereophd.single.settings import CartesianSettings
@@ -53,12 +60,13 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
         seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
             return seen, SingleInfo(0.0, 1.0)
-        camera = self.rig.space(event.camera, event.time_s)
-        now = replace(seen, camera=event.camera, home_s=event.time_s)
+        time_s = detection_time(event)
+        camera = self.rig.space(event.camera, time_s)
+        now = replace(seen, camera=event.camera, home_s=time_s)
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
             return replace(now, mean=mean, covariance=covariance), SingleInfo(first_density(self.rig, event), 1.0)
-        mean, covariance = self._predicted(state, event.time_s)
+        mean, covariance = self._predicted(state, time_s)
         point, noise = event.points[0], event.covariances[0]
         if self.settings.rule == "extended":
             pixel, jacobian = project(camera, rotation(camera) @ (mean[:3] - center(camera)))

@@ -21,7 +21,14 @@ from stereophd.disparity.samples import SampleSets
 from stereophd.disparity.space import DisparitySpace
 from stereophd.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
 from stereophd.motion import Motion, Static
-from stereophd.single.base import SingleEstimate, SingleEstimator, SingleInfo, first_density, only_detection
+from stereophd.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    detection_time,
+    first_density,
+    only_detection,
+)
 from stereophd.single.gaussian import UNSEEN, GaussianState, linear_update, state_in_world, unseen_state
 
 Array = NDArray[np.float64]
@@ -59,11 +66,13 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
         An event without a detection leaves it where it is. A detection that no sample of the state can
         have made starts it anew.
         """
-        seen = GaussianState(state.mean, state.covariance, event.camera, event.time_s, event.time_s, state.n_events + 1)
+        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
-            return replace(seen, camera=state.camera, home_s=state.home_s), SingleInfo(0.0, self.sets.size)
-        space = self.rig.space(event.camera, event.time_s)
-        moved = None if state.camera == UNSEEN else self._moved(state, event, space)
+            return after, SingleInfo(0.0, self.sets.size)
+        time_s = detection_time(event)
+        space = self.rig.space(event.camera, time_s)
+        seen = replace(after, home_s=time_s, camera=event.camera)
+        moved = None if state.camera == UNSEEN else self._moved(state, space, event.camera, time_s)
         if moved is None:
             means, covariances = self.prior.moments(event.points, event.covariances, space, self.state_size)
             info = SingleInfo(first_density(self.rig, event), self.sets.size)
@@ -75,17 +84,17 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
         info = SingleInfo(log_density + float(np.log(event.areas[0])), self.sets.size)
         return replace(seen, mean=mean, covariance=covariance), info
 
-    def _moved(self, state: GaussianState, event: Event, space: Array) -> tuple[Array, Array] | None:
+    def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
         """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
-        still = event.time_s == state.home_s or (isinstance(self.motion, Static) and not self.rig.moving)
-        if still and event.camera == state.camera:
+        still = time_s == state.home_s or (isinstance(self.motion, Static) and not self.rig.moving)
+        if still and camera == state.camera:
             return state.mean, state.covariance
         for destination, shift in ((space, 0.0), (widened(space), WIDE)):
             moved = move(
                 state.mean[None],
                 state.covariance[None],
                 self._home(state)[None],
-                np.array([event.time_s - state.home_s]),
+                np.array([time_s - state.home_s]),
                 destination,
                 self.motion,
                 self.sets,
@@ -155,19 +164,21 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
 
     def step(self, state: GaussianState, event: Event) -> tuple[GaussianState, SingleInfo]:
         """Predict the state in the shared space, and update it (Algorithm 1)."""
-        seen = GaussianState(state.mean, state.covariance, 0, event.time_s, event.time_s, state.n_events + 1)
+        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
-            return replace(seen, camera=state.camera, home_s=state.home_s), SingleInfo(0.0, self.sets.size)
+            return after, SingleInfo(0.0, self.sets.size)
+        time_s = detection_time(event)
+        seen = replace(after, home_s=time_s, camera=0)
         size = self.state_size
         if state.camera == UNSEEN:
-            space = self.rig.space(event.camera, event.time_s)
+            space = self.rig.space(event.camera, time_s)
             means, covariances = self.prior.moments(event.points, event.covariances, space, size)
             back = np.linalg.inv(self.matrices[event.camera])
             whole = np.kron(np.eye(size // 3), back)
             means[0, :3] -= self.offsets[event.camera]
             info = SingleInfo(first_density(self.rig, event), self.sets.size)
             return replace(seen, mean=whole @ means[0], covariance=whole @ covariances[0] @ whole.T), info
-        mean, covariance = self._predicted(state, event.time_s)
+        mean, covariance = self._predicted(state, time_s)
         matrix = np.zeros((2, size))
         matrix[:, :3] = self.matrices[event.camera][:2]
         predicted = matrix @ mean + self.offsets[event.camera][:2]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stereophd.compilation import compiled
 from stereophd.disparity.kernels import disparity_scale
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.single.base import SingleState
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,7 @@ UNSEEN = -1
 
 
 @dataclass(frozen=True)
-class GaussianState:
+class GaussianState(SingleState):
     """A Gaussian, in a space of the estimator's own.
 
     Attributes
@@ -28,25 +29,16 @@ class GaussianState:
         Empty before the first detection.
     camera : int
         Camera (index in the rig) that the space belongs to, `UNSEEN` before the first detection.
-    home_s : float
-        Time at which the Gaussian holds, s.
-    time_s : float
-        Time of the last event, s: later than `home_s` after events without a detection.
-    n_events : int
-        Events so far.
     """
 
     mean: Array
     covariance: Array
     camera: int
-    home_s: float
-    time_s: float
-    n_events: int
 
 
 def unseen_state() -> GaussianState:
     """Return the state before the first detection."""
-    return GaussianState(np.empty(0), np.empty((0, 0)), UNSEEN, 0.0, 0.0, 0)
+    return GaussianState(0.0, 0.0, 0, np.empty(0), np.empty((0, 0)), UNSEEN)
 
 
 @compiled

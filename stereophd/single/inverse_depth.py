@@ -22,7 +22,14 @@ from stereophd.disparity.events import Event, Rig
 from stereophd.disparity.initial import InitialPrior
 from stereophd.geometry.layout import FX, FY
 from stereophd.motion import Motion
-from stereophd.single.base import SingleEstimate, SingleEstimator, SingleInfo, first_density, only_detection
+from stereophd.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    detection_time,
+    first_density,
+    only_detection,
+)
 from stereophd.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
 from stereophd.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
 
@@ -53,21 +60,20 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
     def init(self) -> InverseDepthState:
         """Return the state before the first detection."""
         state = unseen_state()
-        return InverseDepthState(state.mean, state.covariance, UNSEEN, 0.0, 0.0, 0, np.empty(0))
+        return InverseDepthState(0.0, 0.0, 0, state.mean, state.covariance, UNSEEN, np.empty(0))
 
     def step(self, state: InverseDepthState, event: Event) -> tuple[InverseDepthState, SingleInfo]:
         """Predict and update to first order."""
         seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
             return seen, SingleInfo(0.0, 1.0)
-        camera = self.rig.space(event.camera, event.time_s)
+        time_s = detection_time(event)
+        camera = self.rig.space(event.camera, time_s)
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
-            first = replace(
-                seen, mean=mean, covariance=covariance, camera=event.camera, home_s=event.time_s, anchor=camera
-            )
+            first = replace(seen, mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
             return first, SingleInfo(first_density(self.rig, event), 1.0)
-        mean, covariance = self._predicted(state, event.time_s)
+        mean, covariance = self._predicted(state, time_s)
         # d (rho times the point in the camera's axes) / d (a, b, rho)
         in_world = np.column_stack([rotation(state.anchor).T[:, :2], center(state.anchor) - center(camera)])
         scaled = in_world @ mean[:3] + rotation(state.anchor).T[:, 2]
@@ -79,7 +85,7 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
         )
-        updated = replace(seen, mean=mean, covariance=covariance, home_s=event.time_s)
+        updated = replace(seen, mean=mean, covariance=covariance, home_s=time_s)
         return updated, SingleInfo(log_density + float(np.log(event.areas[0])), 1.0)
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:

@@ -21,7 +21,15 @@ from stereophd.disparity.initial import InitialPrior
 from stereophd.disparity.kernels import POSITION_ALONE, POSITION_WITH_VELOCITY
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.motion import Motion, Static
-from stereophd.single.base import SingleEstimate, SingleEstimator, SingleInfo, first_density, only_detection
+from stereophd.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    SingleState,
+    detection_time,
+    first_density,
+    only_detection,
+)
 from stereophd.single.gaussian import states_in_world
 from stereophd.single.resampling import SCHEMES
 from stereophd.single.settings import ParticleSettings
@@ -33,26 +41,22 @@ MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True)
-class ParticleState:
+class ParticleState(SingleState):
     """Weighted particles.
 
     Attributes
     ----------
     particles : array (d, n)
-        In the world, at the time of the last event; empty before the first detection.
+        In the world, at the time of the last detection; empty before the first.
     weights : array (n,)
         Sum to 1.
     log_weights : array (n,)
         Their logarithms, to a constant; of weights kept as numbers not used.
-    time_s : float
-    n_events : int
     """
 
     particles: Array
     weights: Array
     log_weights: Array
-    time_s: float
-    n_events: int
 
 
 @compiled
@@ -144,28 +148,27 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
 
     def init(self) -> ParticleState:
         """Return the state before the first detection."""
-        return ParticleState(np.empty((self.state_size, 0)), np.empty(0), np.empty(0), 0.0, 0)
+        return ParticleState(0.0, 0.0, 0, np.empty((self.state_size, 0)), np.empty(0), np.empty(0))
 
     def step(self, state: ParticleState, event: Event) -> tuple[ParticleState, SingleInfo]:
         """Resample, if due, move the particles to the event's time, and weigh them by its detection."""
+        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
+        if only_detection(event) is None:
+            return after, SingleInfo(0.0, _effective(state.weights) if len(state.weights) else 0.0)
         rng = np.random.default_rng((self.seed, state.n_events))
-        found = only_detection(event) is not None
-        if state.particles.shape[1] == 0:
-            if not found:
-                return replace(state, time_s=event.time_s, n_events=state.n_events + 1), SingleInfo(0.0, 0.0)
-            return self._first(event, state.n_events + 1, rng)
-        state = self._predict(state, event.time_s, rng)
-        if not found:
-            return state, SingleInfo(0.0, _effective(state.weights))
-        space = self.rig.space(event.camera, event.time_s)
-        likelihood = log_likelihoods(state.particles, space, event.points[0], event.covariances[0])
-        state, evidence = self._update(state, likelihood)
-        return state, SingleInfo(evidence + float(np.log(event.areas[0])), _effective(state.weights))
+        time_s = detection_time(event)
+        space = self.rig.space(event.camera, time_s)
+        if len(state.weights) == 0:
+            first = self._first(replace(after, home_s=time_s), event, space, rng)
+            return first, SingleInfo(first_density(self.rig, event), float(self.settings.particles))
+        predicted = self._predict(after, time_s, rng)
+        likelihood = log_likelihoods(predicted.particles, space, event.points[0], event.covariances[0])
+        updated, evidence = self._update(predicted, likelihood)
+        return updated, SingleInfo(evidence + float(np.log(event.areas[0])), _effective(updated.weights))
 
-    def _first(self, event: Event, n_events: int, rng: np.random.Generator) -> tuple[ParticleState, SingleInfo]:
+    def _first(self, state: ParticleState, event: Event, space: Array, rng: np.random.Generator) -> ParticleState:
         """Particles on the ray of the first detection."""
         count, size = self.settings.particles, self.state_size
-        space = self.rig.space(event.camera, event.time_s)
         means, covariances = self.prior.moments(event.points, event.covariances, space, size)
         states = np.empty((count, size))
         states[:, :2] = rng.multivariate_normal(means[0, :2], covariances[0, :2, :2], count)
@@ -178,22 +181,20 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         particles = states_in_world(states, space, 0.0, limit).T[:size].copy()
         if size == 6 and not in_disparity:
             particles[3:] = rng.standard_normal((3, count)) * self.prior.velocity_std
-        state = ParticleState(
-            particles, np.full(count, 1.0 / count), np.full(count, -math.log(count)),
-            event.time_s, n_events,
-        )  # fmt: skip
-        return state, SingleInfo(first_density(self.rig, event), float(count))
+        weights = np.full(count, 1.0 / count)
+        return replace(state, particles=particles, weights=weights, log_weights=np.log(weights))
 
     def _predict(self, state: ParticleState, time_s: float, rng: np.random.Generator) -> ParticleState:
         """Particles at a time, resampled first if too few of them carry the weight."""
         count = len(state.weights)
-        dt = time_s - state.time_s
+        dt = time_s - state.home_s
         due = _effective(state.weights) < self.settings.resample_below * count
         index = np.arange(count)
         weights, log_weights = state.weights, state.log_weights
         if due:
             index = SCHEMES[self.settings.resampling](weights, rng.random(count + 1))
-            weights, log_weights = np.full(count, 1.0 / count), np.full(count, -math.log(count))
+            weights = np.full(count, 1.0 / count)
+            log_weights = np.log(weights)
         particles = state.particles
         if due and self.settings.regularised:
             particles, index = particles[:, index] + self._kernel(state, rng), np.arange(count)
@@ -203,7 +204,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             particles = _disturb(particles, index, dt, self.motion.acceleration_std, normal, limit)
         elif due:
             particles = np.ascontiguousarray(particles[:, index])
-        return ParticleState(particles, weights, log_weights, time_s, state.n_events + 1)
+        return replace(state, home_s=time_s, particles=particles, weights=weights, log_weights=log_weights)
 
     def _kernel(self, state: ParticleState, rng: np.random.Generator) -> Array:
         """Draws (d, n) of the Gaussian kernel of least error for a Gaussian (Musso, Oudjane and Le Gland 2001)."""
@@ -229,11 +230,15 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
 
     def estimate(self, state: ParticleState) -> SingleEstimate | None:
         """Return the weighted mean and covariance, and the particle of the largest weight."""
-        if state.particles.shape[1] == 0:
+        if len(state.weights) == 0:
             return None
         mean, covariance = _moments(state.particles, state.weights)
         mode = np.zeros(6)
         mode[: self.state_size] = state.particles[:, int(np.argmax(state.weights))]
+        dt = state.time_s - state.home_s
+        if dt != 0.0:
+            matrix, noise = self.motion.transition(dt)
+            mean, mode, covariance = matrix @ mean, matrix @ mode, matrix @ covariance @ matrix.T + noise
         return SingleEstimate(mean, mode, covariance)
 
 
