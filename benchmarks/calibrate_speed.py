@@ -31,23 +31,21 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.calibrate_inputs import phd_filter, read_problem
 from stereophd.calibration import sequential
 from stereophd.calibration.batch import CHUNK, BatchState, FilterBatch
 from stereophd.calibration.likelihood import hypothesis_spaces
-from stereophd.calibration.parameters import CENTER, ROTATION, Parameter, ParameterSet
+from stereophd.calibration.parameters import ParameterSet
 from stereophd.config_loading import load_config
 from stereophd.disparity.kernels import cholesky, motion_noise, moving_trips, view_mask, weighted_moments
-from stereophd.io.logs import LogReader
-from stereophd.multi.events import Event, make_event
+from stereophd.geometry.layout import ROTATION
+from stereophd.multi.events import Event
 from stereophd.multi.phd import PhdFilter
 from stereophd.simulate import simulate
-from stereophd.track import build_filter
 
 Array = NDArray[np.float64]
 
-CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "multi_object.yaml"
-# Section VIII-D: 5 cm each, pi/24 about y, pi/180 about the other axes.
-PRIOR_STD = (5.0, 5.0, 5.0, math.pi / 180.0, math.pi / 24.0, math.pi / 180.0)
+CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
 TARGET_TIMES_FLOOR = 4.0
 TARGET_SECONDS = 90.0
 FULL_PARTICLES, FULL_EVENTS = 1500, 200
@@ -87,7 +85,7 @@ def bare_trips(
     points = np.empty((7, samples.shape[1]))
     mask = np.empty(samples.shape[1])
     factor, mean, covariance = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
-    noise = motion_noise(samples, spaces[camera, 9:18].copy().reshape(3, 3) * acceleration)
+    noise = motion_noise(samples, spaces[camera, ROTATION : ROTATION + 9].copy().reshape(3, 3) * acceleration)
     for k in range(len(means)):
         cholesky(covariances[k], factor)
         scale = math.sqrt(abs(dts[k]))
@@ -121,24 +119,12 @@ def floor(phd: PhdFilter, state: BatchState, event: Event, spaces: Array, pool: 
 
 
 def scene(options: argparse.Namespace, folder: Path) -> tuple[ParameterSet, PhdFilter, list[Event]]:
-    """Simulate the scene; the prior mean of the right camera is off by a draw from the prior."""
-    overrides = ["moments.method=particle", f"moments.samples={options.samples}"]
-    loaded = load_config(CONFIG, overrides, seed=options.seed)
-    simulate(loaded, folder / "simulated")
-    cameras = loaded.build_cameras()
-    names = [(name, "length") for name in CENTER] + [(name, "rad") for name in ROTATION]
-    parameters = tuple(
-        Parameter(name, "right", unit, 0.0, std) for (name, unit), std in zip(names, PRIOR_STD, strict=True)
-    )
-    truth = ParameterSet(cameras, parameters)
-    guess = truth.build(truth.sample(np.random.default_rng(options.seed), 1)[0])
-    phd = build_filter(loaded.config, cameras, loaded.path)
-    assert isinstance(phd, PhdFilter)
-    events = [
-        make_event(cameras[frame.camera], frame.camera, frame.time_s, frame.pixels, frame.sigma)
-        for frame in LogReader(folder / "simulated" / "detections.parquet", cameras)
-    ]
-    return ParameterSet(guess, parameters), phd, events[: options.events]
+    """Simulate the scene, with the right camera's prior mean off by a draw from the prior."""
+    simulate(load_config(CONFIG, seed=options.seed), folder / "simulated")
+    loaded = load_config(CONFIG, seed=options.seed, cameras_path=folder / "simulated" / "guess.yaml")
+    problem = read_problem(loaded, folder / "simulated" / "detections.parquet")
+    phd = phd_filter(loaded, problem.parameters.cameras, options.samples)
+    return problem.parameters, phd, list(problem.scans.events[: options.events])
 
 
 def measure(options: argparse.Namespace) -> dict[str, object]:

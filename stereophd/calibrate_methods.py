@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 # Keys of random numbers among the purposes of a seed (simulated runs count from 0).
-STARTS_KEY, SEQUENTIAL_KEY, SMC_KEY, DRAWS_KEY = (2**31 + k for k in range(1, 5))
+STARTS_KEY, SEQUENTIAL_KEY, SMC_KEY, DRAWS_KEY, PAIRING_KEY = (2**31 + k for k in range(1, 6))
 # Seconds between two checkpoints.
 CHECKPOINT_EVERY_S = 60.0
 # Draws that stand for a Gaussian posterior, and times at which it is given in the history.
@@ -156,7 +156,7 @@ def annealed_outcome(
 ) -> Outcome:
     """Method annealed, with the posterior that the section names."""
     settings = section.annealed
-    task = Task(
+    task = Task.of(
         problem.parameters,
         problem.reference,
         pmb_filter(loaded, problem.parameters.cameras),
@@ -172,9 +172,10 @@ def annealed_outcome(
         ),
     )
     values = start_values(problem.parameters, seed_for(loaded, STARTS_KEY), settings.starts)
+    seeds = seed_for(loaded, PAIRING_KEY).spawn(settings.starts)
     starts: list[Start] = list(checkpoint.get("starts") or [])
     if not enough(starts, settings.agreeing_starts):
-        for start in _run_starts(task, values, len(starts), jobs):
+        for start in _run_starts(task, values, seeds, len(starts), jobs):
             starts.append(start)
             checkpoint.keep("starts", starts)
             if progress is not None:
@@ -205,22 +206,29 @@ def annealed_outcome(
     return Outcome(mean, covariance, draws, weights, history, "", fit, details)
 
 
-def _run_starts(task: Task, values: Array, done: int, jobs: int) -> Iterator[Start]:
+def _run_starts(
+    task: Task, values: Array, seeds: list[np.random.SeedSequence], done: int, jobs: int
+) -> Iterator[Start]:
     """Outcomes of the starts that are not done yet, in order."""
     numbers = range(done, len(values))
     if jobs == 1 or len(numbers) < 2:
         for number in numbers:
-            yield run_start(task, number, values[number])
+            yield run_start(task, number, values[number], seeds[number])
         return
+    import warnings
+
     from joblib import Parallel, delayed
 
     # no more ahead than there are workers: starts that are not needed are not begun
     pool = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="n_jobs")
-    outcomes = pool(delayed(run_start)(task, number, values[number]) for number in numbers)
+    outcomes = pool(delayed(run_start)(task, number, values[number], seeds[number]) for number in numbers)
     try:
         yield from outcomes
     finally:
-        outcomes.close()
+        with warnings.catch_warnings():
+            # that starts are given up when enough agree is meant
+            warnings.simplefilter("ignore", UserWarning)
+            outcomes.close()
 
 
 def _scaled_fit(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> Fit:

@@ -78,8 +78,19 @@ class MoveScenario(Model):
     reference_samples: Annotated[int, Field(ge=1000)] = Field(1_000_000, description="samples of the reference")
 
 
+class CalibrationScenario(Model):
+    """The scene of ``simulate``, its cameras calibrated as ``calibration`` says, from a guess that misses them."""
+
+    kind: Literal["calibration"]
+    every_s: Positive = Field(description="time between two looks at the estimate so far, s")
+    bound_scenes: Annotated[int, Field(ge=1)] = Field(
+        20, description="scenes (those of the first runs) over which the bound is averaged"
+    )
+
+
 Scenario = Annotated[
-    MultiObjectScenario | LocalisationScenario | TrackingScenario | MoveScenario, Field(discriminator="kind")
+    MultiObjectScenario | LocalisationScenario | TrackingScenario | MoveScenario | CalibrationScenario,
+    Field(discriminator="kind"),
 ]
 
 

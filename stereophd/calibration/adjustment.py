@@ -17,7 +17,7 @@ whose inverse at the optimum is the covariance of the camera parameters, the tra
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,13 +207,13 @@ class Linearisation:
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
 
 
-def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array, Array]:
-    """Solve damped normal equations: steps of values (m,) and knots (6 k,), and the Schur complement (m, m).
+def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+    """Eliminate the knots: A^-1 [C, a] (6 k, m + 1) and the Schur complement B - C^T A^-1 C (m, m).
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        The damped matrix is not positive definite.
+        The damped matrix of the knots is not positive definite.
     """
     bands = equations.bands.copy()
     diagonal = bands[0]
@@ -221,11 +221,22 @@ def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array, Arr
     factor = (cholesky_banded(bands, lower=True, check_finite=False), True)
     both = np.column_stack([equations.coupling, equations.state_vector])
     eliminated = cho_solve_banded(factor, both, check_finite=False)
-    schur = equations.matrix - equations.coupling.T @ eliminated[:, :-1]
+    return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
+
+
+def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+    """Solve damped normal equations: steps of values (m,) and knots (6 k,).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The damped matrix is not positive definite.
+    """
+    eliminated, schur = eliminate(equations, damping)
     damped = schur + damping * np.diag(np.diag(equations.matrix))
     right = equations.value_vector - equations.coupling.T @ eliminated[:, -1]
     values = cho_solve(cho_factor(damped), right)
-    return values, eliminated[:, -1] - eliminated[:, :-1] @ values, schur
+    return values, eliminated[:, -1] - eliminated[:, :-1] @ values
 
 
 def adjust(
@@ -254,7 +265,7 @@ def adjust(
     while iteration < max_iterations and not converged and damping < MOST_DAMPING:
         iteration += 1
         try:
-            value_step, state_step, _ = solve(current, damping)
+            value_step, state_step = solve(current, damping)
         except LinAlgError:
             damping *= DAMPING_FACTOR
             continue
@@ -267,17 +278,18 @@ def adjust(
         else:
             converged = damping > 1e4 and abs(new.cost - current.cost) <= tolerance * max(current.cost, 1.0)
             damping *= DAMPING_FACTOR
-    covariance = posterior_covariance(current)
+    covariance = posterior_covariance(current, problem.parameters.prior_std)
     return Adjustment(values, states, covariance, current.cost, current.distances, iteration, converged)
 
 
-def posterior_covariance(equations: NormalEquations) -> Array:
-    """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement."""
-    _, _, schur = solve(equations, 0.0)
-    inverse = np.linalg.inv((schur + schur.T) / 2.0)
-    return np.asarray((inverse + inverse.T) / 2.0)
+def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
+    """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement.
 
-
-def with_loss(problem: Problem, loss: Loss) -> Problem:
-    """Return the problem with another loss."""
-    return replace(problem, loss=loss)
+    Whatever the data say, the posterior is no wider than the prior: in units of `prior_std` (m,) the eigenvalues of
+    the Schur complement are at least 1. Where rounding says otherwise (objects far away), 1 is taken.
+    """
+    _, schur = eliminate(equations, 0.0)
+    whitened = schur * np.outer(prior_std, prior_std)
+    eigenvalues, vectors = np.linalg.eigh((whitened + whitened.T) / 2.0)
+    covariance = (vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T * np.outer(prior_std, prior_std)
+    return np.asarray((covariance + covariance.T) / 2.0)

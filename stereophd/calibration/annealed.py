@@ -27,6 +27,15 @@ from stereophd.calibration.association import (
     track_detections,
     with_cameras,
 )
+from stereophd.calibration.pairing import (
+    DRAWS,
+    TrackPairs,
+    best_pairing,
+    make_pairs,
+    meeting_points,
+    one_camera_tracks,
+    paired_objects,
+)
 from stereophd.calibration.parameters import ParameterSet
 from stereophd.calibration.scale import ScaleMeasurement, log_scale
 from stereophd.calibration.tempered import Modes
@@ -40,6 +49,8 @@ Integers = NDArray[np.int64]
 # are rather false ones (at that distance a normal density is down to this part of its peak).
 ANNEALED_LOSS = Loss(kernels.CAUCHY, 2.0)
 FITTED_LOSS = Loss(kernels.FLOOR, 1e-3)
+# Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
+PAIRED_INFLATION = 3.5
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 # A start's values must be this probable under the prior, and the detections it explains this near to their noise:
@@ -84,6 +95,10 @@ class Task:
         All events.
     tracking : Scans
         Those that are tracked: all, or a part of a long log.
+    tracks : tuple of (int, array)
+        One-camera tracks among those events: camera and detections.
+    pairs : TrackPairs
+        Which of them may be one object.
     scale : ScaleMeasurement or None
     settings : AnnealedSettings
     """
@@ -93,8 +108,25 @@ class Task:
     filter: PmbFilter
     scans: Scans
     tracking: Scans
+    tracks: tuple[tuple[int, Integers], ...]
+    pairs: TrackPairs
     scale: ScaleMeasurement | None
     settings: AnnealedSettings
+
+    @staticmethod
+    def of(
+        parameters: ParameterSet,
+        reference: int,
+        multi_filter: PmbFilter,
+        scans: Scans,
+        tracking: Scans,
+        scale: ScaleMeasurement | None,
+        settings: AnnealedSettings,
+    ) -> Task:
+        """Prepare what all starts share: the tracks that each camera has by itself."""
+        tracks = one_camera_tracks(multi_filter, tracking, settings.min_detections)
+        pairs = make_pairs(parameters, tracking, tracks)
+        return Task(parameters, reference, multi_filter, scans, tracking, tuple(tracks), pairs, scale, settings)
 
 
 @dataclass(frozen=True)
@@ -148,7 +180,7 @@ class Start:
         return self.log_evidence + self.log_prior
 
 
-def run_start(task: Task, number: int, values: Array) -> Start:
+def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> Start:
     """Follow one start through all passes.
 
     Parameters
@@ -158,6 +190,8 @@ def run_start(task: Task, number: int, values: Array) -> Start:
         Which start, for the record.
     values : array (m,)
         Where it begins.
+    seed : SeedSequence
+        Of the further draws among which one-camera tracks are paired.
     """
     history: list[Array] = []
 
@@ -165,8 +199,13 @@ def run_start(task: Task, number: int, values: Array) -> Start:
         return Start(number, why, start, np.array(history).reshape(-1, len(start)), fit, np.nan, np.nan, part)
 
     start = values
-    fit: Fit | None = None
-    for inflation in task.settings.inflation:
+    inflations = task.settings.inflation
+    fit = paired_fit(task, values, seed)
+    if fit is not None:
+        values = fit.adjustment.values
+        history.append(values)
+        inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
+    for inflation in inflations:
         fit = tracked_fit(task, values, inflation)
         if fit is None:
             return failed(f"no track is shared by two cameras at {inflation:g} times the noise")
@@ -190,6 +229,32 @@ def run_start(task: Task, number: int, values: Array) -> Start:
     ).log_likelihood
     prior = float(task.parameters.log_prior(values))
     return Start(number, SUCCEEDED, start, np.array(history), fit, evidence, prior, part)
+
+
+def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit | None:
+    """Pair one-camera tracks, and adjust to the pairs; None if there are none. See `calibration.pairing`."""
+    if not len(task.pairs.cameras):
+        return None
+    draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
+    draws[0] = values
+    pairing = best_pairing(task.parameters, task.pairs, draws)
+    if pairing is None:
+        return None
+    objects = paired_objects(task.pairs, pairing, len(task.tracks))
+    detections = np.concatenate([rows for (_, rows), o in zip(task.tracks, objects, strict=True) if o >= 0])
+    of_object = np.concatenate([np.full(len(rows), o) for (_, rows), o in zip(task.tracks, objects, strict=True)])
+    of_object = of_object[of_object >= 0]
+    order = np.lexsort((detections, of_object))
+    trajectories, detections = of_object[order], detections[order]
+    rows, points = meeting_points(task.parameters, task.pairs, pairing)
+    met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
+    observations = task.tracking.observations(trajectories, detections)
+    nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
+    knots = _knots(task, observations, nearest[trajectories], pairing.values)
+    knot, weights = interpolation(knots, met, task.pairs.times[rows])
+    states = fit_states(knots, knot, weights, points, np.full(len(rows), 1.0))
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
+    return Fit(adjust(problem, pairing.values, states), knots, observations, detections)
 
 
 def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:

@@ -159,7 +159,7 @@ class FilterBatch:
         template = self.template
         space = template.rig.space(event.camera, event.time_s)
         means, covariances = birth_moments(event, space, template.birth, template.state_size)
-        return EventArrays(event.points, event.covariances, event.areas, means, covariances)
+        return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
 
     def _step(self, state: BatchState, event: Event) -> Step:
         template, settings = self.template, self.template.settings

@@ -54,12 +54,14 @@ class SampleArrays(NamedTuple):
 class EventArrays(NamedTuple):
     """Detections of an event (`stereophd.multi.events.Event`) and the objects they may have given birth to.
 
-    `points` (m, 2), `noises` (m, 2, 2), `areas` (m,), `birth_means` (m, d), `birth_covariances` (m, d, d).
+    `points` (m, 2), `noises` (m, 2, 2), `areas` (m,), `delays` (m,) or None, `birth_means` (m, d),
+    `birth_covariances` (m, d, d).
     """
 
     points: Array
     noises: Array
     areas: Array
+    delays: Array | None
     birth_means: Array
     birth_covariances: Array
 
@@ -98,15 +100,6 @@ class Step(NamedTuple):
 
 
 @compiled
-def _take(parts: Parts, index: Integers) -> Parts:
-    """Return the components with these indices."""
-    return (
-        parts[0][index], parts[1][index], parts[2][index], parts[3][index], parts[4][index], parts[5][index],
-        parts[6][index], parts[7][index],
-    )  # fmt: skip
-
-
-@compiled
 def _slice(parts: Parts, first: int, last: int) -> Parts:
     """Return views of consecutive components."""
     return (
@@ -126,17 +119,29 @@ def _allocate(count: int, size: int) -> Parts:
 
 
 @compiled
-def _copy(source: Parts, target: Parts, first: int) -> None:
-    """Copy components to `target` from place `first` on."""
-    last = first + len(source[0])
-    target[0][first:last] = source[0]
-    target[1][first:last] = source[1]
-    target[2][first:last] = source[2]
-    target[3][first:last] = source[3]
-    target[4][first:last] = source[4]
-    target[5][first:last] = source[5]
-    target[6][first:last] = source[6]
-    target[7][first:last] = source[7]
+def _copy(source: Parts, index: Integers, target: Parts, first: int) -> None:
+    """Copy the components with these indices to `target`, from place `first` on.
+
+    Identities and reports are left alone: a conditional filter reports nothing. Loops, because NumPy's
+    assignments would take three times as long to compile.
+    """
+    size = source[1].shape[1]
+    for i in range(len(index)):
+        k, to = index[i], first + i
+        target[0][to], target[4][to] = source[0][k], source[4][k]
+        target[3][to], target[5][to] = source[3][k], source[5][k]
+        for a in range(size):
+            target[1][to, a] = source[1][k, a]
+            for b in range(size):
+                target[2][to, a, b] = source[2][k, a, b]
+
+
+@compiled
+def _take(parts: Parts, index: Integers) -> Parts:
+    """Return the components with these indices."""
+    out = _allocate(len(index), parts[1].shape[1])
+    _copy(parts, index, out, 0)
+    return out
 
 
 @compiled
@@ -264,13 +269,12 @@ def _reduce(parts: Parts, step: Step) -> Parts:
         weights, means, covariances, leaders = merge_sorted(
             found[0], found[1], found[2], found[3], found[4], step.merge_distance, step.mutual
         )
-        found = (
-            weights, means, covariances, found[3][leaders], found[4][leaders], found[5][leaders],
-            found[6][leaders], found[7][leaders],
-        )  # fmt: skip
+        heads = _take(found, leaders)
+        found = (weights, means, covariances, heads[3], heads[4], heads[5], heads[6], heads[7])
     if len(found[0]) > step.max_components:
-        order = np.argsort(-found[0], kind="mergesort")
-        found = _take(found, np.sort(order[: step.max_components]))
+        kept = np.zeros(len(found[0]), dtype=np.bool_)
+        kept[np.argsort(-found[0], kind="mergesort")[: step.max_components]] = True
+        found = _take(found, np.flatnonzero(kept))
     return found
 
 
@@ -301,7 +305,7 @@ def _phd_update(parts: Parts, moved: MovedArrays, event: EventArrays, step: Step
     n_detections, size = len(event.points), parts[1].shape[1]
     detected = step.p_detect * moved[2] * parts[0]
     components, detections, joint = pair_likelihoods(
-        moved[0], moved[1], moved[3] != OUT_OF_VIEW, event.points, event.noises, event.areas
+        moved[0], moved[1], moved[3] != OUT_OF_VIEW, event.points, event.noises, event.areas, event.delays
     )
     born = step.p_detect * step.births
     totals = np.full(n_detections, (step.clutter + born) / step.area)
@@ -313,7 +317,9 @@ def _phd_update(parts: Parts, moved: MovedArrays, event: EventArrays, step: Step
         joint[p] /= totals[detections[p]]
     kept = np.flatnonzero(joint >= step.prune_weight)
     components, detections = components[kept], detections[kept]
-    means, covariances = kalman_updates(moved[0], moved[1], components, detections, event.points, event.noises)
+    means, covariances = kalman_updates(
+        moved[0], moved[1], components, detections, event.points, event.noises, event.delays
+    )
 
     out = _allocate(len(detected) + len(kept) + n_detections, size)
     missed = _phd_missed(parts, moved, detected, step, out)
@@ -389,7 +395,8 @@ def pmb_update(
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], parts, weights, moved, first)
         updated, log_likelihoods[h] = update_tracks(
-            before, seen, event.points, event.noises, event.areas, event.birth_means, event.birth_covariances,
+            before, seen, event.points, event.noises, event.areas, event.delays,
+            event.birth_means, event.birth_covariances,
             (step.camera, step.time_s, step.next_label), (step.p_detect, step.clutter, step.births, step.area),
             step.prune_weight,
         )  # fmt: skip
@@ -419,7 +426,7 @@ def _append(after: Parts, out: Parts, found: int) -> Parts:
     """Copy components behind the first `found` of `out`; return `out`, or a larger one that replaces it."""
     if found + len(after[0]) > len(out[0]):
         larger = _allocate(2 * (found + len(after[0])), out[1].shape[1])
-        _copy(_slice(out, 0, found), larger, 0)
+        _copy(out, np.arange(found), larger, 0)
         out = larger
-    _copy(after, out, found)
+    _copy(after, np.arange(len(after[0])), out, found)
     return out

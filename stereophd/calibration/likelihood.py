@@ -3,6 +3,11 @@
 The log-likelihoods of the events, which the filter conditional on a hypothesis returns, add up to that of the
 log. With the PHD filter it is the paper's; with the PMB filter it is the Bethe value of the association problems,
 which is much smoother in the cameras.
+
+Scale. Larger cameras, distances and speeds give the same images, so that detections say nothing of scale; the priors
+of the objects' depth and speed do, and strongly: each of n objects multiplies the evidence of cameras s times as far
+apart by a power of s if its prior is too broad. `Evidence` can therefore compare all hypotheses at one scale, that of
+the prior mean, which leaves the scale to the prior of the cameras.
 """
 
 from __future__ import annotations
@@ -17,6 +22,7 @@ from stereophd.calibration.batch import FilterBatch
 from stereophd.calibration.parameters import CENTER as CENTER_NAMES
 from stereophd.calibration.parameters import ROTATION as ROTATION_NAMES
 from stereophd.calibration.parameters import ParameterSet
+from stereophd.calibration.scale import ScaleMeasurement, predicted
 from stereophd.geometry.layout import CENTER, ROTATION
 from stereophd.multi.events import Event, Rig, make_rig
 
@@ -34,21 +40,41 @@ class Evidence:
         The log, in order of time.
     batch : FilterBatch
         The conditional filters.
+    scale_reference : int, optional
+        Number of the reference camera. Given, the cameras of a hypothesis are brought to the nominal scale
+        (`at_nominal_scale`): for problems whose scale is free (`stereophd.calibration.scale.scale_is_free`), if the
+        objects' priors shall not decide on it.
+    scale : ScaleMeasurement, optional
+        What else is known of the scale; its normal density is one more factor.
     """
 
     parameters: ParameterSet
     events: Sequence[Event]
     batch: FilterBatch
+    scale_reference: int | None = None
+    scale: ScaleMeasurement | None = None
 
     def __call__(self, values: Array) -> Array:
         """Return the log-likelihoods (k,) of values (k, m)."""
-        total = np.zeros(len(values))
+        total = self._log_scale(values)
         spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
+        if self.scale_reference is not None:
+            nominal = hypothesis_spaces(self.parameters, self.parameters.prior_mean[None], self.batch.template.rig)
+            spaces = at_nominal_scale(spaces, nominal[0], self.scale_reference)
         state = self.batch.init(len(values))
         for event in self.events:
             state, log_likelihoods = self.batch.step(state, event, spaces)
             total += log_likelihoods
         return total
+
+    def _log_scale(self, values: Array) -> Array:
+        """Log-density (k,) of what was measured of the scale; 0 where nothing was."""
+        scale = self.scale
+        if scale is None:
+            return np.zeros(len(values))
+        reference = 0 if self.scale_reference is None else self.scale_reference
+        found = np.array([predicted(self.parameters, reference, scale, row)[0] for row in values])
+        return np.asarray(-0.5 * ((found - scale.value) / scale.std) ** 2 - np.log(scale.std * np.sqrt(2.0 * np.pi)))
 
 
 def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Array:
@@ -69,6 +95,38 @@ def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Arra
         spaces[:, number, CENTER : CENTER + 3] += center
         spaces[:, number, ROTATION : ROTATION + 9] = (turn @ camera.pose.rotation).reshape(-1, 9)
     return spaces
+
+
+def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
+    """Bring the cameras of hypotheses to one scale, about the reference camera.
+
+    The scale is the root of the sum of squared distances to the reference; with two cameras, their distance.
+
+    Parameters
+    ----------
+    spaces : array (k, c, 30)
+        Packed disparity spaces.
+    nominal : array (c, 30)
+        Cameras whose scale the others get.
+    reference : int
+        Number of the camera that stays where it is.
+
+    Returns
+    -------
+    array (k, c, 30)
+    """
+
+    def size(centers: Array) -> Array:
+        return np.asarray(np.sqrt(((centers - centers[:, reference, None]) ** 2).sum(axis=(1, 2))))
+
+    centers = spaces[:, :, CENTER : CENTER + 3]
+    whole, found = size(nominal[None, :, CENTER : CENTER + 3]), size(centers)
+    # cameras in one place have no scale
+    ratio = whole / np.where(found > 0.0, found, whole)
+    scaled = spaces.copy()
+    pivot = centers[:, reference, None]
+    scaled[:, :, CENTER : CENTER + 3] = pivot + ratio[:, None, None] * (centers - pivot)
+    return scaled
 
 
 def _rotations(vectors: Array) -> Array:

@@ -43,7 +43,7 @@ def systematic_resample(log_weights: Array, rng: np.random.Generator) -> Integer
     count = len(log_weights)
     edges = np.cumsum(np.exp(log_weights))
     places = (rng.random() + np.arange(count)) / count * edges[-1]
-    return np.minimum(np.searchsorted(edges, places, side="right"), count - 1).astype(np.int64)
+    return np.asarray(np.minimum(np.searchsorted(edges, places, side="right"), count - 1), dtype=np.int64)
 
 
 def step_generator(seed: np.random.SeedSequence, step: int) -> np.random.Generator:

@@ -296,9 +296,8 @@ class TemperedSampler:
     def _draw(self, modes: Modes, rng: np.random.Generator) -> Array:
         """Draw the particles (k, m) from the mixture of Student t distributions, stratified over the modes."""
         count = self.settings.particles
-        which = np.searchsorted(np.cumsum(modes.weights), (np.arange(count) + 0.5) / count).clip(
-            0, len(modes.weights) - 1
-        )
+        which = np.searchsorted(np.cumsum(modes.weights), (np.arange(count) + 0.5) / count)
+        which = np.minimum(which, len(modes.weights) - 1)
         factors = self.settings.spread * np.linalg.cholesky(modes.covariances)
         normal = rng.standard_normal((count, self.parameters.size))
         scale = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, count))
@@ -312,7 +311,7 @@ class TemperedSampler:
             (np.linalg.solve(np.linalg.cholesky(covariance), (values - mean).T) ** 2).sum(axis=0)
             for mean, covariance in zip(self.modes.means, self.modes.covariances, strict=True)
         ]
-        return np.argmin(distances, axis=0).astype(np.int64)
+        return np.asarray(np.argmin(distances, axis=0), dtype=np.int64)
 
     def _proposal_factors(self, values: Array) -> Array:
         """Cholesky factors (j, m, m) of the covariance of each mode's particles.

@@ -73,4 +73,4 @@ def calibration_bound(
     knot, weights = interpolation(knots, numbers, times[seen])
     states = fit_states(knots, knot, weights, positions[seen], np.full(int(seen.sum()), noise**-2))
     problem = Problem(parameters, reference, knots, observations, SQUARED, scale)
-    return posterior_covariance(Linearisation.of(problem).at(values, states))
+    return posterior_covariance(Linearisation.of(problem).at(values, states), parameters.prior_std)
