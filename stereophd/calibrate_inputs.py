@@ -15,6 +15,7 @@ from stereophd.calibration.parameters import CENTER, QUANTITIES, ROTATION, Param
 from stereophd.calibration.scale import ScaleMeasurement
 from stereophd.config import CameraConfig, Config, MomentsConfig, PhdConfig, PmbConfig, PoseConfig
 from stereophd.config_calibration import BaselineScale, CalibrationConfig, per_axis
+from stereophd.config_single import SingleConfig
 from stereophd.errors import InputError
 from stereophd.geometry.camera import Camera
 from stereophd.io.logs import LogReader
@@ -218,6 +219,9 @@ def phd_filter(
 
 
 def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:
-    if loaded.config.filter is None:
+    settings = loaded.config.filter
+    if settings is None:
         raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
-    return loaded.config.filter
+    if isinstance(settings, SingleConfig):
+        raise InputError(f"{loaded.path}: filter.kind: expected a filter for many objects, found single")
+    return settings

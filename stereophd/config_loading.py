@@ -53,7 +53,7 @@ class LoadedConfig:
     sha256: str
     path: Path
     inputs: dict[str, str]
-    tree: Tree = field(repr=False, compare=False)
+    tree: Tree = field(default_factory=lambda: Tree({}), repr=False, compare=False)
 
     def build_cameras(self) -> tuple[Camera, ...]:
         """Return the geometric cameras in order.

@@ -21,6 +21,7 @@ from stereophd.calibrate_inputs import (
     build_scale,
     calibration_section,
     draw_guess,
+    pmb_filter,
 )
 from stereophd.calibrate_methods import Checkpoint, HistoryRow, annealed_outcome, sequential_outcome
 from stereophd.calibration.association import Scans
@@ -51,9 +52,8 @@ def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless there are cameras, a filter, a scene and a calibration."""
     if loaded.config.simulate is None:
         raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
-    if loaded.config.filter is None:
-        raise InputError(f"{loaded.path}: filter: expected a filter section, found none")
-    build_parameters(loaded)
+    parameters, _ = build_parameters(loaded)
+    pmb_filter(loaded, parameters.cameras)  # the configuration must name births
 
 
 def run(loaded: LoadedConfig, number: int) -> list[Series]:

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
+
+from stereophd.experiments.summary import is_rms
 
 if TYPE_CHECKING:
     from stereophd.experiment import Results
@@ -48,20 +51,21 @@ def print_results(results: Results, console: Console) -> None:
         with_bound = any(row[-1] for row in rows)
         unit = next(one.unit for cell in results.cells for one in cell.summaries if one.quantity == quantity)
         title = f"{quantity} [{unit}]" if unit != "1" else quantity
-        table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+        table = Table(title=escape(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
         for name in ("case", "method"):
             table.add_column(name, no_wrap=True)
-        for name in ("mean", "95 % interval", "std", "bound", "ratio")[: 5 if with_bound else 3]:
+        mean = "rms" if is_rms(quantity) else "mean"
+        for name in (mean, "95 % interval", "std", "bound", "ratio")[: 5 if with_bound else 3]:
             table.add_column(name, justify="right", no_wrap=True)
         for row in rows:
-            table.add_row(*row[: 7 if with_bound else 5])
+            table.add_row(*map(escape, row[: 7 if with_bound else 5]))
         console.print(table)
         console.print()
     medians, ratios = results.timing["cpu_s_per_run"], results.timing["ratio_to_first_method"]
     first = next(iter(medians))
     for method, seconds in medians.items():
         ratio = "" if method == first or ratios[method] is None else f", {ratios[method]:.3g} times {first}"
-        console.print(f"processor time a run, {method}: {1e3 * seconds:.3g} ms{ratio}", highlight=False)
+        console.print(f"processor time a run, {escape(method)}: {1e3 * seconds:.3g} ms{escape(ratio)}", highlight=False)
 
 
 def _quantities(results: Results) -> list[str]:
