@@ -95,43 +95,63 @@ class DetectorConfig(Model):
     sigma_px: tuple[Positive, Positive] = Field(description="standard deviation of a detection along u and v, px")
     p_detect: Annotated[float, Field(gt=0, le=1)] = Field(description="probability that an object in view is detected")
     clutter_per_frame: NonNegative = Field(description="mean number of false detections a frame, uniform in the image")
+    estimate: bool = Field(
+        False, description="estimate these from the log, starting from the values given (track); see also detector"
+    )
+
+
+# Where `detector: estimate` starts without values of its own: rather too noisy than too sure, so that the
+# first pass loses no track.
+UNKNOWN_DETECTOR = {"sigma_px": (3.0, 3.0), "p_detect": 0.9, "clutter_per_frame": 1.0, "estimate": True}
+
+
+def _parse_detector(value: Any) -> Any:
+    """Turn the short form ``estimate`` into values to start from."""
+    if value == "estimate":
+        return UNKNOWN_DETECTOR
+    if isinstance(value, str):
+        raise ValueError(f"expected estimate or sigma_px, p_detect and clutter_per_frame, found {value}")
+    if isinstance(value, dict) and isinstance(value.get("sigma_px"), list):
+        # behind a validator of our own pydantic no longer knows that lists are JSON's tuples
+        return {**value, "sigma_px": tuple(value["sigma_px"])}
+    return value
 
 
 class NoDistortion(Model):
     """No lens distortion."""
 
-    model: Literal["none"] = "none"
+    model: Literal["none"] = Field("none", description="the lens model")
 
 
 class RadialDistortion(Model):
     """One-parameter radial distortion: x_distorted = x (1 + k1 r^2)."""
 
-    model: Literal["radial"]
-    k1: Finite
+    model: Literal["radial"] = Field(description="the lens model")
+    k1: Finite = Field(description="of r^2, r the distance from the axis at depth 1")
 
 
 class BrownConradyDistortion(Model):
     """OpenCV's rational model: k1..k6 radial, p1, p2 tangential."""
 
-    model: Literal["brown_conrady"]
-    k1: Finite = 0.0
-    k2: Finite = 0.0
-    p1: Finite = 0.0
-    p2: Finite = 0.0
-    k3: Finite = 0.0
-    k4: Finite = 0.0
-    k5: Finite = 0.0
-    k6: Finite = 0.0
+    model: Literal["brown_conrady"] = Field(description="the lens model")
+    k1: Finite = Field(0.0, description="radial, of r^2 in the numerator")
+    k2: Finite = Field(0.0, description="radial, of r^4 in the numerator")
+    p1: Finite = Field(0.0, description="tangential")
+    p2: Finite = Field(0.0, description="tangential")
+    k3: Finite = Field(0.0, description="radial, of r^6 in the numerator")
+    k4: Finite = Field(0.0, description="radial, of r^2 in the denominator")
+    k5: Finite = Field(0.0, description="radial, of r^4 in the denominator")
+    k6: Finite = Field(0.0, description="radial, of r^6 in the denominator")
 
 
 class FisheyeDistortion(Model):
     """OpenCV's fisheye model: theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8)."""
 
-    model: Literal["fisheye"]
-    k1: Finite = 0.0
-    k2: Finite = 0.0
-    k3: Finite = 0.0
-    k4: Finite = 0.0
+    model: Literal["fisheye"] = Field(description="the lens model")
+    k1: Finite = Field(0.0, description="of theta^2, theta the angle from the axis")
+    k2: Finite = Field(0.0, description="of theta^4")
+    k3: Finite = Field(0.0, description="of theta^6")
+    k4: Finite = Field(0.0, description="of theta^8")
 
 
 Distortion = Annotated[
@@ -143,8 +163,8 @@ Distortion = Annotated[
 class ClockConfig(Model):
     """Clock of a camera: true time = offset_s + rate * time in the log."""
 
-    offset_s: Finite = 0.0
-    rate: Positive = 1.0
+    offset_s: Finite = Field(0.0, description="true time at time 0 of the log, s")
+    rate: Positive = Field(1.0, description="true seconds in a second of the log")
 
 
 class CameraConfig(Model):
@@ -153,13 +173,16 @@ class CameraConfig(Model):
     image_size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = Field(
         description="width and height, px"
     )
-    intrinsics: IntrinsicsConfig
-    pose: PoseConfig
-    detector: DetectorConfig
-    distortion: Distortion = Field(default_factory=NoDistortion)
+    intrinsics: IntrinsicsConfig = Field(description="pinhole intrinsics, px")
+    pose: PoseConfig = Field(description="where the camera stands and looks")
+    detector: Annotated[
+        DetectorConfig,
+        BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
+    ] = Field(description="what its detector does, or estimate: all of it is estimated from the log (track)")
+    distortion: Distortion = Field(default_factory=NoDistortion, description="of the lens")
     frame_rate_hz: Positive | None = Field(None, description="frames per second (simulate)")
     phase_s: Finite = Field(0.0, description="time of the first frame after the start (simulate)")
-    clock: ClockConfig = Field(default_factory=ClockConfig)
+    clock: ClockConfig = Field(default_factory=ClockConfig, description="from the log's time to true time")
     readout_s: Finite = Field(
         0.0,
         description="rolling shutter: a detection in row v was made readout_s * v / height after the time of its "
@@ -217,7 +240,7 @@ class DisparityConfig(Model):
 class MotionConfig(Model):
     """How objects move between events."""
 
-    model: Literal["constant_velocity", "static"] = "constant_velocity"
+    model: Literal["constant_velocity", "static"] = Field("constant_velocity", description="static: nothing moves")
     acceleration_std: NonNegative | tuple[NonNegative, NonNegative, NonNegative] = Field(
         0.0,
         description="white acceleration in the world, one value or one per axis: standard deviation of the "
@@ -228,18 +251,34 @@ class MotionConfig(Model):
     )
 
 
+FEWEST_QMC_SAMPLES = 64
+
+
 class MomentsConfig(Model):
     """How a Gaussian is carried from one disparity space to another (paper IV-B, V-B, VI-C)."""
 
-    method: Literal["qmc", "particle", "unscented", "linear"] = "qmc"
+    method: Literal["adaptive", "qmc", "particle", "unscented", "linear"] = Field(
+        "qmc",
+        description="qmc: scrambled Sobol points; particle: pseudo-random, as the paper has it; adaptive: a low-order "
+        "rule for each component over which the map is nearly linear, Sobol points for the others; unscented, linear: "
+        "low-order rules throughout",
+    )
     samples: Annotated[int, Field(ge=16, le=65536)] = Field(
-        64, description="samples per Gaussian (qmc: a power of two)"
+        64, description="samples per Gaussian (qmc, adaptive: a power of two, at least 64)"
+    )
+    max_nonlinearity: Positive = Field(
+        0.03,
+        description="adaptive: components are sampled above this curvature of one standard deviation, in standard "
+        "deviations of the result",
     )
 
     @model_validator(mode="after")
     def _power_of_two(self) -> MomentsConfig:
-        if self.method == "qmc" and self.samples & (self.samples - 1):
-            raise ValueError(f"samples: expected a power of two for method qmc, found {self.samples}")
+        # mirrored points in twelve dimensions need 48 to have a covariance of full rank
+        wanting = self.samples < FEWEST_QMC_SAMPLES or self.samples & (self.samples - 1)
+        if self.method in ("qmc", "adaptive") and wanting:
+            expected = f"a power of two of at least {FEWEST_QMC_SAMPLES} for method {self.method}"
+            raise ValueError(f"samples: expected {expected}, found {self.samples}")
         return self
 
 
@@ -280,9 +319,9 @@ class ExtractionConfig(Model):
 class Range3(Model):
     """An axis-aligned box in the world."""
 
-    x: tuple[Finite, Finite]
-    y: tuple[Finite, Finite]
-    z: tuple[Finite, Finite]
+    x: tuple[Finite, Finite] = Field(description="from and to, length")
+    y: tuple[Finite, Finite] = Field(description="from and to, length")
+    z: tuple[Finite, Finite] = Field(description="from and to, length")
 
     @model_validator(mode="after")
     def _order(self) -> Range3:
@@ -296,7 +335,7 @@ class Range3(Model):
 class RegionConfig(Model):
     """Where objects can be: a box in the world, a range of depth before the cameras, or both."""
 
-    box: Range3 | None = None
+    box: Range3 | None = Field(None, description="in the world")
     depth: tuple[NonNegative, Positive] | None = Field(
         None, description="nearest and farthest depth before the camera that saw the object last, length"
     )
@@ -311,31 +350,31 @@ class RegionConfig(Model):
 class PhdConfig(Model):
     """Gaussian-mixture PHD filter (paper VI, Table III)."""
 
-    kind: Literal["phd"]
+    kind: Literal["phd"] = Field(description="the filter")
     survival_per_s: Annotated[float, Field(gt=0, le=1)] = Field(
         0.99, description="probability that an object survives one second"
     )
-    birth: BirthConfig
+    birth: BirthConfig = Field(description="prior of new objects")
     prune_weight: Positive = Field(1e-6, description="components below this weight are dropped")
     merge_distance: NonNegative = Field(7.0, description="squared Mahalanobis distance below which components merge")
     merge_rule: Literal["mutual", "vo_ma"] = Field(
         "mutual",
         description="mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)",
     )
-    max_components: Annotated[int, Field(ge=1)] = 1000
+    max_components: Annotated[int, Field(ge=1)] = Field(1000, description="the heaviest components are kept")
     missed: Literal["split", "keep"] = Field(
         "split",
         description="what a miss says of a component that is partly in view. split: the part in view becomes less "
         "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
         "detectors miss an occluded object for many frames in a row, and each would squeeze the shape",
     )
-    extraction: ExtractionConfig = Field(default_factory=ExtractionConfig)
+    extraction: ExtractionConfig = Field(default_factory=ExtractionConfig, description="what is reported as an object")
 
 
 class PmbExtractionConfig(ExtractionConfig):
     """Thresholds of existence between which a track is reported."""
 
-    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.95, description="reported from this existence on")
+    confirm: Annotated[float, Field(gt=0, le=1)] = Field(0.98, description="reported from this existence on")
     release: Annotated[float, Field(gt=0, le=1)] = Field(
         0.01, description="a reported track stays reported until its existence falls below this"
     )
@@ -344,11 +383,11 @@ class PmbExtractionConfig(ExtractionConfig):
 class PmbConfig(Model):
     """Poisson multi-Bernoulli filter (Williams 2015): labelled tracks."""
 
-    kind: Literal["pmb"]
+    kind: Literal["pmb"] = Field(description="the filter")
     survival_per_s: Annotated[float, Field(gt=0, le=1)] = Field(
         0.99, description="probability that an object survives one second"
     )
-    birth: BirthConfig
+    birth: BirthConfig = Field(description="prior of new objects")
     recycle_below: Positive = Field(
         1e-3, description="tracks of a smaller existence join the intensity of undetected objects"
     )
@@ -371,7 +410,9 @@ class PmbConfig(Model):
         "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
         "detectors miss an occluded object for many frames in a row, and each would squeeze the shape",
     )
-    extraction: PmbExtractionConfig = Field(default_factory=PmbExtractionConfig)
+    extraction: PmbExtractionConfig = Field(
+        default_factory=PmbExtractionConfig, description="which tracks are reported"
+    )
 
 
 FilterConfig = Annotated[PhdConfig | PmbConfig | SingleConfig, Field(discriminator="kind")]
@@ -470,7 +511,7 @@ class GivenObject(Model):
     """An object whose start and velocity are given."""
 
     position: Vector3 = Field(description="position at birth_s")
-    velocity: Vector3 = (0.0, 0.0, 0.0)
+    velocity: Vector3 = Field((0.0, 0.0, 0.0), description="velocity at birth_s, length/s")
     birth_s: Finite | None = Field(None, description="first time; default the start of the run")
     death_s: Finite | None = Field(None, description="last time; default the end of the run")
 
@@ -493,10 +534,10 @@ class SimulateConfig(Model):
     """What `simulate` makes."""
 
     duration_s: Positive = Field(description="frames lie in [start_s, start_s + duration_s)")
-    start_s: Finite = 0.0
+    start_s: Finite = Field(0.0, description="true time of the start")
     frame_rate_hz: Positive = Field(1.0, description="of cameras that state none")
-    objects: DrawnObjects | None = None
-    given: tuple[GivenObject, ...] = ()
+    objects: DrawnObjects | None = Field(None, description="objects drawn at random")
+    given: tuple[GivenObject, ...] = Field((), description="objects whose paths are given")
     acceleration_std: NonNegative | Vector3 = Field(0.0, description="process noise, as motion.acceleration_std")
     truth_rate_hz: Positive | None = Field(None, description="of truth.parquet; default every distinct frame time")
     object_id: bool = Field(False, description="write the true object_id of each detection (-1 clutter) into the log")
@@ -511,18 +552,23 @@ class SimulateConfig(Model):
 class Config(Model):
     """A stereophd configuration."""
 
-    units: Units = Field(default_factory=Units)
-    seed: Annotated[int, Field(ge=0)] = 0
+    units: Units = Field(default_factory=Units, description="of all files of a run")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="of all random numbers of a run")
     cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)] | str | None = Field(
         None, description="the cameras, or the path of a cameras.yaml beside this file"
     )
-    disparity: DisparityConfig = Field(default_factory=DisparityConfig)
-    motion: MotionConfig = Field(default_factory=MotionConfig)
-    moments: MomentsConfig = Field(default_factory=MomentsConfig)
+    detector: Literal["given", "estimate"] = Field(
+        "given",
+        description="estimate: noise, probability of detection and clutter of every camera are estimated from the log, "
+        "starting from the cameras' own values (track)",
+    )
+    disparity: DisparityConfig = Field(default_factory=DisparityConfig, description="disparity space of the cameras")
+    motion: MotionConfig = Field(default_factory=MotionConfig, description="how objects move (track)")
+    moments: MomentsConfig = Field(default_factory=MomentsConfig, description="how Gaussians are carried over (track)")
     region: RegionConfig | None = Field(None, description="where objects can be (track)")
     filter: FilterConfig | None = Field(None, description="the filter (track)")
-    input: InputConfig = Field(default_factory=InputConfig)
-    report: ReportConfig = Field(default_factory=ReportConfig)
+    input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
+    report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
     calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
     experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")

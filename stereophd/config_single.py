@@ -6,14 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from stereophd.config_base import Finite, Model, Positive
+from stereophd.config_base import Model, Positive
 
 
 class DisparityPrior(Model):
     """Gaussian prior of the disparity of a new object."""
 
-    mean_px: Finite
-    std_px: Positive
+    mean_px: Positive = Field(description="mean, px at the baseline")
+    std_px: Positive = Field(description="standard deviation, px at the baseline")
 
 
 class SinglePriorConfig(Model):

@@ -42,6 +42,7 @@ from stereophd.multi.events import make_rig
 from stereophd.multi.extract import Hysteresis
 from stereophd.multi.phd import PhdFilter, PhdSettings
 from stereophd.multi.pmb import PmbFilter, PmbSettings
+from stereophd.track_detectors import estimate_detectors
 from stereophd.track_output import smoothed_records, write_records
 from stereophd.track_run import Progress, Record, ReportTimes, run_filter
 from stereophd.track_single import build_single, run_single
@@ -95,10 +96,21 @@ def track(
     config = loaded.config
     cameras = loaded.build_cameras()
     motion, run = _prepare(config, cameras, loaded.path, threads)
+    estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
+    if estimated and isinstance(config.filter, SingleConfig):
+        raise InputError(f"{loaded.path}: detector: expected given where filter.kind is single, found estimate")
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, config.seed)
     _announce_compilation()
     reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
     with OutputFolder(out_dir, FILES, force) as out:
+        detectors = None
+        if estimated:
+            cameras, detectors = estimate_detectors(
+                cameras, estimated, lambda found: _labelled_filter(config, found, loaded.path, threads),
+                lambda: LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px),
+                progress,
+            )  # fmt: skip
+            motion, run = _prepare(config, cameras, loaded.path, threads)
         record = provenance("track", loaded, inputs={"detections": log_path})
         metadata = to_metadata(record)
         with (
@@ -115,6 +127,7 @@ def track(
             "report_version": REPORT_VERSION,
             "length_unit": config.units.length,
             "input": {**reader.counts, "not_invertible": unusable[0]},
+            "detectors": detectors,
             **summary,
             "provenance": record,
         }
@@ -176,7 +189,8 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     rows = 3 if isinstance(motion, Static) else 12
     # spawned by purpose: the simulation's random numbers have keys of their own
     seed = np.random.SeedSequence(config.seed, spawn_key=(SAMPLES_KEY,))
-    sets = draw_sample_sets(config.moments.method, config.moments.samples, rows, seed)
+    moments = config.moments
+    sets = draw_sample_sets(moments.method, moments.samples, rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     birth = _birth_prior(settings.birth)
     _check_birth_rate(settings, cameras, path)
@@ -206,6 +220,15 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         hysteresis=hysteresis,
     )
     return PhdFilter(rig, motion, sets, phd, threads)
+
+
+def _labelled_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int) -> DisparityFilter:
+    """Return a filter with labelled tracks, whatever kind the configuration has."""
+    settings = config.filter
+    if isinstance(settings, PhdConfig):
+        labelled = PmbConfig(kind="pmb", survival_per_s=settings.survival_per_s, birth=settings.birth)
+        config = config.model_copy(update={"filter": labelled})
+    return build_filter(config, cameras, path, threads)
 
 
 # Key of the filter's sample sets among the purposes of a seed (simulated runs count from 0).

@@ -54,7 +54,7 @@ def estimator_settings(config: Config) -> EstimatorSettings:
     if isinstance(chosen, CartesianEstimatorConfig):
         return CartesianSettings(chosen.rule)
     rectified = isinstance(chosen, RectifiedEstimatorConfig)
-    return DisparitySettings(config.moments.method, config.moments.samples, rectified)
+    return DisparitySettings(config.moments.method, config.moments.samples, rectified, config.moments.max_nonlinearity)
 
 
 def initial_prior(config: SinglePriorConfig) -> InitialPrior:

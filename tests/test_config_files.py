@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stereophd.config_loading import load_config, schema_text
+from stereophd.config_loading import json_schema, load_config, schema_text
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 FILES = sorted(CONFIGS.rglob("*.yaml"))
@@ -20,6 +20,18 @@ def test_there_are_configurations() -> None:
 def test_schema_is_up_to_date() -> None:
     found = (CONFIGS / "schema.json").read_text(encoding="utf-8")
     assert found == schema_text(), "configs/schema.json is out of date: run `make schema`"
+
+
+def test_every_key_of_the_schema_says_what_it_is() -> None:
+    schema = json_schema()
+    models = {"": schema, **schema["$defs"]}
+    bare = [
+        f"{name}.{key}"
+        for name, model in models.items()
+        for key, value in model.get("properties", {}).items()
+        if "description" not in value
+    ]
+    assert not bare
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(CONFIGS)))

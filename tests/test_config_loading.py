@@ -344,3 +344,17 @@ def test_schema_forbids_unknown_keys_everywhere() -> None:
     schema = json_schema()
     objects = [schema, *schema["$defs"].values()]
     assert all(node["additionalProperties"] is False for node in objects if "properties" in node)
+
+
+@pytest.mark.parametrize("samples", [16, 32, 96])
+def test_qmc_samples_are_a_power_of_two_that_carries_a_covariance(path: Path, samples: int) -> None:
+    assert message(path, f"moments.samples={samples}").endswith(
+        f"moments: samples: expected a power of two of at least 64 for method qmc, found {samples}"
+    )
+    other = load_config(path, [f"moments.samples={samples}", "moments.method=particle"])
+    assert other.config.moments.samples == samples
+
+
+def test_a_mean_disparity_is_positive(path: Path) -> None:
+    prior = "filter.birth={velocity_std: 1, disparity: {mean_px: 0.0, std_px: 1.0}}"
+    assert "filter.birth.disparity.mean_px: expected a number > 0, found 0" in message(path, prior)

@@ -54,8 +54,8 @@ def check_command(
 
 
 @app.command("schema")
-def schema_command(debug: options.Debug = False) -> None:
-    """Print the JSON schema of a configuration, which editors use."""
+def schema_command(json: options.Json = False, debug: options.Debug = False) -> None:
+    """Print the JSON schema of a configuration, which editors use (with or without --json)."""
     from stereophd.config_loading import schema_text
 
     print_data(schema_text().rstrip("\n"))

@@ -102,8 +102,8 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
         elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
             # A table of its own: it is in the file; here it says how many.
             yield f"{prefix}{key}: {len(value)}"
-        elif prefix == "input." and value == 0:
-            # what did not happen; all counts are in the file
+        elif value is None or (prefix == "input." and value == 0):
+            # what was not asked for or did not happen; the file has it all
             continue
         elif isinstance(value, list):
             yield f"{prefix}{key}: {', '.join(map(str, value))}"

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from stereophd.disparity import kernels, linear_kernels
 from stereophd.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
+from stereophd.disparity.rule_kernels import rule_components
 from stereophd.disparity.samples import SampleSets, cubature_points
 from stereophd.geometry.layout import ROTATION
 from stereophd.motion import ConstantVelocity, Motion
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 
 # A Gaussian refitted from fewer samples than this is rank-deficient or soon overconfident.
 FEWEST_SAMPLES = 24
+# Components whose disparity is known no better than to this fraction are not worth a try with a low-order rule.
+WIDEST_RULE = 0.5
 # A component whose disparity is known to better than this fraction has no tail to look for.
 WIDE_DISPARITY = 0.05
 NO_REGION = np.empty(0)
@@ -130,8 +133,8 @@ def move(
     moved = _allocate(means)
     region = NO_REGION if region is None else region
     todo = np.arange(len(means))
-    if sets.method in ("unscented", "linear"):
-        todo = _low_order(means, covariances, homes, dts, destination, motion, sets.method, region, moved)
+    if sets.method in ("adaptive", "unscented", "linear"):
+        todo = _low_order(means, covariances, homes, dts, destination, motion, sets, region, moved)
     _run(
         means, covariances, homes, dts, samples, np.ones(samples.shape[1]), noise, destination, p_detect,
         _max_speed(motion), minimum_in_view(samples.shape[1]), region, moved, todo, threads,
@@ -200,8 +203,8 @@ def _rotation(space: Array) -> Array:
 
 
 @cache
-def _cubature(rows: int) -> Array:
-    return cubature_points(rows)
+def _rule_points(rows: int) -> Array:
+    return np.concatenate([cubature_points(rows), np.zeros((rows, 1))], axis=1)
 
 
 def _low_order(
@@ -211,32 +214,26 @@ def _low_order(
     dts: Array,
     destination: Array,
     motion: Motion,
-    method: str,
+    sets: SampleSets,
     region: Array,
     moved: kernels.MovedArrays,
 ) -> NDArray[np.intp]:
-    """Move by the unscented or the linear rule; return which components still need samples.
-
-    Those are the components with a point outside the image: a handful of points says nothing about
-    which part of a Gaussian is in view.
-    """
-    # a point of a rule stands for no share of the Gaussian: none may be outside
-    region = np.append(region, 1.0) if len(region) else region
-    points = _cubature(12 if means.shape[1] == 6 else 3)
+    """Move by the unscented or the linear rule; return which components still need samples."""
+    points = _rule_points(12 if means.shape[1] == 6 else 3)
     rotation = _rotation(destination)
-    noise = _motion_noise(points, motion, rotation)
-    max_speed = _max_speed(motion)
-    kernels.move_components(
-        means, covariances, homes, dts, points, np.ones(points.shape[1]), noise, destination, 1.0, max_speed,
-        points.shape[1], region, moved,
+    adaptive = sets.method == "adaptive"
+    todo = rule_components(
+        means, covariances, homes, dts, points, _motion_noise(points, motion, rotation), destination,
+        _max_speed(motion), region, WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf,
+        moved,
     )  # fmt: skip
-    if method == "linear":
+    if sets.method == "linear":
         std = motion.acceleration_std if isinstance(motion, ConstantVelocity) else np.zeros(3)
         axes = np.ascontiguousarray(rotation * std)
         linear_kernels.linear_components(
-            means, covariances, homes, dts, axes, destination, max_speed, moved[0], moved[1]
+            means, covariances, homes, dts, axes, destination, _max_speed(motion), moved[0], moved[1]
         )
-    return np.flatnonzero((moved[3] != IN_VIEW) | (moved[6] < 1.0))
+    return todo
 
 
 def _run(

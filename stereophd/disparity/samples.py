@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from stereophd.disparity.sobol import normal_quantiles, sobol_points
 
 Array = NDArray[np.float64]
-Method = Literal["qmc", "particle", "unscented", "linear"]
+Method = Literal["qmc", "particle", "adaptive", "unscented", "linear"]
+
+# Non-linearity (`stereophd.disparity.rule_kernels`) up to which a component is moved by the low-order rule.
+MAX_NONLINEARITY = 0.03
 
 # Sets drawn once and used in turn, event by event: enough that a set's own error does not repeat
 # from step to step, few enough to stay in the cache.
@@ -33,7 +36,7 @@ class SampleSets:
 
     Attributes
     ----------
-    method : {"qmc", "particle", "unscented", "linear"}
+    method : {"qmc", "particle", "adaptive", "unscented", "linear"}
         How Gaussians are carried over (see `stereophd.disparity.moments`).
     sets : array (s, rows, n)
         Sample sets; `turn` picks one. For ``unscented`` and ``linear`` they serve the components that
@@ -43,12 +46,15 @@ class SampleSets:
         components that matter and of which a set finds no more than a corner in view.
     reserve_weights : array (m,)
         Importance weights of the reserve.
+    max_nonlinearity : float
+        For ``adaptive``: components above this measure are moved by samples.
     """
 
     method: Method
     sets: Array
     reserve: Array
     reserve_weights: Array
+    max_nonlinearity: float = MAX_NONLINEARITY
 
     def turn(self, index: int) -> Array:
         """Return the set (rows, n) of event number `index`."""
@@ -60,7 +66,13 @@ class SampleSets:
         return int(self.sets.shape[2])
 
 
-def draw_sample_sets(method: Method, samples: int, rows: int, seed: np.random.SeedSequence) -> SampleSets:
+def draw_sample_sets(
+    method: Method,
+    samples: int,
+    rows: int,
+    seed: np.random.SeedSequence,
+    max_nonlinearity: float = MAX_NONLINEARITY,
+) -> SampleSets:
     """Draw the sample sets of a run.
 
     ``particle`` uses independent pseudo-random draws, as the paper does (IV-B a). Every other method
@@ -78,6 +90,8 @@ def draw_sample_sets(method: Method, samples: int, rows: int, seed: np.random.Se
         Dimensions of a sample.
     seed : SeedSequence
         Source of the scrambling or of the draws.
+    max_nonlinearity : float
+        For ``adaptive``.
 
     Returns
     -------
@@ -95,7 +109,7 @@ def draw_sample_sets(method: Method, samples: int, rows: int, seed: np.random.Se
     # the density of a standard normal over that of one RESERVE_WIDTH times as wide
     weights = np.exp(-0.5 * reserve[2] ** 2 * (RESERVE_WIDTH**2 - 1.0))
     reserve[2] *= RESERVE_WIDTH
-    return SampleSets(method, sets, reserve, weights / weights.mean())
+    return SampleSets(method, sets, reserve, weights / weights.mean(), max_nonlinearity)
 
 
 def cubature_points(rows: int) -> Array:

@@ -65,7 +65,7 @@ class PmbSettings:
     max_components: int = 1000
     hypothesis_distance: float = 4.0
     least_share: float = 1e-3
-    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.95, 0.01))
+    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.98, 0.01))
     split_missed: bool = False
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stereophd.disparity.events import Rig
 from stereophd.disparity.initial import InitialPrior
-from stereophd.disparity.samples import Method, SampleSets, draw_sample_sets
+from stereophd.disparity.samples import MAX_NONLINEARITY, Method, SampleSets, draw_sample_sets
 from stereophd.motion import Motion, Static
 from stereophd.single.base import AnyEstimator
 from stereophd.single.cartesian import CartesianEstimator
@@ -70,7 +70,7 @@ def sample_sets(settings: DisparitySettings, motion: Motion, rng: np.random.Gene
     rows = 3 if isinstance(motion, Static) else 12
     if settings.method == "particle":
         return fresh_samples(settings.samples, rows, int(rng.integers(2**63)))
-    return _rule(settings.method, settings.samples, rows)
+    return _rule(settings.method, settings.samples, rows, settings.max_nonlinearity)
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class FreshSamples(SampleSets):
     the same few sets would add up.
     """
 
-    seed: int
+    seed: int = 0
 
     def turn(self, index: int) -> Array:
         """Return the samples (rows, n) of event number `index`."""
@@ -91,10 +91,10 @@ class FreshSamples(SampleSets):
 def fresh_samples(samples: int, rows: int, seed: int) -> FreshSamples:
     """Return pseudo-random samples whose reserve, for tails in view, is a low-discrepancy set."""
     reserve = _rule("qmc", 64, rows)
-    return FreshSamples("particle", np.empty((1, rows, samples)), reserve.reserve, reserve.reserve_weights, seed)
+    return FreshSamples("particle", np.empty((1, rows, samples)), reserve.reserve, reserve.reserve_weights, seed=seed)
 
 
 @cache
-def _rule(method: Method, samples: int, rows: int) -> SampleSets:
+def _rule(method: Method, samples: int, rows: int, max_nonlinearity: float = MAX_NONLINEARITY) -> SampleSets:
     """Low-discrepancy sample sets, made once."""
-    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(SCRAMBLE))
+    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(SCRAMBLE), max_nonlinearity)

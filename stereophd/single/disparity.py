@@ -9,6 +9,7 @@ object, so that samples out of the camera's view are left out of the Gaussian (V
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,8 @@ from stereophd.single.gaussian import UNSEEN, GaussianState, linear_update, stat
 Array = NDArray[np.float64]
 
 IMPORTANT = np.array([True])
+# H of eq. 4, by the size of the state.
+OBSERVATION = {size: np.eye(2, size) for size in (3, 6)}
 # How far (px) the image is widened on all sides where the border of the image is to have no say.
 WIDE = 1e7
 # Over an image, the divisor of the map between the disparity spaces of rectified cameras is 1 to this.
@@ -66,36 +69,35 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
         An event without a detection leaves it where it is. A detection that no sample of the state can
         have made starts it anew.
         """
-        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
+            after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
             return after, SingleInfo(0.0, self.sets.size)
         time_s = detection_time(event)
         space = self.rig.space(event.camera, time_s)
-        seen = replace(after, home_s=time_s, camera=event.camera)
         moved = None if state.camera == UNSEEN else self._moved(state, space, event.camera, time_s)
         if moved is None:
             means, covariances = self.prior.moments(event.points, event.covariances, space, self.state_size)
-            info = SingleInfo(first_density(self.rig, event), self.sets.size)
-            return replace(seen, mean=means[0], covariance=covariances[0]), info
-        matrix = np.eye(2, self.state_size)
-        mean, covariance, log_density = linear_update(
-            moved[0], moved[1], matrix, moved[0][:2], event.points[0], event.covariances[0]
-        )
-        info = SingleInfo(log_density + float(np.log(event.areas[0])), self.sets.size)
-        return replace(seen, mean=mean, covariance=covariance), info
+            mean, covariance, log_likelihood = means[0], covariances[0], first_density(self.rig, event)
+        else:
+            mean, covariance, log_density = linear_update(
+                moved[0], moved[1], OBSERVATION[self.state_size], moved[0][:2], event.points[0], event.covariances[0]
+            )
+            log_likelihood = log_density + math.log(event.areas[0])
+        updated = GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, event.camera)
+        return updated, SingleInfo(log_likelihood, self.sets.size)
 
     def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
         """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
         still = time_s == state.home_s or (isinstance(self.motion, Static) and not self.rig.moving)
         if still and camera == state.camera:
             return state.mean, state.covariance
-        for destination, shift in ((space, 0.0), (widened(space), WIDE)):
+        for shift in (0.0, WIDE):
             moved = move(
                 state.mean[None],
                 state.covariance[None],
                 self._home(state)[None],
                 np.array([time_s - state.home_s]),
-                destination,
+                space if shift == 0.0 else widened(space),
                 self.motion,
                 self.sets,
                 state.n_events,
@@ -185,7 +187,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, predicted, event.points[0], event.covariances[0]
         )
-        info = SingleInfo(log_density + float(np.log(event.areas[0])), self.sets.size)
+        info = SingleInfo(log_density + math.log(event.areas[0]), self.sets.size)
         return replace(seen, mean=mean, covariance=covariance), info
 
     def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.disparity.moments import OUT_OF_VIEW, move
-from stereophd.disparity.samples import Method
+from stereophd.disparity.samples import SETS_IN_TURN, Method
 from stereophd.disparity.space import DisparitySpace
 from stereophd.motion import Motion
 from stereophd.single.build import sample_sets
+from stereophd.single.disparity import WIDE, widened
 from stereophd.single.settings import DisparitySettings
 
 Array = NDArray[np.float64]
@@ -39,6 +40,9 @@ class MoveCase:
     dt : float
         Interval, s.
     motion : Motion
+    in_view : bool
+        Whether samples out of the destination's view are left out (V-B), or all in front of it count: a handful of
+        points cannot tell which part of a Gaussian is in view, so that methods of low order take samples there.
     """
 
     home: DisparitySpace
@@ -47,6 +51,7 @@ class MoveCase:
     covariance: Array
     dt: float
     motion: Motion
+    in_view: bool = True
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,8 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
             speed = np.linalg.norm(world[:, 3:], axis=1, keepdims=True)
             world[:, 3:] *= np.minimum(1.0, case.motion.max_speed / speed)
         world = world @ transition.T + rng.multivariate_normal(np.zeros(6), noise, drawn)
-        seen = case.destination.camera.in_view(world[:, :3])
+        camera = case.destination.camera
+        seen = camera.in_view(world[:, :3]) if case.in_view else camera.pose.to_camera(world[:, :3])[:, 2] > 0.0
         moved = case.destination.from_world(world[seen]) - origin
         count += drawn, len(moved)
         sums += moved.sum(axis=0)
@@ -135,23 +141,25 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
 def compare_move(
     case: MoveCase, method: Method, samples: int, reference: MoveMoments, rng: np.random.Generator
 ) -> MoveMoments:
-    """Carry the Gaussian over by one method, once, and compare with the reference."""
+    """Carry the Gaussian over by one method, once, with one of its sample sets, and compare with the reference."""
     settings = DisparitySettings(method, samples)
     moved = move(
         case.mean[None],
         case.covariance[None],
         case.home.packed()[None],
         np.array([case.dt]),
-        case.destination.packed(),
+        case.destination.packed() if case.in_view else widened(case.destination.packed()),
         case.motion,
         sample_sets(settings, case.motion, rng),
-        0,
+        int(rng.integers(SETS_IN_TURN)),
         important=np.array([True]),
     )
     if moved.status[0] == OUT_OF_VIEW:
         nothing = np.full(6, np.nan), np.full((6, 6), np.nan)
         return MoveMoments(method, samples, *nothing, float(moved.fraction[0]), np.inf)
     mean, covariance = moved.means[0], moved.covariances[0]
+    if not case.in_view:
+        mean[:2] -= WIDE
     divergence = gaussian_divergence(reference.mean, reference.covariance, mean, covariance)
     return MoveMoments(method, samples, mean, covariance, float(moved.fraction[0]), divergence)
 

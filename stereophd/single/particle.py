@@ -152,22 +152,26 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
 
     def step(self, state: ParticleState, event: Event) -> tuple[ParticleState, SingleInfo]:
         """Resample, if due, move the particles to the event's time, and weigh them by its detection."""
-        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
+            after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
             return after, SingleInfo(0.0, _effective(state.weights) if len(state.weights) else 0.0)
         rng = np.random.default_rng((self.seed, state.n_events))
         time_s = detection_time(event)
         space = self.rig.space(event.camera, time_s)
         if len(state.weights) == 0:
-            first = self._first(replace(after, home_s=time_s), event, space, rng)
-            return first, SingleInfo(first_density(self.rig, event), float(self.settings.particles))
-        predicted = self._predict(after, time_s, rng)
-        likelihood = log_likelihoods(predicted.particles, space, event.points[0], event.covariances[0])
-        updated, evidence = self._update(predicted, likelihood)
-        return updated, SingleInfo(evidence + float(np.log(event.areas[0])), _effective(updated.weights))
+            particles = self._first(event, space, rng)
+            weights = np.full(particles.shape[1], 1.0 / particles.shape[1])
+            log_weights, log_likelihood = np.log(weights), first_density(self.rig, event)
+        else:
+            particles, weights, log_weights = self._predict(state, time_s, rng)
+            likelihood = log_likelihoods(particles, space, event.points[0], event.covariances[0])
+            weights, log_weights, evidence = self._update(weights, log_weights, likelihood)
+            log_likelihood = evidence + math.log(event.areas[0])
+        updated = ParticleState(event.time_s, time_s, state.n_events + 1, particles, weights, log_weights)
+        return updated, SingleInfo(log_likelihood, _effective(weights))
 
-    def _first(self, state: ParticleState, event: Event, space: Array, rng: np.random.Generator) -> ParticleState:
-        """Particles on the ray of the first detection."""
+    def _first(self, event: Event, space: Array, rng: np.random.Generator) -> Array:
+        """Particles (d, n) on the ray of the first detection."""
         count, size = self.settings.particles, self.state_size
         means, covariances = self.prior.moments(event.points, event.covariances, space, size)
         states = np.empty((count, size))
@@ -181,11 +185,10 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         particles = states_in_world(states, space, 0.0, limit).T[:size].copy()
         if size == 6 and not in_disparity:
             particles[3:] = rng.standard_normal((3, count)) * self.prior.velocity_std
-        weights = np.full(count, 1.0 / count)
-        return replace(state, particles=particles, weights=weights, log_weights=np.log(weights))
+        return particles
 
-    def _predict(self, state: ParticleState, time_s: float, rng: np.random.Generator) -> ParticleState:
-        """Particles at a time, resampled first if too few of them carry the weight."""
+    def _predict(self, state: ParticleState, time_s: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """Particles, weights and their logarithms at a time, resampled first if few particles carry the weight."""
         count = len(state.weights)
         dt = time_s - state.home_s
         due = _effective(state.weights) < self.settings.resample_below * count
@@ -204,7 +207,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             particles = _disturb(particles, index, dt, self.motion.acceleration_std, normal, limit)
         elif due:
             particles = np.ascontiguousarray(particles[:, index])
-        return replace(state, home_s=time_s, particles=particles, weights=weights, log_weights=log_weights)
+        return particles, weights, log_weights
 
     def _kernel(self, state: ParticleState, rng: np.random.Generator) -> Array:
         """Draws (d, n) of the Gaussian kernel of least error for a Gaussian (Musso, Oudjane and Le Gland 2001)."""
@@ -215,18 +218,17 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(width * factor @ rng.standard_normal((size, count)))
 
-    def _update(self, state: ParticleState, log_likelihood: Array) -> tuple[ParticleState, float]:
-        """Weights after a detection, and the logarithm of its predicted density."""
+    def _update(self, weights: Array, log_weights: Array, log_likelihood: Array) -> tuple[Array, Array, float]:
+        """Weights and their logarithms after a detection, and the logarithm of its predicted density."""
         if self.settings.weights == "linear":
-            weights = state.weights * np.exp(log_likelihood)
-            total = float(weights.sum())
+            updated = weights * np.exp(log_likelihood)
+            total = float(updated.sum())
             if total > 0.0:
-                return replace(state, weights=weights / total), math.log(total)
+                return updated / total, log_weights, math.log(total)
         elif log_likelihood.max() > -np.inf:
-            weights, log_weights, evidence = _weigh(state.log_weights, log_likelihood)
-            return replace(state, weights=weights, log_weights=log_weights), evidence
+            return _weigh(log_weights, log_likelihood)
         # no particle can have made the detection: the smallest number there is
-        return state, math.log(np.finfo(float).tiny)
+        return weights, log_weights, math.log(np.finfo(float).tiny)
 
     def estimate(self, state: ParticleState) -> SingleEstimate | None:
         """Return the weighted mean and covariance, and the particle of the largest weight."""

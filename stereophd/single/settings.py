@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from stereophd.disparity.samples import Method
+from stereophd.disparity.samples import MAX_NONLINEARITY, Method
 
 Resampling = Literal["systematic", "stratified", "residual", "multinomial"]
 Weights = Literal["logarithmic", "linear"]
@@ -23,11 +23,14 @@ class DisparitySettings:
         Samples of a move; the paper's experiments use 100 and 250.
     rectified : bool
         Algorithm 1: one disparity space for all cameras, which must be rectified.
+    max_nonlinearity : float
+        Of method ``adaptive``.
     """
 
     method: Method = "qmc"
     samples: int = 64
     rectified: bool = False
+    max_nonlinearity: float = MAX_NONLINEARITY
 
 
 @dataclass(frozen=True)

@@ -162,6 +162,7 @@ class TestConfig:
 
     def test_schema(self, call: Call) -> None:
         schema = json.loads(call("config", "schema").out)
+        assert json.loads(call("config", "schema", "--json").out) == schema
         assert set(CONFIG) <= set(schema["properties"])
 
 

@@ -18,7 +18,7 @@ from stereophd.disparity.space import DisparitySpace
 from stereophd.motion import ConstantVelocity, Motion, Static
 from tests.disparity.cases import converging, make_camera, make_space, oracle_trip, random_covariance, state_in
 
-METHODS = ("qmc", "particle", "unscented", "linear")
+METHODS = ("qmc", "particle", "adaptive", "unscented", "linear")
 REFERENCE_SAMPLES = 200_000
 
 

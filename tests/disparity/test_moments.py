@@ -33,7 +33,7 @@ def check_against_reference(case: Case, method: str, samples: int) -> None:
 
 
 @pytest.mark.parametrize("size", [3, 6])
-@pytest.mark.parametrize("method", ["qmc", "unscented", "linear"])
+@pytest.mark.parametrize("method", ["qmc", "adaptive", "unscented", "linear"])
 def test_nearly_linear_move(method: str, size: int) -> None:
     """Where the map is nearly linear no sampling noise is left: 1 % of a deviation, 2 % of a covariance."""
     case = nearly_linear(size)

@@ -31,9 +31,7 @@ def rig(*cameras: Camera) -> Rig:
 
 def table_two(depth: float, mean: float, variance: float) -> LocalisationScenario:
     cameras = rig(camera("left", 0.0, 0.0), camera("right", 30.0, math.pi / 12))
-    return LocalisationScenario(
-        cameras, np.array([0.0, 0.0, depth]), InitialPrior((mean, math.sqrt(variance))), (0, 1)
-    )
+    return LocalisationScenario(cameras, np.array([0.0, 0.0, depth]), InitialPrior((mean, math.sqrt(variance))), (0, 1))
 
 
 def figure_ten(steps: int = 20) -> LocalisationScenario:
