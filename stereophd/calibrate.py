@@ -21,7 +21,7 @@ from stereophd.io.logs import LogReader
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
 from stereophd.io.tables import SCANS, TRACKS, TableWriter, history_schema, posterior_schema
 from stereophd.track import report_times
-from stereophd.track_output import write_records
+from stereophd.track_output import smoothed_records, write_records
 from stereophd.track_run import run_filter
 
 if TYPE_CHECKING:
@@ -156,7 +156,10 @@ def _write_tracks(
         TableWriter(out.path("tracks.parquet"), TRACKS, metadata) as tracks,
         TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
     ):
-        records = run_filter(pmb_filter(loaded, cameras), reader, report_times(config.report))
+        multi_filter = pmb_filter(loaded, cameras)
+        records = run_filter(multi_filter, reader, report_times(config.report))
+        if config.report.smooth is not None:
+            records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
         names = [camera.name for camera in cameras]
         return write_records(records, tracks, scans, names, config.report.max_position_std)
 
