@@ -72,7 +72,8 @@ def with_windows(series: Sequence[Series], windows: Windows, squares: bool = Tru
             inside = (one.times_s >= first) & (one.times_s <= last) & ~np.isnan(one.values)
             values = one.values[inside]
             mean = np.array([values.mean() if values.size else np.nan])
-            root = np.array([np.sqrt((values**2).mean()) if values.size else np.nan])
+            with np.errstate(over="ignore"):  # of a filter that has lost all it knew
+                root = np.array([np.sqrt((values**2).mean()) if values.size else np.nan])
             out.append(Series(f"{one.quantity}_{name}", one.unit, root if is_rms(one.quantity) else mean))
             if squares and one.quantity.endswith(ERROR):
                 out.append(Series(f"{one.quantity.removesuffix(ERROR)}{RMSE}_{name}", one.unit, root))
@@ -138,10 +139,10 @@ def _bound(bound: Series | None, times_s: Array | None, count: int) -> Array:
 
 def _summary(quantity: str, unit: str, times_s: Array | None, values: Array, bound: Array) -> Summary:
     rms = is_rms(quantity)
-    samples = values**2 if rms else values
-    defined = ~np.isnan(samples)
+    defined = ~np.isnan(values)
     runs = defined.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        samples = values**2 if rms else values
         mean = np.where(defined, samples, 0.0).sum(axis=0) / runs
         squares = np.where(defined, (samples - mean) ** 2, 0.0).sum(axis=0)
         std = np.where(runs > 1, np.sqrt(squares / (runs - 1.0)), np.nan)

@@ -24,7 +24,7 @@ CONFIG: dict[str, Any] = {
         for name, x in (("left", -5.0), ("right", 5.0))
     },
     "motion": {"acceleration_std": 0.01, "max_speed": 5.0},
-    "moments": {"samples": 16},
+    "moments": {"samples": 64},
     "filter": {"kind": "phd", "birth": {"velocity_std": 1.0, "depth_range": [50, 200]}},
     "simulate": {
         "duration_s": 8,

@@ -145,12 +145,12 @@ class TestPlan:
             ("experiment.methods={a: {motion.max_sped: 3}}", "experiment.methods.a: motion.max_sped: unknown key"),
             (
                 "experiment.methods={a: {moments.samples: 17}}",
-                "samples: expected a power of two for method qmc, found 17",
+                "samples: expected a power of two of at least 64 for method qmc, found 17",
             ),
             ("experiment.cases={b: {key: seed, values: [x]}}", "experiment.cases.b: seed: expected an integer"),
             ("experiment.cases={b: {key: seed}}", "expected key and values, or settings"),
             ("experiment.figure.over=b", "figure.over: expected the name of an axis"),
-            ("experiment.scenario.kind=multi", "experiment.scenario.kind: expected"),
+            ("experiment.scenario.kind=multi", "experiment.scenario: expected one of"),
             (
                 "simulate.acceleration_std=0.1",
                 "simulate.acceleration_std: expected 0 with the tracker known_association",

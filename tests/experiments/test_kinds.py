@@ -86,7 +86,7 @@ class TestManyObjects:
     def test_known_association_is_the_limit(self, load: Load) -> None:
         # 10 scenes, 40 s: the filter is worse on average; more data make the limit smaller
         known = load("experiment.scenario.tracker=known_association", "simulate.duration_s=40")
-        tracked = load("simulate.duration_s=40", "moments.samples=64")
+        tracked = load("simulate.duration_s=40")
         errors = {
             name: np.array([by_name(multi_object.run(loaded, run))["ospa_p2_c20"] for run in range(10)])
             for name, loaded in (("known", known), ("tracked", tracked))
