@@ -15,7 +15,6 @@ from stereophd.calibration.parameters import CENTER, QUANTITIES, ROTATION, Param
 from stereophd.calibration.scale import ScaleMeasurement
 from stereophd.config import CameraConfig, Config, MomentsConfig, PhdConfig, PmbConfig, PoseConfig
 from stereophd.config_calibration import BaselineScale, CalibrationConfig, per_axis
-from stereophd.config_single import SingleConfig
 from stereophd.errors import InputError
 from stereophd.geometry.camera import Camera
 from stereophd.io.logs import LogReader
@@ -25,7 +24,8 @@ from stereophd.multi.pmb import PmbFilter
 from stereophd.track import build_filter
 
 if TYPE_CHECKING:
-    from stereophd.config_loading import LoadedConfig
+    from stereophd.config_single import SingleConfig
+from stereophd.config_loading import LoadedConfig
 
 
 @dataclass(frozen=True)
@@ -219,9 +219,10 @@ def phd_filter(
 
 
 def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:
-    settings = loaded.config.filter
-    if settings is None:
+    if loaded.config.filter is None:
         raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
-    if isinstance(settings, SingleConfig):
-        raise InputError(f"{loaded.path}: filter.kind: expected a filter for many objects, found single")
-    return settings
+    if isinstance(loaded.config.filter, SingleConfig):
+        raise InputError(
+            f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
+        )
+    return loaded.config.filter
