@@ -17,7 +17,9 @@ class OspaSettings(Model):
 
     order: Annotated[float, Field(ge=1, allow_inf_nan=False)] = Field(2.0, description="order p")
     cutoff: Positive = Field(description="cutoff c, length (mahalanobis: standard deviations)")
-    base: Literal["euclidean", "mahalanobis"] = "euclidean"
+    base: Literal["euclidean", "mahalanobis"] = Field(
+        "euclidean", description="distance of an estimate from an object; mahalanobis: in the estimate's covariance"
+    )
 
     @property
     def quantity(self) -> str:
@@ -29,19 +31,19 @@ class OspaSettings(Model):
 class MultiObjectScenario(Model):
     """The scene of ``simulate``, tracked by ``filter``, scored by OSPA over time."""
 
-    kind: Literal["multi_object"]
+    kind: Literal["multi_object"] = Field(description="what is run")
     tracker: Literal["filter", "known_association"] = Field(
         "filter",
         description="filter: the configuration's; known_association: least squares on all data so far with the true "
         "associations, a limit for all trackers of straight paths",
     )
-    ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)]
+    ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)] = Field(description="distances that are reported")
 
 
 class LocalisationScenario(Model):
     """A static object observed by one camera after another, located by ``filter`` (kind single)."""
 
-    kind: Literal["localisation"]
+    kind: Literal["localisation"] = Field(description="what is run")
     position: Vector3 = Field(description="of the object, in the world")
     sequence: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         description="name of the camera of each observation"
@@ -54,7 +56,7 @@ class LocalisationScenario(Model):
 class TrackingScenario(Model):
     """A moving object seen by all cameras at the same times, tracked by ``filter`` (kind single)."""
 
-    kind: Literal["tracking"]
+    kind: Literal["tracking"] = Field(description="what is run")
     position: Vector3 = Field(description="of the object at the first time")
     velocity: Vector3 = Field(description="of the object at the first time; it accelerates as ``motion`` says")
     steps: Annotated[int, Field(ge=1)] = Field(description="number of times")
@@ -67,7 +69,7 @@ class TrackingScenario(Model):
 class MoveScenario(Model):
     """A Gaussian carried from one disparity space to another as ``moments`` says; compared with a large sample."""
 
-    kind: Literal["move"]
+    kind: Literal["move"] = Field(description="what is run")
     home: str = Field(description="camera in whose disparity space it begins")
     destination: str = Field(description="camera to whose disparity space it is carried")
     point_px: Vector3 = Field(description="mean of u, v and d")
@@ -81,7 +83,7 @@ class MoveScenario(Model):
 class CalibrationScenario(Model):
     """The scene of ``simulate``, its cameras calibrated as ``calibration`` says, from a guess that misses them."""
 
-    kind: Literal["calibration"]
+    kind: Literal["calibration"] = Field(description="what is run")
     every_s: Positive = Field(description="time between two looks at the estimate so far, s")
     bound_scenes: Annotated[int, Field(ge=1)] = Field(
         20, description="scenes (those of the first runs) over which the bound is averaged"
@@ -98,7 +100,7 @@ class AxisConfig(Model):
     """One thing that differs between the cases; the cases are all combinations of the axes."""
 
     key: str | None = Field(None, description="dotted path of the key that takes the values")
-    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = Field(None, description="values of that key")
     unit: str = Field("", description="of the values, for names and figures")
     settings: Annotated[dict[str, Settings], Field(min_length=1)] | None = Field(
         None, description="instead of key and values: name of the value -> the keys that it sets, and their values"
@@ -127,7 +129,7 @@ def _plain(value: Any) -> str:
 class FigureConfig(Model):
     """What the figure shows: a panel a quantity, a line a method."""
 
-    title: str | None = None
+    title: str | None = Field(None, description="title of the figure; the number of runs is added")
     quantities: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
         None, description="names of quantities; default all that vary with time, or else all"
     )
@@ -142,7 +144,7 @@ class ExperimentConfig(Model):
     """Monte Carlo runs of a scenario: every method in every case sees the same data in run k."""
 
     name: str | None = Field(None, description="name in the results; default the name of the file")
-    scenario: Scenario
+    scenario: Scenario = Field(description="what is run, by its kind")
     runs: Annotated[int, Field(ge=1)] = Field(description="number of runs of each method in each case")
     methods: Annotated[dict[str, Settings], Field(min_length=1)] = Field(
         description="name -> dotted paths of any keys of this file, and the values they take for this method"
@@ -154,7 +156,7 @@ class ExperimentConfig(Model):
     table: tuple[str, ...] | None = Field(
         None, description="quantities of the table on the terminal; default those without time"
     )
-    figure: FigureConfig = Field(default_factory=FigureConfig)
+    figure: FigureConfig = Field(default_factory=FigureConfig, description="what the figure shows")
 
     @model_validator(mode="after")
     def _order(self) -> ExperimentConfig:
