@@ -32,8 +32,10 @@ __all__ = [
     "INTEGER",
     "OBJECT_ID",
     "ROW_GROUP_ROWS",
+    "RUNS",
     "SCANS",
     "STRING",
+    "SUMMARY",
     "TRACKS",
     "TRUTH",
     "TableWriter",
@@ -78,6 +80,34 @@ SCANS = _schema(
         "log_likelihood": FLOAT,
         "n_components": INTEGER,
     }
+)
+#: One row a value of a run of an experiment; time_s is null for what belongs to the whole run.
+RUNS = _schema(
+    {
+        "experiment": STRING,
+        "method": STRING,
+        "case": STRING,
+        "run": INTEGER,
+        "time_s": FLOAT,
+        "quantity": STRING,
+        "unit": STRING,
+        "value": FLOAT,
+    },
+    nullable=("time_s",),
+)
+#: One row a method, case, time and quantity of an experiment; null: not defined, or no bound known.
+SUMMARY = _schema(
+    {
+        "experiment": STRING,
+        "method": STRING,
+        "case": STRING,
+        "time_s": FLOAT,
+        "quantity": STRING,
+        "unit": STRING,
+        "runs": INTEGER,
+        **dict.fromkeys(("mean", "std", "ci_low", "ci_high", "bound"), FLOAT),
+    },
+    nullable=("time_s", "mean", "std", "ci_low", "ci_high", "bound"),
 )
 
 
