@@ -15,6 +15,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from stereophd.config_base import Finite, Model, NonNegative, Positive, Vector3
+from stereophd.config_calibration import CalibrationConfig
+from stereophd.config_experiment import ExperimentConfig
 from stereophd.config_single import DisparityPrior, SingleConfig
 from stereophd.geometry.camera import Camera, Clock, Detector
 from stereophd.geometry.lens import Lens
@@ -568,3 +570,5 @@ class Config(Model):
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
+    calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
+    experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")

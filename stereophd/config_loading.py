@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -42,6 +43,8 @@ class LoadedConfig:
         The configuration file.
     inputs
         Role (``config``, ``cameras``) -> SHA-256 of the files that were read.
+    tree
+        What the file and the overrides say, cameras inline, without defaults.
     """
 
     config: Config
@@ -50,6 +53,7 @@ class LoadedConfig:
     sha256: str
     path: Path
     inputs: dict[str, str]
+    tree: Tree = field(default_factory=lambda: Tree({}), repr=False, compare=False)
 
     def build_cameras(self) -> tuple[Camera, ...]:
         """Return the geometric cameras in order.
@@ -119,9 +123,36 @@ def load_config(
     _check_camera_of_reports(config, tree)
     if unit is not None and unit != config.units.length:
         raise InputError(f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}")
+    return _loaded(config, source, inputs, tree)
+
+
+def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any]]]) -> LoadedConfig:
+    """Return a configuration with some values changed.
+
+    Parameters
+    ----------
+    loaded
+        The configuration.
+    settings
+        Where a change is written (for messages), and dotted key path -> value; later ones win.
+
+    Raises
+    ------
+    InputError
+        As `load_config`.
+    """
+    tree = copy.deepcopy(loaded.tree)
+    for where, changes in settings:
+        for key, value in changes.items():
+            change = Tree(copy.deepcopy(value), {(): Place(f"{loaded.path}: {where}")})
+            _apply(tree, _key_path(key), change)
+    return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
+
+
+def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> LoadedConfig:
     resolved = config.model_dump(mode="json")
     cameras = config.cameras if isinstance(config.cameras, dict) else {}
-    return LoadedConfig(config, cameras, resolved, sha256_of(resolved), source, inputs)
+    return LoadedConfig(config, cameras, resolved, sha256_of(resolved), path, inputs, tree)
 
 
 def load_cameras(path: Path | str) -> CamerasFile:
@@ -188,11 +219,14 @@ def _inline_cameras(tree: Tree, path: Path) -> tuple[str, str]:
 
 def _parse_override(text: str) -> tuple[KeyPath, Tree]:
     key, separator, value = text.partition("=")
-    parts = key.strip().split(".")
     source = f"--set {text}"
-    if not separator or not all(parts):
+    if not separator or not all(key.strip().split(".")):
         raise InputError(f"{source}: expected KEY.PATH=VALUE")
-    return tuple(int(part) if part.isdecimal() else part for part in parts), parse_yaml(value, source, numbered=False)
+    return _key_path(key), parse_yaml(value, source, numbered=False)
+
+
+def _key_path(key: str) -> KeyPath:
+    return tuple(int(part) if part.isdecimal() else part for part in key.strip().split("."))
 
 
 def _apply(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:

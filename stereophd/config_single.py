@@ -44,24 +44,26 @@ class SinglePriorConfig(Model):
 class DisparityEstimatorConfig(Model):
     """Gaussian on disparity space, carried as ``moments`` says (paper, Algorithm 2)."""
 
-    kind: Literal["disparity"] = "disparity"
+    kind: Literal["disparity"] = Field("disparity", description="the estimator")
 
 
 class RectifiedEstimatorConfig(Model):
     """The same for cameras that are rectified with one another (paper, Algorithm 1)."""
 
-    kind: Literal["rectified"]
+    kind: Literal["rectified"] = Field(description="the estimator")
 
 
 class ParticleEstimatorConfig(Model):
     """Particle filter in world space."""
 
-    kind: Literal["particle"]
-    particles: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
+    kind: Literal["particle"] = Field(description="the estimator")
+    particles: Annotated[int, Field(ge=2, le=10_000_000)] = Field(1000, description="number of particles")
     weights: Literal["logarithmic", "linear"] = Field(
         "logarithmic", description="linear: weights underflow where the prior is poor"
     )
-    resampling: Literal["systematic", "stratified", "residual", "multinomial"] = "systematic"
+    resampling: Literal["systematic", "stratified", "residual", "multinomial"] = Field(
+        "systematic", description="how particles are drawn again by their weights"
+    )
     resample_below: Annotated[float, Field(ge=0, le=1)] = Field(
         0.5, description="resample below this effective fraction of the particles; 0: never"
     )
@@ -71,14 +73,16 @@ class ParticleEstimatorConfig(Model):
 class InverseDepthEstimatorConfig(Model):
     """Extended Kalman filter on ray and inverse depth."""
 
-    kind: Literal["inverse_depth"]
+    kind: Literal["inverse_depth"] = Field(description="the estimator")
 
 
 class CartesianEstimatorConfig(Model):
     """Kalman filter in world space."""
 
-    kind: Literal["cartesian"]
-    rule: Literal["extended", "unscented"] = "extended"
+    kind: Literal["cartesian"] = Field(description="the estimator")
+    rule: Literal["extended", "unscented"] = Field(
+        "extended", description="of the observation: linearised, or by points"
+    )
 
 
 EstimatorConfig = Annotated[
@@ -94,9 +98,9 @@ EstimatorConfig = Annotated[
 class SingleConfig(Model):
     """One object, seen at most once a frame: no clutter, no association."""
 
-    kind: Literal["single"]
-    prior: SinglePriorConfig
-    estimator: EstimatorConfig = Field(default_factory=DisparityEstimatorConfig)
+    kind: Literal["single"] = Field(description="the filter")
+    prior: SinglePriorConfig = Field(description="of the object at its first detection")
+    estimator: EstimatorConfig = Field(default_factory=DisparityEstimatorConfig, description="how it is estimated")
     point: Literal["mean", "map"] = Field(
         "mean", description="what is written: the mean, or the state of greatest density"
     )

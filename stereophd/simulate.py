@@ -36,7 +36,11 @@ Progress = Callable[[int, int], None]
 DETECTIONS_FILE = "detections.parquet"
 TRUTH_FILE = "truth.parquet"
 CAMERAS_FILE = "cameras.yaml"
-FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE)
+# Of a scenario with a calibration section: cameras about which the true ones are a draw from the prior.
+GUESS_FILE = "guess.yaml"
+FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
+# Key of the random numbers of the guess among those of a run.
+GUESS_KEY = 2
 
 # Frames between two calls of `progress`.
 PROGRESS_EVERY = 500
@@ -133,6 +137,11 @@ def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progre
         for name, camera in loaded.cameras.items()
     }
     write_cameras(paths[CAMERAS_FILE], described, config.units.length, record)
+    if config.calibration is not None:
+        from stereophd.calibrate_inputs import draw_guess  # only here: most scenarios have no calibration
+
+        guess = draw_guess(loaded, np.random.SeedSequence(config.seed, spawn_key=(run, GUESS_KEY)))
+        write_cameras(paths[GUESS_FILE], {n: guess[n] for n in described}, config.units.length, record)
     _write_truth(paths[TRUTH_FILE], scene, metadata)
     report = None if progress is None else partial(_every, progress, scene.grid.frame_count())
     return _write_log(paths[DETECTIONS_FILE], scene, frame_seed, metadata, settings.object_id, report)

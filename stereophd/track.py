@@ -99,6 +99,10 @@ def track(
     estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
     if estimated and isinstance(config.filter, SingleConfig):
         raise InputError(f"{loaded.path}: detector: expected given where filter.kind is single, found estimate")
+    rolling = [camera for camera in cameras if camera.readout_s != 0.0]
+    if rolling and isinstance(config.filter, SingleConfig):
+        where = f"{loaded.path}: cameras.{rolling[0].name}.readout_s"
+        raise InputError(f"{where}: expected 0 where filter.kind is single, found {rolling[0].readout_s:g}")
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, config.seed)
     _announce_compilation()
     reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)

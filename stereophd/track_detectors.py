@@ -26,6 +26,9 @@ MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
 
+# A detector that never misses ends a track at its first miss, and would never be found to miss.
+MOST_P_DETECT = 0.99
+
 # Correlation of successive residuals from which errors cannot pass for white noise.
 LASTING = 0.3
 
@@ -47,6 +50,8 @@ class _Settled:
 
     def count(self, label: int, camera: int, detected: float, missed: float, sums: list[DetectorSums]) -> None:
         """Keep what a frame said of a track until the track is detected again."""
+        if detected + missed <= 0.0:  # of a camera that never misses, given so: nothing can be said
+            return
         waiting = self._waiting.setdefault(label, {}).setdefault(camera, [0.0, 0.0])
         # seen again later, it existed all the time
         waiting[0] += detected / (detected + missed)
@@ -137,11 +142,12 @@ def estimate_detectors(
     report : dict
         For ``report.json``: by camera the values, their standard errors and the numbers behind them.
     """
+    used = tuple(_start(camera) if camera.name in estimated else camera for camera in cameras)
     found: dict[str, DetectorEstimate] = {}
     passes, converged, own_noise = 0, False, False
     while passes < MOST_PASSES and not converged:
         passes += 1
-        sums, own_noise = _pass(build_filter(cameras), make_reader(), progress)
+        sums, own_noise = _pass(build_filter(used), make_reader(), progress)
         converged = True
         updated = []
         for camera, mine in zip(cameras, sums, strict=True):
@@ -151,7 +157,7 @@ def estimate_detectors(
                 converged = converged and _agree(detector, estimate)
                 detector = estimate.detector
             updated.append(replace(camera, detector=detector))
-        cameras = tuple(updated)
+        cameras = used = tuple(updated)
         texts = [_text(name, estimate) for name, estimate in found.items()]
         LOGGER.info("detectors, pass %d: %s", passes, "; ".join(texts))
     if not converged:
@@ -159,6 +165,14 @@ def estimate_detectors(
     _warn(found, own_noise)
     report = {name: _report(estimate) for name, estimate in found.items()}
     return cameras, {"passes": passes, "converged": converged, "cameras": report}
+
+
+def _start(camera: Camera) -> Camera:
+    """Return a camera whose detector can be found to miss."""
+    given = camera.detector
+    if given.p_detect <= MOST_P_DETECT:
+        return camera
+    return replace(camera, detector=Detector(given.sigma, MOST_P_DETECT, given.clutter_per_frame))
 
 
 def _warn(found: Mapping[str, DetectorEstimate], own_noise: bool) -> None:

@@ -112,6 +112,15 @@ def test_tracks_with_estimated_detectors_are_as_with_the_true_ones(logs: Path, t
     assert scores["start"][1] < 0.5 * scores["true"][1]
 
 
+@pytest.mark.parametrize("start", [((3.0, 3.0), 1.0, 0.0), ((0.7, 0.7), 0.6, 0.5)], ids=["too good", "too sharp"])
+def test_from_other_starts(logs: Path, tmp_path: Path, start: tuple[tuple[float, float], float, float]) -> None:
+    """Detectors said never to miss and never to be wrong, or much sharper than they are: the same values."""
+    overrides = ("detector=estimate", *given(dict.fromkeys(TRUE, start)))
+    found = estimated(logs, tmp_path / "out", 0, *overrides)["detectors"]
+    for name in TRUE:
+        assert np.abs(errors_in_deviations(found, name)).max() < 5.0
+
+
 def test_only_the_cameras_that_ask_for_it(logs: Path, tmp_path: Path) -> None:
     overrides = (*given({"left": TRUE["left"]}), "cameras.right.detector=estimate")
     found = estimated(logs, tmp_path / "out", 1, *overrides)["detectors"]

@@ -14,7 +14,7 @@ from stereophd.config_loading import LoadedConfig, load_cameras, load_config
 from stereophd.errors import InputError
 from stereophd.io.logs import LogReader
 from stereophd.io.provenance import from_metadata
-from stereophd.simulate import FILES, simulate
+from stereophd.simulate import CAMERAS_FILE, DETECTIONS_FILE, TRUTH_FILE, simulate
 
 SCENARIO = """
 units: {length: cm}
@@ -57,6 +57,9 @@ def scenario(tmp_path: Path) -> LoadedConfig:
     path = tmp_path / "scenario.yaml"
     path.write_text(SCENARIO)
     return load_config(path)
+
+
+FILES = (CAMERAS_FILE, DETECTIONS_FILE, TRUTH_FILE)
 
 
 def variant(scenario: LoadedConfig, *overrides: str, seed: int | None = None) -> LoadedConfig:

@@ -85,6 +85,8 @@ def test_same_seed_same_bytes(log: Path, tmp_path: Path) -> None:
         (["filter.prior={disparity: {mean_px: 9, std_px: 3}}"], "filter.prior: expected velocity_std"),
         (["filter.estimator={kind: rectified}"], "expected right to be rectified with left"),
         (["filter.prior={velocity_std: 3}"], "exactly one of disparity and depth_range"),
+        (["detector=estimate"], "detector: expected given where filter.kind is single, found estimate"),
+        (["cameras.right.readout_s=0.01"], "cameras.right.readout_s: expected 0 where filter.kind is single"),
     ],
 )
 def test_bad_configurations(overrides: list[str], message: str, log: Path, tmp_path: Path) -> None:

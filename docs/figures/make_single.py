@@ -49,7 +49,7 @@ def _camera(name: str, x: float, yaw: float, sigma: float = 1.4) -> Camera:
 
 def draw_uncertainty(path: Path) -> None:
     """After the paper's Figure 3: what two noisy detections say of a position, in disparity space and in the world."""
-    sigma, point = 5.0, np.array([0.0, 0.0, 150.0])
+    sigma, point = 8.0, np.array([0.0, 0.0, 150.0])
     left, right = _camera("left", 0.0, 0.0, sigma), _camera("right", 15.0, 0.0, sigma)
     space = DisparitySpace(left, 15.0)
     world = inverse_information(sum(detection_information(c, point[None])[0] for c in (left, right)))
@@ -68,18 +68,18 @@ def draw_uncertainty(path: Path) -> None:
     mapped = space.to_world(boundary)
     rng = np.random.default_rng(1)
     cloud = space.to_world(rng.multivariate_normal(mean, covariance, CLOUD))
-    two.plot(cloud[:3000, 2], cloud[:3000, 0], ".", ms=1.2, color="0.75", label="samples", zorder=1)
+    two.plot(cloud[:3000, 2], cloud[:3000, 0], ".", ms=1.2, color="0.78", label="samples", zorder=1)
     two.plot(mapped[:, 2], mapped[:, 0], color=BLUE, lw=1.8, label="the Gaussian of disparity space, mapped")
     _curve(two, point, world, (2, 0), color=ORANGE, ls="--", label="Gaussian in the world, to first order")
     for camera in (left, right):
         for sign in (-1.0, 1.0):
             pixel = camera.project(point[None]) + [[sign * SIGMAS * sigma, 0.0]]
-            ends = camera.unproject(np.repeat(pixel, 2, axis=0), np.array([90.0, 260.0]))
+            ends = camera.unproject(np.repeat(pixel, 2, axis=0), np.array([80.0, 260.0]))
             two.plot(ends[:, 2], ends[:, 0], color="0.4", lw=0.7, label=None)
     two.plot(point[2], point[0], "k+", ms=8)
-    two.set(xlabel="z, cm", ylabel="x, cm", xlim=(105, 240), ylim=(-3.2, 3.2))
+    two.set(xlabel="z, cm", ylabel="x, cm", xlim=(95, 250), ylim=(-5.2, 7.5))
     two.set_title("The world: it is not (as Fig. 3)", loc="left", fontsize=10)
-    two.legend(frameon=False, loc="upper right", fontsize=8)
+    two.legend(framealpha=1.0, edgecolor="white", loc="upper right", fontsize=8)
     _save(figure, path)
 
 

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 import stereophd
-from stereophd.cli import config, evaluate, interrupts, simulate, track
+from stereophd.cli import calibrate, config, evaluate, experiment, interrupts, simulate, track
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
 
@@ -37,7 +37,9 @@ app = typer.Typer(
 )
 app.command("simulate")(simulate.simulate_command)
 app.command("track")(track.track_command)
+app.command("calibrate")(calibrate.calibrate_command)
 app.command("evaluate")(evaluate.evaluate_command)
+app.command("experiment")(experiment.experiment_command)
 app.add_typer(config.app, name="config")
 
 

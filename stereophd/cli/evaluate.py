@@ -11,7 +11,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.options import Session
-from stereophd.cli.terminal import begin, print_report, quiet_pipe
+from stereophd.cli.terminal import begin, load, print_report, quiet_pipe
 from stereophd.errors import GateError, InputError
 
 
@@ -31,8 +31,8 @@ class At(StrEnum):
 
 def evaluate_command(
     context: typer.Context,
-    tracks: Annotated[Path, typer.Argument(metavar="TRACKS", help="tracks.parquet.", show_default=False)],
-    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.parquet.", show_default=False)],
+    tracks: Annotated[Path | None, typer.Argument(metavar="TRACKS", help="tracks.parquet.", show_default=False)] = None,
+    truth: Annotated[Path | None, typer.Argument(metavar="TRUTH", help="truth.parquet.", show_default=False)] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -103,10 +103,29 @@ def evaluate_command(
         typer.Option(
             "--cameras",
             metavar="FILE",
-            help="Cameras (YAML): the clocks of --log, and the cameras in the plots.",
+            help="Cameras (YAML): the clocks of --log, the cameras in the plots; with --true-cameras, what is scored.",
             show_default=False,
         ),
     ] = None,
+    true_cameras: Annotated[
+        Path | None,
+        typer.Option(
+            "--true-cameras",
+            metavar="FILE",
+            help="True cameras (YAML): score the calibration in --cameras instead of tracks.",
+            show_default=False,
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config",
+            metavar="CONFIG",
+            help="With --true-cameras: simulated scenario and priors whose Cramer-Rao bound is told.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: options.Seed = None,
     fail_above: Annotated[
         list[str] | None,
         typer.Option(
@@ -130,8 +149,15 @@ def evaluate_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Score tracks against the truth: OSPA, OSPA(2), GOSPA, RMSE, cardinality, identities, NEES."""
+    """Score tracks against the truth (OSPA, RMSE, identities, NEES), or calibrated cameras against true ones."""
     session = begin(context)
+    if true_cameras is not None:
+        if cameras is None or tracks is not None:
+            raise InputError("--true-cameras: expected --cameras FILE to score, and neither TRACKS nor TRUTH")
+        _evaluate_cameras(session, cameras, true_cameras, out, config, seed, _parse_limits(fail_above or []), force)
+        return
+    if tracks is None or truth is None:
+        raise InputError("expected TRACKS and TRUTH, or --cameras and --true-cameras")
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
     limits = _parse_limits(fail_above or [])
@@ -165,6 +191,30 @@ def evaluate_command(
             _show(session, failed)
         raise
     _show(session, report)
+
+
+def _evaluate_cameras(
+    session: Session,
+    cameras: Path,
+    true_cameras: Path,
+    out: Path | None,
+    config: Path | None,
+    seed: int | None,
+    limits: dict[str, float],
+    force: bool,
+) -> None:
+    """Score calibrated cameras."""
+    from stereophd.evaluate_calibration import evaluate_calibration
+
+    loaded = None if config is None else load(config, None, seed, true_cameras)
+    try:
+        report = evaluate_calibration(cameras, true_cameras, out, loaded, None, limits, force)
+    except GateError as error:
+        failed = _report_of(error, out)
+        if failed is not None:
+            print_report(session, failed)
+        raise
+    print_report(session, report)
 
 
 def _report_of(error: GateError, out: Path | None) -> dict[str, Any] | None:

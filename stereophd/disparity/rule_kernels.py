@@ -138,4 +138,4 @@ def _nonlinearity(images: Array, factor: Array) -> float:
                 value -= factor[a, b] * even[b]
             even[a] = value / factor[a, a]
             total += even[a] * even[a]
-    return math.sqrt(total) / half
+    return float(math.sqrt(total) / half)

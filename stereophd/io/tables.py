@@ -32,14 +32,18 @@ __all__ = [
     "INTEGER",
     "OBJECT_ID",
     "ROW_GROUP_ROWS",
+    "RUNS",
     "SCANS",
     "STRING",
+    "SUMMARY",
     "TRACKS",
     "TRUTH",
     "TableWriter",
     "check_columns",
     "damaged_is_input_error",
+    "history_schema",
     "open_parquet",
+    "posterior_schema",
     "read_table",
 ]
 
@@ -77,6 +81,45 @@ SCANS = _schema(
         "n_components": INTEGER,
     }
 )
+#: One row a value of a run of an experiment; time_s is null for what belongs to the whole run.
+RUNS = _schema(
+    {
+        "experiment": STRING,
+        "method": STRING,
+        "case": STRING,
+        "run": INTEGER,
+        "time_s": FLOAT,
+        "quantity": STRING,
+        "unit": STRING,
+        "value": FLOAT,
+    },
+    nullable=("time_s",),
+)
+#: One row a method, case, time and quantity of an experiment; null: not defined, or no bound known.
+SUMMARY = _schema(
+    {
+        "experiment": STRING,
+        "method": STRING,
+        "case": STRING,
+        "time_s": FLOAT,
+        "quantity": STRING,
+        "unit": STRING,
+        "runs": INTEGER,
+        **dict.fromkeys(("mean", "std", "ci_low", "ci_high", "bound"), FLOAT),
+    },
+    nullable=("time_s", "mean", "std", "ci_low", "ci_high", "bound"),
+)
+
+
+def posterior_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of a posterior: one row a particle, one column a parameter (`names`), and its weight."""
+    return _schema({"weight": FLOAT, **dict.fromkeys(names, FLOAT)})
+
+
+def history_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of a history: one row a time, the means of the parameters and their covariance, row-major."""
+    covariance = pa.list_(pa.field("item", FLOAT, nullable=False), len(names) ** 2)
+    return _schema({"time_s": FLOAT, **dict.fromkeys(names, FLOAT), "covariance": covariance})
 
 
 def _array(chunks: list[tuple[Any, int]], field: pa.Field) -> pa.Array:

@@ -1,0 +1,1 @@
+"""Calibration of the cameras from the moving objects themselves (paper section VII)."""

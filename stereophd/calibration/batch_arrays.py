@@ -1,0 +1,166 @@
+"""What the conditional filters hand to one another: events, samples and components as plain arrays, and copies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.compilation import compiled
+from stereophd.disparity.kernels import MovedArrays
+from stereophd.multi.intensity import UNLABELLED, Parts
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Components that a hypothesis gets room for at first.
+ROOM = 256
+
+
+class SampleArrays(NamedTuple):
+    """Standard-normal samples of an event, shared by all hypotheses.
+
+    `samples` (rows, n) with `weights` (n,) of 1; `reserve` (rows, r) with `reserve_weights` (r,) for the second
+    look at components of which only a corner is in view (`stereophd.disparity.samples.SampleSets`).
+    """
+
+    samples: Array
+    weights: Array
+    reserve: Array
+    reserve_weights: Array
+
+
+class EventArrays(NamedTuple):
+    """Detections of an event (`stereophd.multi.events.Event`) and the objects they may have given birth to.
+
+    `points` (m, 2), `noises` (m, 2, 2), `areas` (m,), `delays` (m,) or None, `birth_means` (m, d),
+    `birth_covariances` (m, d, d).
+    """
+
+    points: Array
+    noises: Array
+    areas: Array
+    delays: Array | None
+    birth_means: Array
+    birth_covariances: Array
+
+
+class Step(NamedTuple):
+    """Numbers of one event.
+
+    `camera`, `time_s` of the event; `survival` since the last one; first unused label; `p_detect`, `clutter` and
+    `births` a frame, `area` of the camera's image (px^2); `shape_p_detect`: for the shape of the missed part, 0
+    where it keeps its own; `acceleration_std` (3,) and `max_speed` of the motion;
+    `minimum`, `reserve_minimum`: fewest samples in view; `important`, `wide`: weight and relative spread of the
+    disparity from which a component gets a second look; then the parameters of the reduction (`PhdSettings`,
+    `PmbSettings`).
+    """
+
+    camera: int
+    time_s: float
+    survival: float
+    next_label: int
+    p_detect: float
+    shape_p_detect: float
+    clutter: float
+    births: float
+    area: float
+    acceleration_std: Array
+    max_speed: float
+    minimum: int
+    reserve_minimum: int
+    important: float
+    wide: float
+    prune_weight: float
+    merge_distance: float
+    max_components: int
+    mutual: bool
+    recycle_below: float
+    hypothesis_distance: float
+    least_share: float
+
+
+@compiled
+def slice_parts(parts: Parts, first: int, last: int) -> Parts:
+    """Return views of consecutive components."""
+    return (
+        parts[0][first:last], parts[1][first:last], parts[2][first:last], parts[3][first:last],
+        parts[4][first:last], parts[5][first:last], parts[6][first:last], parts[7][first:last],
+    )  # fmt: skip
+
+
+@compiled
+def allocate_parts(count: int, size: int) -> Parts:
+    """Room for components; pages that are never written are never allocated."""
+    return (
+        np.empty(count), np.empty((count, size)), np.empty((count, size, size)), np.empty(count, dtype=np.int64),
+        np.empty(count), np.empty(count, dtype=np.int64), np.full(count, UNLABELLED),
+        np.zeros(count, dtype=np.bool_),
+    )  # fmt: skip
+
+
+@compiled
+def copy_parts(source: Parts, index: Integers, target: Parts, first: int) -> None:
+    """Copy the components with these indices to `target`, from place `first` on.
+
+    Identities and reports are left alone: a conditional filter reports nothing. Loops, because NumPy's
+    assignments would take three times as long to compile.
+    """
+    size = source[1].shape[1]
+    for i in range(len(index)):
+        k, to = index[i], first + i
+        target[0][to], target[4][to] = source[0][k], source[4][k]
+        target[3][to], target[5][to] = source[3][k], source[5][k]
+        for a in range(size):
+            target[1][to, a] = source[1][k, a]
+            for b in range(size):
+                target[2][to, a, b] = source[2][k, a, b]
+
+
+@compiled
+def take_parts(parts: Parts, index: Integers) -> Parts:
+    """Return the components with these indices."""
+    out = allocate_parts(len(index), parts[1].shape[1])
+    copy_parts(parts, index, out, 0)
+    return out
+
+
+@compiled
+def allocate_moved(count: int, size: int) -> MovedArrays:
+    """Return the fields of `stereophd.disparity.moments.Moved`, nothing in view."""
+    return (
+        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
+        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
+    )  # fmt: skip
+
+
+@compiled
+def slice_moved(moved: MovedArrays, first: int, last: int) -> MovedArrays:
+    """Return views of consecutive components."""
+    return (
+        moved[0][first:last], moved[1][first:last], moved[2][first:last], moved[3][first:last],
+        moved[4][first:last], moved[5][first:last], moved[6][first:last],
+    )  # fmt: skip
+
+
+@compiled
+def predicted_parts(
+    begin: int, end: int, parts: Parts, weights: Array, moved: MovedArrays, first: int
+) -> tuple[Parts, MovedArrays, int]:
+    """One hypothesis' components as predicted, the same in the event's space, and where the next one's begin."""
+    last = first + end - begin
+    home = slice_parts(parts, begin, end)
+    before = (weights[first:last], home[1], home[2], home[3], home[4], home[5], home[6], home[7])
+    return before, slice_moved(moved, first, last), last
+
+
+@compiled
+def append_parts(after: Parts, out: Parts, found: int) -> Parts:
+    """Copy components behind the first `found` of `out`; return `out`, or a larger one that replaces it."""
+    if found + len(after[0]) > len(out[0]):
+        larger = allocate_parts(2 * (found + len(after[0])), out[1].shape[1])
+        copy_parts(out, np.arange(found), larger, 0)
+        out = larger
+    copy_parts(after, np.arange(len(after[0])), out, found)
+    return out

@@ -1,0 +1,69 @@
+"""Modes of a posterior, and the mixture of Student t distributions that particles are drawn from around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Degrees of freedom: tails heavier than the posterior's, finite variance.
+DEGREES_OF_FREEDOM = 5.0
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Modes of the posterior, as another method has found them.
+
+    Attributes
+    ----------
+    means, covariances : arrays (j, m), (j, m, m)
+        Optimum and its (Laplace) covariance.
+    weights : array (j,)
+        Share of the particles drawn from each; positive, summing to 1.
+    """
+
+    means: Array
+    covariances: Array
+    weights: Array
+
+    def draw(self, count: int, spread: float, rng: np.random.Generator) -> Array:
+        """Draw values (count, m) from the mixture, stratified over the modes.
+
+        `spread` is a factor on the standard deviations of the modes.
+        """
+        which = np.searchsorted(np.cumsum(self.weights), (np.arange(count) + 0.5) / count)
+        which = np.minimum(which, len(self.weights) - 1)
+        factors = spread * np.linalg.cholesky(self.covariances)
+        normal = rng.standard_normal((count, self.means.shape[1]))
+        scale = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, count))
+        return np.asarray(self.means[which] + scale[:, None] * np.einsum("kab,kb->ka", factors[which], normal))
+
+    def log_density(self, values: Array, spread: float) -> Array:
+        """Log-density (k,) of the mixture at values (k, m)."""
+        parts = [
+            np.log(weight) + _log_student(values - mean, spread * np.linalg.cholesky(covariance))
+            for mean, covariance, weight in zip(self.means, self.covariances, self.weights, strict=True)
+        ]
+        return np.asarray(np.logaddexp.reduce(parts, axis=0))
+
+    def nearest(self, values: Array) -> Integers:
+        """Mode (k,) that each of values (k, m) is nearest to, in the mode's covariance."""
+        distances = [
+            (np.linalg.solve(np.linalg.cholesky(covariance), (values - mean).T) ** 2).sum(axis=0)
+            for mean, covariance in zip(self.means, self.covariances, strict=True)
+        ]
+        return np.asarray(np.argmin(distances, axis=0), dtype=np.int64)
+
+
+def _log_student(differences: Array, factor: Array) -> Array:
+    """Log-density (k,) of the multivariate Student t of shape L L^T at differences (k, m); Cholesky factor L."""
+    size = len(factor)
+    squared = (np.linalg.solve(factor, differences.T) ** 2).sum(axis=0)
+    nu = DEGREES_OF_FREEDOM
+    constant = gammaln(0.5 * (nu + size)) - gammaln(0.5 * nu) - 0.5 * size * np.log(nu * np.pi)
+    return np.asarray(constant - np.log(np.diagonal(factor)).sum() - 0.5 * (nu + size) * np.log1p(squared / nu))

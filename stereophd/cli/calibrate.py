@@ -1,0 +1,50 @@
+"""``stereophd calibrate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, load, print_report, progress_bar
+
+
+def calibrate_command(
+    context: typer.Context,
+    config: options.Config,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Detection log (Parquet).", show_default=False)],
+    out: options.Out,
+    cameras: options.Cameras = None,
+    jobs: Annotated[
+        int,
+        typer.Option("--jobs", metavar="N", help="Processes (-1: all cores); the outputs do not depend on it."),
+    ] = -1,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue from the checkpoint (DIR.checkpoint) of an interrupted run.")
+    ] = False,
+    plots: Annotated[
+        bool | None,
+        typer.Option(
+            "--plots/--no-plots",
+            help="Make plots (needs the extra 'plot'); default: if it is installed.",
+            show_default=False,
+        ),
+    ] = None,
+    overrides: options.Set = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Estimate camera poses from a detection log of moving objects: cameras.yaml, posterior and report."""
+    session = begin(context)
+    loaded = load(config, overrides, seed, cameras)
+    from stereophd.calibrate import calibrate
+
+    with progress_bar(session, "calibrate") as progress:
+        report = calibrate(loaded, log, out, force=force, jobs=jobs, resume=resume, plots=plots, progress=progress)
+    print_report(session, report)

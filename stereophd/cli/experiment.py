@@ -1,0 +1,64 @@
+"""``stereophd experiment``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, load, print_data, progress_bar, quiet_pipe, to_json
+
+# Characters of a line of the table where no terminal limits it.
+PIPED_WIDTH = 180
+
+
+def experiment_command(
+    context: typer.Context,
+    config: options.Config,
+    out: options.Out,
+    jobs: Annotated[
+        int,
+        typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it."),
+    ] = 1,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            "--dask",
+            metavar="ADDRESS",
+            help="Run on the workers of a Dask cluster, such as tcp://host:8786.",
+            show_default=False,
+        ),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted experiment stopped.")] = False,
+    overrides: options.Set = None,
+    seed: options.Seed = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Run a scenario many times with several methods: runs.parquet, summary.parquet and a figure."""
+    session = begin(context)
+    loaded = load(config, overrides, seed, None)
+    from stereophd.experiment import experiment, finished_runs
+
+    try:
+        with progress_bar(session, "experiment") as progress:
+            results = experiment(loaded, out, jobs, dask, resume, force, progress)
+    except (KeyboardInterrupt, SystemExit):
+        count = finished_runs(loaded, out)
+        if count:
+            print(f"{count} finished runs are kept in {out}: --resume goes on with the others", file=sys.stderr)
+        raise
+    from stereophd.report.experiment_table import print_results, report_of
+
+    if session.json:
+        print_data(to_json(report_of(results)))
+    elif not session.quiet:
+        from rich.console import Console
+
+        with quiet_pipe():
+            print_results(results, Console(width=None if sys.stdout.isatty() else PIPED_WIDTH))

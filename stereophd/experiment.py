@@ -1,0 +1,273 @@
+"""Monte Carlo experiments: many runs of a scenario, several methods and cases, on one machine or a cluster.
+
+Every run has random numbers of its own, from the seed and its number: the results are the same to the bit
+whatever the number of workers, and methods see the same data. Finished runs are kept in the output folder
+until all are done.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.config_experiment import ExperimentConfig, Settings
+from stereophd.config_loading import variant
+from stereophd.errors import InputError
+from stereophd.experiments.base import Series, find_kind
+from stereophd.experiments.execution import Progress, execute
+from stereophd.experiments.parts import PATTERN, PartStore, RunResult, parquet_metadata
+from stereophd.experiments.summary import Summary, summarise, with_windows
+from stereophd.experiments.tables import columns_of, columns_of_summary, read_summaries
+from stereophd.experiments.work import BOUND_METHOD, BOUND_RUN, Part
+from stereophd.io.atomic import OutputFolder, output_folder
+from stereophd.io.provenance import from_metadata, provenance, to_metadata
+from stereophd.io.tables import RUNS, SUMMARY, TableWriter
+
+if TYPE_CHECKING:
+    from stereophd.config_loading import LoadedConfig
+
+RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timing.json"
+FIGURE_FILES = ("figure.png", "figure.svg")
+FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method in one case, over all runs."""
+
+    method: str
+    case: str
+    settings: tuple[str, ...]
+    summaries: tuple[Summary, ...]
+
+
+@dataclass(frozen=True)
+class Results:
+    """What an experiment found.
+
+    Attributes
+    ----------
+    name : str
+    config : ExperimentConfig
+    cells : tuple of Cell
+        In the order of the methods and, within a method, of the cases.
+    timing : dict
+        As in ``timing.json``: it differs from call to call, and so is in no other file.
+    """
+
+    name: str
+    config: ExperimentConfig
+    cells: tuple[Cell, ...]
+    timing: dict[str, Any]
+
+
+def experiment(
+    loaded: LoadedConfig,
+    out_dir: Path | str,
+    jobs: int = 1,
+    dask: str | None = None,
+    resume: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Results:
+    """Run an experiment, and write ``runs.parquet``, ``summary.parquet``, ``timing.json`` and the figure.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With an ``experiment`` section.
+    out_dir : path
+        Output folder. Finished runs are kept there until all are done.
+    jobs : int
+        Processes on this machine; 1: this one.
+    dask : str, optional
+        Address of a Dask scheduler whose workers do the runs instead.
+    resume : bool
+        Whether runs that an earlier call finished are taken over; only those missing are done.
+    force : bool
+        Whether results of an earlier experiment may be replaced.
+    progress : callable, optional
+        Called with the runs done and their total.
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    InputError
+        The configuration lacks something, a setting of a method or case is wrong, the output folder cannot
+        be used, or no scheduler answers.
+    StereophdError
+        A run failed again and again; finished runs are kept.
+    """
+    settings = loaded.config.experiment
+    if settings is None:
+        raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
+    if jobs < 1:
+        raise InputError(f"jobs: expected at least 1, found {jobs}")
+    parts = _plan(loaded, settings)
+    out = Path(out_dir)
+    store = PartStore(out, loaded)
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        if _is_finished(store, out, loaded, resume, force):
+            return _read_results(loaded, settings, out)
+        bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
+        wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
+        execute(wanted, store, jobs, dask, progress)
+        results, runs = _results(loaded, settings, parts, store.read())
+        with OutputFolder(out, [*FILES, PATTERN], force=True) as files:
+            _write(results, runs, loaded, files)
+    except BaseException:
+        # finished runs stay; folders that hold none do not
+        for folder in (store.folder, *made):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
+    return results
+
+
+def finished_runs(loaded: LoadedConfig, out_dir: Path | str) -> int:
+    """Return the number of finished runs that wait in an output folder for ``resume``."""
+    return sum(result.method != BOUND_METHOD for result in PartStore(Path(out_dir), loaded).read())
+
+
+def cases_of(settings: ExperimentConfig) -> list[tuple[str, tuple[str, ...], list[tuple[str, Settings]]]]:
+    """Return the cases: name, name of the value along each axis, and what they set (and where it is written)."""
+    axes = [(axis, config.points()) for axis, config in settings.cases.items()]
+    cases = []
+    for point in product(*(points for _, points in axes)):
+        names = tuple(name for name, _ in point)
+        text = ", ".join(f"{axis} {name}" for (axis, _), name in zip(axes, names, strict=True)) or "all"
+        changes = [(f"experiment.cases.{axis}", own) for (axis, _), (_, own) in zip(axes, point, strict=True)]
+        cases.append((text, names, changes))
+    return cases
+
+
+def _plan(loaded: LoadedConfig, settings: ExperimentConfig) -> list[Part]:
+    """Return all parts, and check their configurations: methods by cases, and the bounds of the cases."""
+    parts = []
+    methods: list[tuple[str, list[tuple[str, Settings]]]] = [
+        (name, [(f"experiment.methods.{name}", own)]) for name, own in settings.methods.items()
+    ]
+    for method, changes in [*methods, (BOUND_METHOD, [])]:
+        for case, _, own in cases_of(settings):
+            config = variant(loaded, [*own, *changes])
+            assert config.config.experiment is not None
+            kind = config.config.experiment.scenario.kind
+            if method != BOUND_METHOD:
+                find_kind(kind).check(config)
+            parts.append(Part(method, case, kind, config))
+    return parts
+
+
+def _is_finished(store: PartStore, out: Path, loaded: LoadedConfig, resume: bool, force: bool) -> bool:
+    """Check the output folder; remove what is in the way, where that is allowed. Return if there is nothing to do."""
+    output_folder(out, True, [*FILES, PATTERN])
+    if (out / RUNS_FILE).exists() and not force:
+        record = from_metadata(parquet_metadata(out / RUNS_FILE)) or {}
+        if not resume:
+            raise InputError(f"output folder {out} already holds {RUNS_FILE}; use --force to replace it")
+        if record.get("config_sha256") != loaded.sha256:
+            raise InputError(f"output folder {out} holds the results of another configuration; use --force")
+        LOGGER.info("%s: the experiment is finished: nothing to resume", out)
+        return True
+    if not resume and not force and (store.exists() or store.others()):
+        raise InputError(f"output folder {out} holds runs of an unfinished experiment; use --resume or --force")
+    if store.others() and not force:
+        raise InputError(
+            f"output folder {out} holds runs of another configuration ({store.others()[0].name}): nothing to resume; "
+            "use --force to remove them"
+        )
+    for folder in [*store.others(), *([] if resume else [store.folder])]:
+        shutil.rmtree(folder, ignore_errors=True)
+    return False
+
+
+def _results(
+    loaded: LoadedConfig, settings: ExperimentConfig, parts: list[Part], found: list[RunResult]
+) -> tuple[Results, list[RunResult]]:
+    """Return the summaries, and all runs in their order, with their means over the windows."""
+    by_part: dict[tuple[str, str], dict[int, RunResult]] = {}
+    for result in found:
+        by_part.setdefault((result.method, result.case), {})[result.run] = result
+    bounds: Mapping[str, list[Series]] = {
+        part.case: with_windows(by_part[part.method, part.case][BOUND_RUN].series, settings.windows, squares=False)
+        for part in parts
+        if part.method == BOUND_METHOD
+    }
+    names = {case: points for case, points, _ in cases_of(settings)}
+    cells, runs, cpu = [], [], dict[str, list[float]]()
+    for part in parts:
+        if part.method == BOUND_METHOD:
+            continue
+        own = [by_part[part.method, part.case][run] for run in range(settings.runs)]
+        series = [with_windows(result.series, settings.windows) for result in own]
+        summaries = summarise(series, bounds[part.case])
+        cells.append(Cell(part.method, part.case, names[part.case], tuple(summaries)))
+        runs += [RunResult(r.method, r.case, r.run, tuple(s), r.cpu_s) for r, s in zip(own, series, strict=True)]
+        cpu.setdefault(part.method, []).extend(result.cpu_s for result in own)
+    return Results(_name(loaded), settings, tuple(cells), _timing(cpu)), runs
+
+
+def _name(loaded: LoadedConfig) -> str:
+    assert loaded.config.experiment is not None
+    return loaded.config.experiment.name or loaded.path.stem
+
+
+def _read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) -> Results:
+    """Return the results of a finished experiment from its files."""
+    names = {case: points for case, points, _ in cases_of(settings)}
+    found: dict[tuple[str, str], list[Summary]] = {}
+    for method, case, summary in read_summaries(out / SUMMARY_FILE):
+        found.setdefault((method, case), []).append(summary)
+    cells = tuple(Cell(*key, names[key[1]], tuple(summaries)) for key, summaries in found.items())
+    try:
+        timing = json.loads((out / TIMING_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{out / TIMING_FILE}: cannot be read ({error}); use --force to start anew") from error
+    return Results(_name(loaded), settings, cells, timing)
+
+
+def _timing(cpu: Mapping[str, list[float]]) -> dict[str, Any]:
+    """Return the processor time of a run of each method: the median, which the first run does not move."""
+    medians = {method: float(np.median(seconds)) for method, seconds in cpu.items()}
+    first = next(iter(medians.values()))
+    return {
+        "cpu_s_per_run": medians,
+        "ratio_to_first_method": {method: m / first if first > 0 else None for method, m in medians.items()},
+    }
+
+
+def _write(results: Results, runs: list[RunResult], loaded: LoadedConfig, out: OutputFolder) -> None:
+    metadata = to_metadata(provenance("experiment", loaded))
+    with TableWriter(out.path(RUNS_FILE), RUNS, metadata) as table:
+        for run in runs:
+            for series in run.series:
+                table.append(columns_of(results.name, run.method, run.case, run.run, series))
+    with TableWriter(out.path(SUMMARY_FILE), SUMMARY, metadata) as table:
+        for cell in results.cells:
+            for summary in cell.summaries:
+                table.append(columns_of_summary(results.name, cell.method, cell.case, summary))
+    text = json.dumps(results.timing, indent=2, allow_nan=False) + "\n"
+    out.path(TIMING_FILE).write_text(text, encoding="utf-8")
+    if find_spec("matplotlib") is None:
+        LOGGER.info("no figure: it needs matplotlib (pip install 'stereophd[plot]')")
+        return
+    # Costly to import, and matplotlib is an extra.
+    from stereophd.report.experiment_plots import write_figure
+
+    write_figure(results, {name: out.path(name) for name in FIGURE_FILES})

@@ -1,0 +1,75 @@
+"""What a kind of scenario is: one run of it, and the bound that no method can beat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from stereophd.config_loading import LoadedConfig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values of one quantity in one run.
+
+    Attributes
+    ----------
+    quantity : str
+        Its name. Of a quantity ``X_error`` the root mean square over the runs, ``X_rmse``, is given too.
+    unit : str
+        Its unit, ``1`` for plain numbers.
+    values : array (k,)
+        NaN where it is not defined: left out of means.
+    times_s : array (k,) or None
+        Their times, s; None: one value that belongs to the whole run.
+    """
+
+    quantity: str
+    unit: str
+    values: Array
+    times_s: Array | None = None
+
+    def __post_init__(self) -> None:
+        count = 1 if self.times_s is None else len(self.times_s)
+        if self.values.shape != (count,):
+            raise ValueError(f"{self.quantity}: expected {count} values, found shape {self.values.shape}")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of scenario.
+
+    Attributes
+    ----------
+    run : callable (LoadedConfig, int) -> sequence of Series
+        One run, of this number, of the method and case that the configuration describes. Its random
+        numbers come from the seed and the number alone: methods see the same data.
+    bounds : callable (LoadedConfig) -> sequence of Series
+        Bounds on the mean (or the root mean square) of quantities, where they are known.
+    check : callable (LoadedConfig) -> None
+        Raises `InputError` where the configuration lacks what the kind needs.
+    """
+
+    run: Callable[[LoadedConfig, int], Sequence[Series]]
+    bounds: Callable[[LoadedConfig], Sequence[Series]]
+    check: Callable[[LoadedConfig], None]
+
+
+def find_kind(name: str) -> Kind:
+    """Return the kind of this name: `KIND` of the module of this package that has the name."""
+    kind = import_module(f"stereophd.experiments.{name}").KIND
+    assert isinstance(kind, Kind)
+    return kind
+
+
+def run_seed(seed: int, run: int) -> np.random.SeedSequence:
+    """Return the seed of a run: that of run k of ``simulate --runs``, whatever the number of runs."""
+    return np.random.SeedSequence(seed, spawn_key=(run,))

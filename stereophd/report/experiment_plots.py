@@ -1,0 +1,233 @@
+"""The figure of an experiment: a panel a quantity, a line a method, with confidence bands and the bound.
+
+Needs the extra ``plot``. The same results give the same files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from stereophd.experiments.base import Array
+from stereophd.report.experiment_moves import draw_moves
+from stereophd.report.style import INK, STYLE, TRACK_COLOURS, legend_right
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from stereophd.experiment import Cell, Results
+    from stereophd.experiments.summary import Summary
+
+BOUND_LABEL = "bound"
+DASHES = (0, (4, 3))
+
+# What a line holds of a summary.
+STATISTICS = ("mean", "ci_low", "ci_high", "bound")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+# Small files that are still sharp enough for a page.
+DPI = 100
+
+# Points of one case that stand side by side, as a share of the distance between cases.
+SPREAD = 0.6
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One method along the axis of the figure."""
+
+    label: str
+    x: Array
+    mean: Array
+    low: Array
+    high: Array
+    bound: Array
+
+
+def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
+    """Draw the figure of an experiment.
+
+    Parameters
+    ----------
+    results : Results
+    paths : mapping
+        Name that ends in ``.png`` or ``.svg`` -> where to write.
+    """
+    with mpl.rc_context(STYLE):
+        moved = results.config.scenario.kind == "move"
+        figure = draw_moves(results) if moved else _draw(results)
+        _add_title(figure, results)
+        for name, path in paths.items():
+            kind = name.rsplit(".", 1)[1]
+            # What the files say about when and by what they were made would differ between runs.
+            metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
+            figure.savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.12, dpi=DPI)
+
+
+def _draw(results: Results) -> Figure:
+    settings = results.config.figure
+    quantities = _quantities(results)
+    over = settings.over or (None if _vary_with_time(results, quantities) else next(iter(results.config.cases), None))
+    groups = _groups(results, over)
+    shape = (len(quantities), len(groups))
+    width = 1.8 + 4.4 * shape[1] + (2.2 if shape[1] == 1 else 0.0)
+    figure = Figure(figsize=(width, 0.9 + 2.3 * shape[0]), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False)
+    for row, quantity in enumerate(quantities):
+        for column, (group, cells) in enumerate(groups.items()):
+            axes = grid[row, column]
+            unit = _panel(axes, results, quantity, cells, over)
+            if column == 0:
+                axes.set_ylabel(quantity.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else ""))
+            if row == 0 and group:
+                axes.set_title(group, fontsize=10)
+            if row == shape[0] - 1:
+                axes.set_xlabel("time [s]" if over is None else _axis_label(results, over))
+        legend = grid[row, -1]
+        if row == 0:
+            legend_right(legend)
+    return figure
+
+
+def _add_title(figure: Figure, results: Results) -> None:
+    title = results.config.figure.title
+    if title:
+        text = f"{title}: {results.config.runs} runs"
+        figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
+
+
+def _quantities(results: Results) -> list[str]:
+    if results.config.figure.quantities is not None:
+        return list(results.config.figure.quantities)
+    summaries = [one for cell in results.cells for one in cell.summaries]
+    varying = [one.quantity for one in summaries if one.times_s is not None]
+    return list(dict.fromkeys(varying or [one.quantity for one in summaries]))
+
+
+def _vary_with_time(results: Results, quantities: Sequence[str]) -> bool:
+    found = [one for cell in results.cells for one in cell.summaries if one.quantity in quantities]
+    return any(one.times_s is not None for one in found)
+
+
+def _groups(results: Results, over: str | None) -> dict[str, list[Cell]]:
+    """Return the cells of every column of panels: cases that differ along other axes than that of the figure."""
+    axes = list(results.config.cases)
+    groups: dict[str, list[Cell]] = {}
+    for cell in results.cells:
+        others = [f"{axis} {name}" for axis, name in zip(axes, cell.settings, strict=True) if axis != over]
+        groups.setdefault(", ".join(others), []).append(cell)
+    return groups
+
+
+def _axis_label(results: Results, over: str) -> str:
+    unit = results.config.cases[over].unit
+    return over + (f" [{unit}]" if unit else "")
+
+
+def _panel(axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], over: str | None) -> str:
+    """Draw one panel, and return the unit of its quantity."""
+    unit = next((one.unit for cell in cells for one in cell.summaries if one.quantity == quantity), "")
+    if over is None:
+        lines = [
+            _Line(cell.method, one.times_s, one.mean, one.ci_low, one.ci_high, one.bound)
+            for cell in cells
+            for one in cell.summaries
+            if one.quantity == quantity and one.times_s is not None
+        ]
+        _draw_curves(axes, lines)
+    else:
+        numbers = _numbers(results, over)
+        lines = _lines_over(results, quantity, cells, over)
+        if numbers is None:
+            _draw_points(axes, lines, [name for name, _ in results.config.cases[over].points()])
+        else:
+            _draw_curves(axes, lines, marked=True)
+    settings = results.config.figure
+    if settings.log:
+        axes.set_yscale("log")
+    elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for line in lines):
+        axes.set_ylim(bottom=0)
+    if settings.most is not None:
+        axes.set_ylim(top=settings.most)
+    return unit
+
+
+def _numbers(results: Results, over: str) -> Array | None:
+    """Return the values of an axis as numbers, None if they are not."""
+    values = results.config.cases[over].values
+    if values is None or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
+        return None
+    return np.array(values, dtype=float)
+
+
+def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: str) -> list[_Line]:
+    """Return a line a method along an axis of the cases."""
+    position = list(results.config.cases).index(over)
+    places = {name: i for i, (name, _) in enumerate(results.config.cases[over].points())}
+    numbers = _numbers(results, over)
+    found: dict[str, list[tuple[float, Summary]]] = {}
+    for cell in cells:
+        place = places[cell.settings[position]]
+        x = float(place) if numbers is None else float(numbers[place])
+        for one in cell.summaries:
+            if one.quantity == quantity and one.times_s is None:
+                found.setdefault(cell.method, []).append((x, one))
+    return [
+        _Line(
+            method,
+            np.array([x for x, _ in points]),
+            *(np.array([getattr(one, name)[0] for _, one in points]) for name in STATISTICS),
+        )
+        for method, points in found.items()
+    ]
+
+
+def _draw_curves(axes: Axes, lines: Sequence[_Line], marked: bool = False) -> None:
+    for line, colour, marker in zip(lines, _cycle(TRACK_COLOURS, lines), _cycle(MARKERS, lines), strict=True):
+        axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(
+            line.x,
+            line.mean,
+            color=colour,
+            linewidth=1.4,
+            label=line.label,
+            marker=marker if marked else None,
+            markersize=4,
+        )
+    bound = next((line for line in lines if np.isfinite(line.bound).any()), None)
+    if bound is not None:
+        axes.plot(bound.x, bound.bound, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
+    axes.margins(x=0.02)
+
+
+def _draw_points(axes: Axes, lines: Sequence[_Line], names: Sequence[str]) -> None:
+    """Draw methods side by side at each case, and the bound across them."""
+    count = len(lines)
+    for i, (line, colour, marker) in enumerate(
+        zip(lines, _cycle(TRACK_COLOURS, lines), _cycle(MARKERS, lines), strict=True)
+    ):
+        x = line.x + SPREAD * ((i + 0.5) / count - 0.5)
+        errors = np.abs(np.array([line.mean - line.low, line.high - line.mean]))
+        axes.errorbar(
+            x, line.mean, yerr=errors, color=colour, marker=marker, markersize=5, linestyle="none", label=line.label
+        )
+    bound = next((line for line in lines if np.isfinite(line.bound).any()), None)
+    if bound is not None:
+        half = 0.5 * SPREAD + 0.08
+        axes.hlines(
+            bound.bound, bound.x - half, bound.x + half, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL
+        )
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlim(-0.6, len(names) - 0.4)
+
+
+def _cycle(values: Sequence[str], lines: Sequence[_Line]) -> list[str]:
+    return [values[i % len(values)] for i in range(len(lines))]
