@@ -8,11 +8,11 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ[_name] = "1"
 
-from pathlib import Path
+from pathlib import Path  # noqa: E402
 
-from stereophd.config_loading import LoadedConfig
-from stereophd.io.logs import LogReader
-from stereophd.multi.events import Event, make_event
+from stereophd.config_loading import LoadedConfig  # noqa: E402
+from stereophd.io.logs import LogReader  # noqa: E402
+from stereophd.multi.events import Event, make_event  # noqa: E402
 
 PAPER_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "multi_object.yaml"
 

@@ -5,7 +5,8 @@
 
 Every scene is a variation of configs/paper/multi_object.yaml, simulated with seeds of its own; all filters see the
 same logs. Prints a Markdown table (docs/filters.md holds one). Means over runs, standard error in brackets.
-With --authors the logs are those in folders of DIR (cameras.yaml, detections.parquet, truth.parquet, in cm), one run each.
+With --authors the logs are those in the folders of DIR (cameras.yaml, detections.parquet, truth.parquet, in cm), one
+run each.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ def figures(scene: list[str], runs: int, folder: Path) -> dict[str, np.ndarray]:
     """Figures (`FIGURES`) of every filter (runs x figures) on a scene."""
     simulate(load_config(CONFIG, scene, seed=20_261_121), folder / "logs", runs=runs, force=True)
     logs = sorted((folder / "logs").iterdir())
-    return {name: np.array([score([*scene, *settings], log, folder) for log in logs]) for name, settings in FILTERS.items()}
+    return {
+        name: np.array([score([*scene, *settings], log, folder) for log in logs]) for name, settings in FILTERS.items()
+    }
 
 
 def score(settings: list[str], log: Path, folder: Path, cameras: Path | None = None) -> list[float]:

@@ -212,7 +212,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fast = all(m.ms_per_event <= TARGET_MS_PER_EVENT for m in found if m.objects == TARGET_OBJECTS)
     met = fast and not exponent > TARGET_POWER
     if options.json:
-        print(json.dumps({"rows": [asdict(m) for m in found], "steepest_power": exponent if len(found) > 1 else None}, indent=2))
+        report = {"rows": [asdict(m) for m in found], "steepest_power": exponent if len(found) > 1 else None}
+        print(json.dumps(report, indent=2))
     else:
         _print(found, exponent)
     if options.plot is not None:

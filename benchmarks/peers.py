@@ -109,7 +109,8 @@ def tell(loaded: LoadedConfig) -> Knowledge:
     """What the configuration says, for the trackers of Stone Soup."""
     cameras, config = loaded.build_cameras(), loaded.config
     detector = cameras[0].detector
-    assert config.filter is not None and config.filter.birth.disparity is not None
+    assert config.filter is not None
+    assert config.filter.birth.disparity is not None
     prior, focal = config.filter.birth.disparity, cameras[0].fx * config.disparity.baseline
     near, far = prior.mean_px + 2.0 * prior.std_px, max(prior.mean_px - 2.0 * prior.std_px, 1e-3 * prior.mean_px)
     return Knowledge(
@@ -142,9 +143,7 @@ def accuracy(found: Sequence[Array], truth: Sequence[Array]) -> dict[str, float]
     return {"ospa_last_half": distances[half:].mean(), "ospa": distances.mean(), "wrong_number": wrong.mean()}
 
 
-def _measure(
-    ways: dict[str, Callable[[], list[Array]]], repetitions: int
-) -> dict[str, tuple[list[Array], float]]:
+def _measure(ways: dict[str, Callable[[], list[Array]]], repetitions: int) -> dict[str, tuple[list[Array], float]]:
     """Result and best processor time (s) of each way, the ways taking turns."""
     found = {title: way() for title, way in ways.items()}  # compiles, fills caches
     best = dict.fromkeys(ways, float("inf"))

@@ -1,8 +1,9 @@
 """Two trackers built on Stone Soup for `peers.py`: global nearest neighbours, and a GM-PHD filter.
 
 Both have the same models: white acceleration, an extended Kalman filter in the world, a pinhole camera of known pose,
-and births by triangulation of what no object explains (the detections of two cameras of one time whose rays meet). They
-know the detector and the process noise as the PMB filter does. Scans come as (time, detections of camera 0, of camera 1).
+and births by triangulation of what no object explains (the detections of two cameras of one time whose rays meet).
+They know the detector and the process noise as the PMB filter does. Scans come as (time, detections of camera 0,
+of camera 1).
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ def _slope(projection: Array, point: Array) -> tuple[Array, Array]:
 
 
 def _meet(projections: tuple[Array, Array], pixels: tuple[Array, Array], noise: Array) -> tuple[Array, Array, float]:
-    """Most probable meeting point of two rays, its information (3, 3), and the squared residual (1 degree of freedom)."""
+    """Most probable meeting point of two rays, its information (3, 3), and the squared residual (one degree)."""
     rows = np.concatenate([z[:, None] * p[2] - p[:2] for p, z in zip(projections, pixels, strict=True)])
     point = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=None)[0]
     weight = np.linalg.inv(noise)
