@@ -150,7 +150,7 @@ class DisparityFilter(ABC):
             self.sets,
             state.n_events,
         )
-        finite = np.isfinite(means).all(axis=1)
+        finite = np.asarray(np.isfinite(means).all(axis=1))
         estimates = Estimates(parts.tracks, means, covariances, existence, parts.labels)
         return state, estimates if finite.all() else estimates.take(finite)
 
