@@ -122,15 +122,6 @@ def take_parts(parts: Parts, index: Integers) -> Parts:
 
 
 @compiled
-def allocate_moved(count: int, size: int) -> MovedArrays:
-    """Return the fields of `stereophd.disparity.moments.Moved`, nothing in view."""
-    return (
-        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
-        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
-    )  # fmt: skip
-
-
-@compiled
 def slice_moved(moved: MovedArrays, first: int, last: int) -> MovedArrays:
     """Return views of consecutive components."""
     return (

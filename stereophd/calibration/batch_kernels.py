@@ -16,7 +16,6 @@ from stereophd.calibration.batch_arrays import (
     EventArrays,
     SampleArrays,
     Step,
-    allocate_moved,
     allocate_parts,
     append_parts,
     predicted_parts,
@@ -31,7 +30,7 @@ from stereophd.disparity.kernels import (
     PARTLY_IN_VIEW,
     MovedArrays,
 )
-from stereophd.disparity.move_kernels import carry_components
+from stereophd.disparity.move_kernels import allocate_moved, carry_components
 from stereophd.disparity.space import PACKED_SIZE
 from stereophd.multi.association import kalman_updates, pair_likelihoods
 from stereophd.multi.intensity import Parts

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from stereophd.disparity import kernels, linear_kernels
 from stereophd.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
-from stereophd.disparity.move_kernels import Look, carry_components, noise_axes
+from stereophd.disparity.move_kernels import Look, allocate_moved, carry_components, noise_axes
 from stereophd.disparity.rule_kernels import rule_components
 from stereophd.disparity.samples import SampleSets, cubature_points
 from stereophd.motion import ConstantVelocity, Motion
@@ -129,7 +129,7 @@ def move(
     samples = sets.turn(turn)
     first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
     second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
-    moved = _allocate(means)
+    moved = allocate_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
     which = np.arange(len(means))
@@ -160,32 +160,18 @@ def world_moments(
     out (a Gaussian in disparity has no moments in depth). For static objects the velocity is 0.
     Parameters as `move`.
     """
-    samples = sets.turn(turn)
-    noise = kernels.motion_noise(samples, np.diag(_acceleration(motion)))
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
     linear_kernels.world_components(
-        means, covariances, homes, dts, samples, noise, _max_speed(motion), out_means, out_covariances
-    )
+        means, covariances, homes, dts, sets.turn(turn), _acceleration(motion), _max_speed(motion), out_means,
+        out_covariances,
+    )  # fmt: skip
     return out_means, out_covariances
 
 
 def _max_speed(motion: Motion) -> float:
     speed = motion.max_speed if isinstance(motion, ConstantVelocity) else None
     return np.inf if speed is None else float(speed)
-
-
-def _allocate(means: Array) -> kernels.MovedArrays:
-    count, size = means.shape
-    return (
-        np.zeros((count, size)),
-        np.zeros((count, size, size)),
-        np.zeros(count),
-        np.zeros(count, dtype=np.int64),
-        np.zeros((count, size)),
-        np.zeros((count, size, size)),
-        np.ones(count),
-    )
 
 
 def _acceleration(motion: Motion) -> Array:

@@ -53,6 +53,15 @@ class Look(NamedTuple):
 
 
 @compiled
+def allocate_moved(count: int, size: int) -> MovedArrays:
+    """Return the fields of `stereophd.disparity.moments.Moved`, nothing in view."""
+    return (
+        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
+        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
+    )  # fmt: skip
+
+
+@compiled
 def carry_components(
     which: Integers,
     means: Array,
