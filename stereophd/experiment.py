@@ -26,6 +26,7 @@ from stereophd.errors import InputError
 from stereophd.experiments.base import Series, find_kind
 from stereophd.experiments.execution import Progress, execute
 from stereophd.experiments.parts import PATTERN, PartStore, RunResult, parquet_metadata
+from stereophd.experiments.quantities import QuantityCheck
 from stereophd.experiments.summary import Summary, summarise, with_windows
 from stereophd.experiments.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.work import BOUND_METHOD, BOUND_RUN, Part
@@ -127,7 +128,8 @@ def experiment(
             return _read_results(loaded, settings, out)
         bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
         wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
-        execute(wanted, store, jobs, dask, progress)
+        check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
+        execute(wanted, store, jobs, dask, progress, check.see)
         results, runs = _results(loaded, settings, parts, store.read())
         with OutputFolder(out, [*FILES, PATTERN], force=True) as files:
             _write(results, runs, loaded, files)

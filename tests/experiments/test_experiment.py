@@ -91,6 +91,7 @@ class TestResults:
             assert record["config_sha256"] == loaded.sha256
             assert record["seed"] == 3
 
+    @pytest.mark.usefixtures("without_figure")
     def test_summary_is_that_of_the_runs(self, load: Load, tmp_path: Path) -> None:
         experiment(load(), tmp_path / "out")
         runs = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
@@ -103,7 +104,7 @@ class TestResults:
             half = 2.7764451 * np.std(values, ddof=1) / np.sqrt(5)  # Student's t, 4 degrees of freedom
             assert row["ci_low"] == pytest.approx(np.mean(values) - half)
 
-    @pytest.mark.usefixtures("fake")
+    @pytest.mark.usefixtures("fake", "without_figure")
     def test_bounds_root_mean_squares_and_windows(self, load: Load, tmp_path: Path) -> None:
         results = experiment(load("experiment.windows={late: [1, 2]}"), tmp_path / "out")
         values = np.abs([np.random.default_rng([3, run]).normal(size=3) for run in range(5)])
@@ -118,6 +119,7 @@ class TestResults:
         assert found["position_rmse_late"].bound == pytest.approx([np.sqrt((9 + 16) / 2)])
         assert found["final"].times_s is None
 
+    @pytest.mark.usefixtures("without_figure")
     def test_methods_see_the_same_data_whatever_the_number_of_runs(self, load: Load, tmp_path: Path) -> None:
         experiment(load(), tmp_path / "five")
         experiment(load("experiment.runs=2", "experiment.methods={filter: {}}"), tmp_path / "two")
@@ -166,7 +168,20 @@ class TestPlan:
             experiment(load(override), tmp_path / "out")
         assert not (tmp_path / "out").exists()
 
+    @pytest.mark.parametrize("key", ["table", "figure.quantities"])
+    def test_an_unknown_quantity_is_found_after_the_first_runs(
+        self, load: Load, tmp_path: Path, fake: FakeKind, key: str
+    ) -> None:
+        out = tmp_path / "out"
+        with pytest.raises(InputError, match=rf"experiment\.{key}: unknown quantity position_eror_late; did you mean"):
+            experiment(load(f"experiment.{key}=[position_eror_late]"), out)
+        # the first run of two methods in two cases
+        assert fake.runs == [0, 0, 0, 0]
+        experiment(load(f"experiment.{key}=[position_error_late]"), out, resume=True)
+        assert len(fake.runs) == 20
 
+
+@pytest.mark.usefixtures("without_figure")
 class TestResume:
     def test_an_interrupted_experiment_goes_on(self, load: Load, tmp_path: Path, fake: FakeKind) -> None:
         loaded, out = load(), tmp_path / "out"
@@ -226,6 +241,7 @@ class TestResume:
         assert len(fake.runs) == 20
 
 
+@pytest.mark.usefixtures("without_figure")
 class TestFailures:
     def test_a_failed_run_is_reported_and_tried_again(
         self, load: Load, tmp_path: Path, fake: FakeKind, caplog: pytest.LogCaptureFixture
