@@ -159,7 +159,9 @@ def _write_tracks(
         multi_filter = pmb_filter(loaded, cameras)
         records = run_filter(multi_filter, reader, report_times(config.report))
         if config.report.smooth is not None:
-            records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
+            records = smoothed_records(
+                records, multi_filter.rig.cameras, multi_filter.motion, config.report.smooth.max_gap_s
+            )
         names = [camera.name for camera in cameras]
         return write_records(records, tracks, scans, names, config.report.max_position_std)
 

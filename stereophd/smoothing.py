@@ -64,7 +64,9 @@ def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
     return replace(trajectory, states=states, covariances=covariances)
 
 
-def extend_back(trajectory: Trajectory, events: NDArray[np.int64], times: Array, motion: Motion) -> Trajectory:
+def extend_back(
+    trajectory: Trajectory, events: NDArray[np.int64], times: Array, motion: Motion, existence: Array | None = None
+) -> Trajectory:
     """Return the trajectory continued back over earlier events, by backward prediction.
 
     Parameters
@@ -74,7 +76,11 @@ def extend_back(trajectory: Trajectory, events: NDArray[np.int64], times: Array,
     events, times : arrays (j,)
         Events before its first, in order.
     motion : Motion
+    existence : array (j,), optional
+        At these events; default that at its first.
     """
+    if existence is None:
+        existence = np.full(len(events), trajectory.existence[0])
     states = np.empty((len(events), 6))
     covariances = np.empty((len(events), 6, 6))
     for k, time_s in enumerate(times):
@@ -87,7 +93,7 @@ def extend_back(trajectory: Trajectory, events: NDArray[np.int64], times: Array,
         np.concatenate([times, trajectory.times]),
         np.concatenate([states, trajectory.states]),
         np.concatenate([covariances, trajectory.covariances]),
-        np.concatenate([np.full(len(events), trajectory.existence[0]), trajectory.existence]),
+        np.concatenate([existence, trajectory.existence]),
     )
 
 

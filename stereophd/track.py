@@ -124,7 +124,7 @@ def track(
             unusable = [0]
             records = run(reader, report_times(config.report), unusable, progress)
             if config.report.smooth is not None:
-                records = smoothed_records(records, motion, config.report.smooth.max_gap_s)
+                records = smoothed_records(records, cameras, motion, config.report.smooth.max_gap_s)
             names = [camera.name for camera in cameras]
             summary = write_records(records, tracks, scans, names, config.report.max_position_std)
         report = {
@@ -173,7 +173,8 @@ def _prepare(
         estimator = build_single(config, motion, cameras, path)
         return motion, partial(run_single, estimator, point)
     multi_filter = build_filter(config, cameras, path, threads)
-    return multi_filter.motion, partial(run_filter, multi_filter)
+    keep_events = config.report.smooth is not None
+    return multi_filter.motion, partial(run_filter, multi_filter, keep_events=keep_events)
 
 
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:

@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.disparity.events import Event
+from stereophd.first_detections import Extended, reach_back
+from stereophd.geometry.camera import Camera
 from stereophd.io.tables import TableWriter
 from stereophd.motion import Motion
 from stereophd.multi.intensity import Estimates
@@ -120,17 +123,22 @@ def _summarise(identities: dict[int, _Identity], estimates: Estimates, time_s: f
         identity.existence += existence
 
 
-def smoothed_records(records: Iterable[Record], motion: Motion, max_gap_s: float) -> Iterator[Record]:
+def smoothed_records(
+    records: Iterable[Record], cameras: Sequence[Camera], motion: Motion, max_gap_s: float
+) -> Iterator[Record]:
     """Yield the records of a whole run with smoothed estimates in place of the filtered ones.
 
-    Every track reaches back to its first detection, ends where it was last more probable than not, and
-    is stitched to the track that it continues, if any. Predictions to the times of a grid are smoothed as
-    events are that measure nothing: the state between two events given both, by the motion model.
+    Every track reaches back to its first detection (beyond the filter's, if records carry their events), ends
+    where it was last more probable than not, and is stitched to the track that it continues, if any. Predictions
+    to the times of a grid are smoothed as events are that measure nothing: the state between two events given
+    both, by the motion model.
     """
     whole = list(records)
     times = np.array([record.time_s for record in whole])
     labels = np.array([record.first_label for record in whole], dtype=np.int64)
     trajectories = [_smooth_back(t, label, times, labels, motion) for t, label in _trajectories(whole, times)]
+    extended = _reach_back(trajectories, [record.event for record in whole], times, cameras, motion, max_gap_s)
+    trajectories = [one.trajectory for one in extended]
     continued = stitch(trajectories, motion, max_gap_s)
 
     def name(track_id: int) -> int:
@@ -142,12 +150,36 @@ def smoothed_records(records: Iterable[Record], motion: Motion, max_gap_s: float
     for trajectory in trajectories:
         for k, number in enumerate(trajectory.events.tolist()):
             rows[number].append((name(trajectory.track_id), trajectory, k))
-    for record, found in zip(whole, rows, strict=True):
-        found.sort(key=lambda row: row[0])
-        attributed: dict[int, Counter[str]] = {}
+    detections: list[dict[int, Counter[str]]] = [{} for _ in whole]
+    for number, record in enumerate(whole):
         for track_id, counts in record.attributed.items():
-            attributed.setdefault(name(track_id), Counter()).update(counts)
+            detections[number].setdefault(name(track_id), Counter()).update(counts)
+    for one in extended:
+        for number in one.detected:
+            track_id = name(one.trajectory.track_id)
+            detections[number].setdefault(track_id, Counter())[whole[number].camera] += 1
+    for record, found, attributed in zip(whole, rows, detections, strict=True):
+        found.sort(key=lambda row: row[0])
         yield replace(record, estimates=_estimates(found), attributed=attributed)
+
+
+def _reach_back(
+    trajectories: Sequence[Trajectory],
+    events: Sequence[Event | None],
+    times: NDArray[np.float64],
+    cameras: Sequence[Camera],
+    motion: Motion,
+    max_gap_s: float,
+) -> list[Extended]:
+    """Continue all tracks back to the first detections that their objects probably made."""
+    begins = np.array([t.times[0] for t in trajectories])
+    ends = np.array([t.times[-1] for t in trajectories])
+    out = []
+    for k, trajectory in enumerate(trajectories):
+        about = np.flatnonzero((begins < begins[k]) & (ends >= begins[k] - max_gap_s))
+        others = [trajectories[other] for other in about.tolist()]
+        out.append(reach_back(trajectory, others, events, times, cameras, motion, max_gap_s))
+    return out
 
 
 def _trajectories(records: Sequence[Record], times: NDArray[np.float64]) -> list[tuple[Trajectory, int]]:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.disparity.events import Event, make_event
 from stereophd.io.logs import LogReader
 from stereophd.multi.base import DisparityFilter, FilterState
-from stereophd.multi.events import make_event
 from stereophd.multi.intensity import Estimates, Info
 
 # Called with (done, total), in rows of the log.
@@ -71,6 +71,8 @@ class Record:
     reported : bool
         Whether the estimates are to be written.
     is_event : bool
+    event : Event, optional
+        The detections themselves, where a run keeps them.
     """
 
     time_s: float
@@ -83,6 +85,7 @@ class Record:
     attributed: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
     reported: bool = True
     is_event: bool = True
+    event: Event | None = None
 
 
 class Attribution:
@@ -113,6 +116,7 @@ def run_filter(
     times: ReportTimes | None = None,
     unusable: list[int] | None = None,
     progress: Progress | None = None,
+    keep_events: bool = False,
 ) -> Iterator[Record]:
     """Run a filter over a log, event by event, in memory that does not depend on its length.
 
@@ -127,6 +131,8 @@ def run_filter(
         Raised by the number of detections that have no undistorted place.
     progress : callable, optional
         Called with the rows done and their total.
+    keep_events : bool
+        Whether records carry the detections of their events.
 
     Yields
     ------
@@ -150,6 +156,7 @@ def run_filter(
         last = Record(
             frame.time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates,
             attribution.update(camera.name, info.detected, estimates), times.after(camera.name),
+            event=event if keep_events else None,
         )  # fmt: skip
         yield last
         if number % PROGRESS_EVERY == 0:

@@ -279,7 +279,7 @@ def adjust(
             converged = damping > 1e4 and abs(new.cost - current.cost) <= tolerance * max(current.cost, 1.0)
             damping *= DAMPING_FACTOR
     covariance = posterior_covariance(current, problem.parameters.prior_std)
-    return Adjustment(values, states, covariance, current.cost, current.distances, iteration, converged)
+    return Adjustment(values, states, covariance, current.cost, current.distances, iteration, bool(converged))
 
 
 def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:

@@ -92,7 +92,7 @@ def _filtered(
     multi_filter = build_filter(config, tuple(cameras), loaded.path)
     records = _records(multi_filter, frames)
     if config.report.smooth is not None:
-        records = smoothed_records(records, multi_filter.motion, config.report.smooth.max_gap_s)
+        records = smoothed_records(records, cameras, multi_filter.motion, config.report.smooth.max_gap_s)
     estimates = [record.estimates for record in records]
     if config.report.max_position_std is not None:
         estimates = [one.certain(config.report.max_position_std) for one in estimates]
@@ -107,7 +107,7 @@ def _records(multi_filter: DisparityFilter, frames: Sequence[SimulatedFrame]) ->
         event = make_event(camera.at(time_s), frame.camera, time_s, frame.pixels)
         first_label = state.next_label
         state, info, estimates = multi_filter.step(state, event)
-        yield Record(time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates)
+        yield Record(time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates, event=event)
 
 
 def _points(estimates: Sequence[Estimates]) -> PointSets:
