@@ -31,7 +31,7 @@ from stereophd.calibration.posterior import UNDETERMINED, observability, pose_sp
 from stereophd.config_experiment import CalibrationScenario
 from stereophd.disparity.events import make_event
 from stereophd.errors import InputError
-from stereophd.experiments.base import Array, Kind, Series, run_seed
+from stereophd.experiments.base import Array, Kind, Series, method_clock, run_seed
 from stereophd.metrics.bounds import mean_error_norm
 from stereophd.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.metrics.calibration_bounds import calibration_bound
@@ -72,7 +72,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     events.sort(key=lambda event: (event.time_s, event.camera))
     problem = CalibrationProblem(parameters, reference, Scans.of(events), build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, method_clock():
         outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False), 1, None)
     found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
     limits = _scene_bounds(loaded, number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from stereophd.errors import InputError, StereophdError
 from stereophd.experiment import cases_of, experiment, finished_runs
 from stereophd.experiments import multi_object, work
-from stereophd.experiments.base import Kind, Series
+from stereophd.experiments.base import Kind, Series, method_clock
 from stereophd.experiments.parts import experiment_hash
 from stereophd.io.provenance import METADATA_KEY
 
@@ -126,6 +127,28 @@ class TestResults:
         five, two = (pq.read_table(tmp_path / name / "runs.parquet").to_pylist() for name in ("five", "two"))
         same = [row for row in five if row["method"] == "filter" and row["run"] < 2]
         assert two == same
+
+    def test_the_time_is_that_of_the_method(self, load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+        def busy(seconds: float) -> None:
+            start = time.thread_time()
+            while time.thread_time() < start + seconds:
+                pass
+
+        def run(loaded: Any, number: int) -> list[Series]:
+            busy(0.2)
+            if number == 0:
+                return []
+            with method_clock():
+                busy(0.02)
+            with method_clock():
+                busy(0.02)
+            return []
+
+        monkeypatch.setattr(multi_object, "KIND", Kind(run, lambda loaded: [], lambda loaded: None))
+        part = work.Part("a", "all", "multi_object", load())
+        whole, method = work.run_chunk(work.Chunk(part, (0, 1))).outcomes
+        assert whole.cpu_s >= 0.2
+        assert 0.04 <= method.cpu_s < 0.2
 
 
 class TestPlan:
