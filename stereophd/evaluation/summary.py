@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stereophd.evaluation.identities import has_identities, identity_figures
 from stereophd.metrics.assignment import FloatArray
-from stereophd.metrics.consistency import UNLABELLED, identity_switches, nees, nees_interval
+from stereophd.metrics.consistency import UNLABELLED, identity_switches, independent_count, nees_interval, whitened
 from stereophd.metrics.ospa import Ospa
 from stereophd.metrics.ospa2 import ospa2_of_windows
 from stereophd.metrics.rmse import (
@@ -36,27 +36,32 @@ class PairErrors:
     ----------
     position, velocity : (q, 3) arrays
         Estimate minus truth in the world; NaN where a velocity is unknown.
-    nees : (q,) array
-        Of the position; NaN without a usable covariance.
+    whitened : (q, 3) array
+        Position errors in standard deviations (see `whitened`); NaN without a usable covariance.
     switched : (q,) bool array
         The true object was matched to another track the last time.
     """
 
     position: FloatArray
     velocity: FloatArray
-    nees: FloatArray
+    whitened: FloatArray
     switched: NDArray[np.bool_]
+
+    @property
+    def nees(self) -> FloatArray:
+        """Normalised error squared (q,) of the position."""
+        return np.asarray((self.whitened**2).sum(axis=1))
 
 
 def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> PairErrors:
     """Return the errors of the matched pairs of scored scans."""
     x, y = scores.pair_estimate, scores.pair_truth
     position = estimates.position[x] - truth.position[y]
-    normalised = np.full(len(x), np.nan)
+    normalised = np.full(position.shape, np.nan)
     if estimates.covariance is not None:
         for first in range(0, len(x), PAIRS_AT_ONCE):
             rows = slice(first, first + PAIRS_AT_ONCE)
-            normalised[rows] = nees(position[rows], estimates.covariance[x[rows]])
+            normalised[rows] = whitened(position[rows], estimates.covariance[x[rows]])
     return PairErrors(
         position,
         estimates.velocity[x] - truth.velocity[y],
@@ -109,8 +114,11 @@ def figures(
     """
     cardinality = cardinality_error(estimates.counts, truth.counts)
     percentiles = error_percentiles(errors.position)
-    normalised = errors.nees[np.isfinite(errors.nees)]
-    low, high = nees_interval(len(normalised), POSITION_DIMENSION)
+    normalised = errors.nees
+    known = np.isfinite(normalised)
+    normalised = normalised[known]
+    independent = independent_count(errors.whitened[known], truth.label[scores.pair_truth[known]])
+    low, high = nees_interval(independent, POSITION_DIMENSION)
     matched = int(scores.n_matched.sum())
     labels = estimates.label[estimates.label > UNLABELLED]
     return {
@@ -155,6 +163,7 @@ def figures(
             "interval_95": [low, high],
             "dimension": POSITION_DIMENSION,
             "n": len(normalised),
+            "n_independent": independent,
         },
     }
 

@@ -54,7 +54,7 @@ def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     low, high = nees["interval_95"]
     note = ""
     if low is not None:
-        note = f"{nees['dimension']} if consistent; 95 % between {low:.3g} and {high:.3g} for independent errors"
+        note = f"{nees['dimension']} if consistent; 95 % between {low:.3g} and {high:.3g}"
     yield "NEES position", _number(nees["position"]), note
 
 

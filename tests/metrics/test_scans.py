@@ -7,7 +7,7 @@ import pytest
 
 from stereophd.metrics import scans as scans_module
 from stereophd.metrics.assignment import mahalanobis_distances
-from stereophd.metrics.consistency import identity_switches, nees, nees_interval
+from stereophd.metrics.consistency import identity_switches, independent_count, nees, nees_interval
 from stereophd.metrics.ospa import gospa, ospa
 from stereophd.metrics.rmse import (
     cardinality_error,
@@ -120,6 +120,45 @@ def test_nees_interval_is_the_chi_square_one():
         expected = chi2.ppf([0.025, 0.975], 3 * count) / count
         assert nees_interval(count, 3) == pytest.approx(tuple(expected), rel=1e-9)
     assert np.isnan(nees_interval(0, 3)).all()
+
+
+def alike(random, objects, steps, correlation):
+    """Errors (n, 3) of unit covariance, of each object a first-order autoregression, and their objects."""
+    errors = random.normal(size=(objects, steps, 3))
+    for step in range(1, steps):
+        errors[:, step] = correlation * errors[:, step - 1] + np.sqrt(1 - correlation**2) * errors[:, step]
+    return errors.reshape(-1, 3), np.repeat(np.arange(objects), steps)
+
+
+@pytest.mark.parametrize(("correlation", "least"), [(0.0, 0.7), (0.5, 0.7), (0.9, 0.5)])
+def test_errors_that_are_alike_count_less(correlation, least):
+    # exact: d n^2 / sum of d r^(2 lag), for many steps n (1 - r^2) / (1 + r^2)
+    exact = 3000 * (1 - correlation**2) / (1 + correlation**2)
+    counts = [independent_count(*alike(np.random.default_rng(seed), 6, 500, correlation)) for seed in range(20)]
+    assert least * exact < min(counts)
+    assert max(counts) < 1.3 * exact
+    assert max(counts) <= 3000
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9, 0.99])
+def test_interval_holds_the_mean_nees_of_errors_that_are_alike(correlation):
+    inside = 0
+    for seed in range(200):
+        errors, group = alike(np.random.default_rng(seed), 6, 200, correlation)
+        low, high = nees_interval(independent_count(errors, group), 3)
+        inside += low <= (errors**2).sum(axis=1).mean() <= high
+    # 95 % and four standard errors of 200 runs; 0.99: a hundred steps are alike, so two to an object, seven in all
+    assert inside >= 200 * (0.95 - 4 * np.sqrt(0.95 * 0.05 / 200))
+
+
+def test_order_of_objects_does_not_matter_and_scale_neither():
+    random = np.random.default_rng(3)
+    errors, group = alike(random, 4, 50, 0.8)
+    mixed = np.argsort(np.tile(np.arange(50), 4), kind="stable")
+    assert independent_count(errors[mixed], group[mixed]) == pytest.approx(independent_count(errors, group))
+    assert independent_count(3.0 * errors, group) == pytest.approx(independent_count(errors, group))
+    assert independent_count(errors[:1], group[:1]) == 1.0
+    assert independent_count(errors[:0], group[:0]) == 0.0
 
 
 def test_nees_of_a_bad_covariance_is_nan():
