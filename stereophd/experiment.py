@@ -220,7 +220,9 @@ def _results(
         series = [with_windows(result.series, settings.windows) for result in own]
         summaries = summarise(series, bounds[part.case])
         cells.append(Cell(part.method, part.case, names[part.case], tuple(summaries)))
-        runs += [RunResult(r.method, r.case, r.run, tuple(s), r.cpu_s) for r, s in zip(own, series, strict=True)]
+        runs += [
+            RunResult(r.method, r.case, r.run, r.seed, tuple(s), r.cpu_s) for r, s in zip(own, series, strict=True)
+        ]
         cpu.setdefault(part.method, []).extend(result.cpu_s for result in own)
     return Results(_name(loaded), settings, tuple(cells), _timing(cpu)), runs
 
@@ -259,7 +261,7 @@ def _write(results: Results, runs: list[RunResult], loaded: LoadedConfig, out: O
     with TableWriter(out.path(RUNS_FILE), RUNS, metadata) as table:
         for run in runs:
             for series in run.series:
-                table.append(columns_of(results.name, run.method, run.case, run.run, series))
+                table.append(columns_of(results.name, run.method, run.case, run.run, run.seed, series))
     with TableWriter(out.path(SUMMARY_FILE), SUMMARY, metadata) as table:
         for cell in results.cells:
             for summary in cell.summaries:

@@ -72,6 +72,7 @@ class TestResults:
             ("method", "string"),
             ("case", "string"),
             ("run", "int64"),
+            ("seed", "int64"),
             ("time_s", "double"),
             ("quantity", "string"),
             ("unit", "string"),
@@ -81,6 +82,12 @@ class TestResults:
         assert runs.num_rows == 2 * 2 * 5 * (8 * 2 + 2)
         assert set(runs.column("case").to_pylist()) == {"right camera at 0 cm", "right camera at 5 cm"}
         assert set(runs.column("experiment").to_pylist()) == {"small"}
+        # a seed a run, the same for all methods and cases
+        assert (
+            len({(row["run"], row["seed"]) for row in runs.to_pylist()})
+            == len(set(runs.column("seed").to_pylist()))
+            == 5
+        )
         summary = pq.read_table(tmp_path / "out" / "summary.parquet")
         assert summary.schema.names == [
             *("experiment", "method", "case", "time_s", "quantity", "unit"),
