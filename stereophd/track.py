@@ -16,17 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config import (
-    BirthConfig,
-    CameraTimes,
-    Config,
-    GridTimes,
-    MotionConfig,
-    PhdConfig,
-    PmbConfig,
-    RegionConfig,
-    ReportConfig,
-)
+from stereophd.config import Config
+from stereophd.config_filter import BirthConfig, MotionConfig, PhdConfig, PmbConfig, RegionConfig
+from stereophd.config_report import CameraTimes, GridTimes, ReportConfig
 from stereophd.config_single import SingleConfig
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError

@@ -35,6 +35,7 @@ WIDEST_RULE = 0.5
 # A component whose disparity is known to better than this fraction has no tail to look for.
 WIDE_DISPARITY = 0.05
 NO_REGION = np.empty(0)
+WORLD_AXES = np.eye(3)
 NO_NOISE = np.zeros((6, 0))
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
@@ -136,13 +137,14 @@ def move(
     if sets.method in ("adaptive", "unscented", "linear"):
         todo = _low_order(means, covariances, homes, dts, destination, motion, sets, region, moved)
     _run(
-        means, covariances, homes, dts, samples, np.ones(samples.shape[1]), noise, destination, p_detect,
+        means, covariances, homes, dts, samples, _equal_weights(samples.shape[1]), noise, destination, p_detect,
         _max_speed(motion), minimum_in_view(samples.shape[1]), region, moved, todo, threads,
     )  # fmt: skip
     status, fraction = moved[3], moved[2]
     if important is not None:
-        wide = covariances[:, 2, 2] > (WIDE_DISPARITY * means[:, 2]) ** 2
-        corner = np.flatnonzero(important & (status == OUT_OF_VIEW) & (wide | (fraction > 0.0)))
+        corner = np.flatnonzero(important & (status == OUT_OF_VIEW))
+        wide = covariances[corner, 2, 2] > (WIDE_DISPARITY * means[corner, 2]) ** 2
+        corner = corner[wide | (fraction[corner] > 0.0)]
         if len(corner):
             noise = _motion_noise(sets.reserve, motion, _rotation(destination))
             _run(
@@ -164,7 +166,7 @@ def world_moments(
     Parameters as `move`.
     """
     samples = sets.turn(turn)
-    noise = _motion_noise(samples, motion, np.eye(3))
+    noise = _motion_noise(samples, motion, WORLD_AXES)
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
     linear_kernels.world_components(
@@ -200,6 +202,11 @@ def _motion_noise(samples: Array, motion: Motion, rotation: Array) -> Array:
 
 def _rotation(space: Array) -> Array:
     return space[ROTATION : ROTATION + 9].reshape(3, 3)
+
+
+@cache
+def _equal_weights(samples: int) -> Array:
+    return np.ones(samples)
 
 
 @cache

@@ -25,14 +25,12 @@ from stereophd.disparity.kernels import (
     IN_VIEW,
     OUT_OF_VIEW,
     MovedArrays,
-    cholesky,
-    condition,
     moving_trips,
     region_mask,
     static_trips,
     view_mask,
-    weighted_moments,
 )
+from stereophd.disparity.moment_kernels import cholesky, condition, weighted_moments
 
 Array = NDArray[np.float64]
 

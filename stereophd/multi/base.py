@@ -138,7 +138,8 @@ class DisparityFilter(ABC):
             state.mixture, self.hysteresis, state.next_label, state.next_track, self.labels_may_split
         )
         state = FilterState(chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track)
-        parts = chosen.mixture.take(chosen.index)
+        order = chosen.mixture.tracks[chosen.index].argsort(kind="stable")
+        parts, existence = chosen.mixture.take(chosen.index[order]), chosen.existence[order]
         time_s = 0.0 if state.time_s is None else state.time_s
         means, covariances = world_moments(
             parts.means,
@@ -149,11 +150,9 @@ class DisparityFilter(ABC):
             self.sets,
             state.n_events,
         )
-        finite = np.isfinite(means).all(axis=1)
-        order = np.flatnonzero(finite)[np.argsort(parts.tracks[finite], kind="stable")]
-        return state, Estimates(
-            parts.tracks[order], means[order], covariances[order], chosen.existence[order], parts.labels[order]
-        )
+        finite = np.asarray(np.isfinite(means).all(axis=1))
+        estimates = Estimates(parts.tracks, means, covariances, existence, parts.labels)
+        return state, estimates if finite.all() else estimates.take(finite)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

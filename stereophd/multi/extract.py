@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,8 +77,17 @@ def select_objects(
         next_track,
         split,
     )
-    mixture = replace(mixture, labels=labels, tracks=tracks, reported=reported)
-    return Selection(mixture, index, existence, next_label, next_track)
+    relabelled = GaussianMixture(
+        mixture.weights,
+        mixture.means,
+        mixture.covariances,
+        mixture.cameras,
+        mixture.times,
+        labels,
+        tracks,
+        reported,
+    )
+    return Selection(relabelled, index, existence, next_label, next_track)
 
 
 @compiled
