@@ -31,12 +31,13 @@ from stereophd.calibration.posterior import UNDETERMINED, observability, pose_sp
 from stereophd.config_experiment import CalibrationScenario
 from stereophd.disparity.events import make_event
 from stereophd.errors import InputError
+from stereophd.evaluate_calibration import scene_positions
 from stereophd.experiments.base import Array, Kind, Series, method_clock, run_seed
 from stereophd.metrics.bounds import mean_error_norm
 from stereophd.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.metrics.calibration_bounds import calibration_bound
 from stereophd.simulate import GUESS_KEY, build_scene
-from stereophd.simulation.detections import Scene, simulate_frames, truth_rows
+from stereophd.simulation.detections import Scene, simulate_frames
 from stereophd.track import build_motion
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
     """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
     scene, guessed, parameters, reference, true = _setting(loaded, number)
     motion, scale = build_motion(loaded.config.motion), build_scale(guessed, parameters)
-    objects, cameras, at, positions = _sightings(scene)
+    objects, cameras, at, positions = scene_positions(scene)
     bounds = []
     for time_s in _times(loaded).tolist():
         past = at <= time_s + SAME_TIME_S
@@ -136,18 +137,6 @@ def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, Pa
 
 
 OFFSETS = ("center_x", "center_y", "center_z", "rotation_x", "rotation_y", "rotation_z")
-
-
-def _sightings(scene: Scene) -> tuple[np.ndarray, np.ndarray, Array, Array]:
-    """Return object, camera, time and position of every object at every frame of every camera."""
-    times, objects, states = (np.concatenate(part) for part in zip(*truth_rows(scene), strict=True))
-    parts = []
-    for camera, schedule in enumerate(scene.grid.frames):
-        own = np.isin(times, schedule.window(scene.grid.start_s, scene.grid.end_s)[1])
-        parts.append((objects[own], np.full(int(own.sum()), camera), times[own], states[own, :3]))
-    objects, cameras, times, positions = (np.concatenate(part) for part in zip(*parts, strict=True))
-    order = np.lexsort((cameras, times))
-    return objects[order], cameras[order], times[order], positions[order]
 
 
 def _errors(
