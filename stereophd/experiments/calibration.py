@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stereophd.calibrate_checkpoint import Checkpoint
 from stereophd.calibrate_inputs import (
     CalibrationProblem,
     build_parameters,
@@ -23,7 +24,9 @@ from stereophd.calibrate_inputs import (
     draw_guess,
     pmb_filter,
 )
-from stereophd.calibrate_methods import Checkpoint, HistoryRow, annealed_outcome, sequential_outcome
+from stereophd.calibrate_methods import annealed_outcome
+from stereophd.calibrate_outcome import HistoryRow
+from stereophd.calibrate_samplers import sequential_outcome
 from stereophd.calibration.association import Scans
 from stereophd.calibration.parameters import RADIANS, ParameterSet, pose_offsets
 from stereophd.calibration.posterior import pose_spread
