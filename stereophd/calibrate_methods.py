@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -21,9 +22,19 @@ from stereophd.calibrate_outcome import (
     seed_for,
 )
 from stereophd.calibrate_samplers import smc_outcome
-from stereophd.calibration.annealed import best_of, distinct, enough, modes_of, rival_of, run_start, start_values
+from stereophd.calibration.annealed import (
+    best_of,
+    distinct,
+    enough,
+    modes_of,
+    prior_disagreement,
+    rival_of,
+    run_start,
+    start_values,
+)
 from stereophd.calibration.fits import fit_until
 from stereophd.calibration.known_scale import measured_scale, rescaled
+from stereophd.calibration.posterior import laplace_draws
 from stereophd.calibration.scale import ScaleMeasurement
 from stereophd.calibration.task import AnnealedSettings, Fit, Start, Task
 from stereophd.config_calibration import CalibrationConfig, LengthScale, SpeedScale
@@ -31,8 +42,8 @@ from stereophd.config_calibration import CalibrationConfig, LengthScale, SpeedSc
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
 
-# Draws that stand for a Gaussian posterior, and times at which it is given in the history.
-GAUSSIAN_DRAWS = 1000
+# Draws that stand for a Laplace posterior, and times at which it is given in the history.
+LAPLACE_DRAWS = 1000
 HISTORY_TIMES = 25
 
 
@@ -45,8 +56,47 @@ def annealed_outcome(
     progress: Progress | None,
 ) -> Outcome:
     """Method annealed, with the posterior that the section names."""
+    task = _task(loaded, section, problem)
+    starts = _all_starts(loaded, task, checkpoint, jobs, progress)
+    best = best_of(starts)
+    details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
+    size = problem.parameters.size
+    if best is None or best.fit is None:
+        often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
+        why = f"none of {len(starts)} starts agrees with the data; most often: {often}"
+        nothing = np.full((size, size), np.nan)
+        return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
+    doubt = ""
+    if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
+        doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
+    task, fit = _at_known_scale(section, task, best.fit, details)
+    mean, covariance = fit.adjustment.values, fit.adjustment.covariance
+    if (against := prior_disagreement(task.parameters, mean)) is not None:
+        doubt = f"with the known {section.scale.kind} {against}"
+    details["fit"] = _fit_report(problem, best, fit)
+    history = tuple(
+        HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
+        for time_s in np.linspace(problem.scans.times[0], problem.scans.times[-1], HISTORY_TIMES + 1)[1:]
+        if (until := fit_until(task, fit, float(time_s))) is not None
+    )
+    if section.posterior == "smc":
+        found = distinct(starts)
+        fits = [mode.fit if task.scale is None else rescaled(task, mode.fit, task.scale) for mode in found if mode.fit]
+        modes = modes_of(fits, [mode.score for mode in found])
+        outcome = smc_outcome(
+            loaded, section, problem, task.scale, modes, fit, history, details, checkpoint, jobs, progress
+        )
+        return replace(outcome, doubt=doubt)
+    rng = np.random.default_rng(seed_for(loaded, DRAWS_KEY))
+    draws = laplace_draws(problem.parameters, problem.reference, mean, covariance, LAPLACE_DRAWS, rng)
+    weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
+    return Outcome(mean, covariance, draws, weights, history, "", doubt, fit, details)
+
+
+def _task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
+    """What every start works on."""
     settings = section.annealed
-    task = Task.of(
+    return Task.of(
         problem.parameters,
         problem.reference,
         pmb_filter(loaded, problem.parameters.cameras),
@@ -61,46 +111,26 @@ def annealed_outcome(
             settings.min_tracked,
         ),
     )
-    values = start_values(problem.parameters, seed_for(loaded, STARTS_KEY), settings.starts)
-    seeds = seed_for(loaded, PAIRING_KEY).spawn(settings.starts)
+
+
+def _all_starts(
+    loaded: LoadedConfig, task: Task, checkpoint: Checkpoint, jobs: int, progress: Progress | None
+) -> list[Start]:
+    """Run starts until enough agree."""
+    count, agreeing = task.settings.starts, task.settings.agreeing_starts
+    values = start_values(task.parameters, seed_for(loaded, STARTS_KEY), count)
+    seeds = seed_for(loaded, PAIRING_KEY).spawn(count)
     starts: list[Start] = list(checkpoint.get("starts") or [])
-    if not enough(starts, settings.agreeing_starts):
-        for start in _run_starts(task, values, seeds, len(starts), jobs):
-            starts.append(start)
-            checkpoint.keep("starts", starts)
-            if progress is not None:
-                progress(len(starts), len(values))
-            if enough(starts, settings.agreeing_starts):
-                break
-    best = best_of(starts)
-    details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
-    size = problem.parameters.size
-    if best is None or best.fit is None:
-        why = f"none of {len(starts)} starts agrees with the data"
-        nothing = np.full((size, size), np.nan)
-        return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
-    doubt = ""
-    if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
-        doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
-    task, fit = _at_known_scale(section, task, best.fit, details)
-    mean, covariance = fit.adjustment.values, fit.adjustment.covariance
-    details["fit"] = _fit_report(problem, best, fit)
-    history = tuple(
-        HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
-        for time_s in np.linspace(problem.scans.times[0], problem.scans.times[-1], HISTORY_TIMES + 1)[1:]
-        if (until := fit_until(task, fit, float(time_s))) is not None
-    )
-    if section.posterior == "smc":
-        found = distinct(starts)
-        fits = [mode.fit if task.scale is None else rescaled(task, mode.fit, task.scale) for mode in found if mode.fit]
-        modes = modes_of(fits, [mode.score for mode in found])
-        return smc_outcome(
-            loaded, section, problem, task.scale, modes, fit, history, details, checkpoint, jobs, progress
-        )
-    rng = np.random.default_rng(seed_for(loaded, DRAWS_KEY))
-    draws = mean + rng.standard_normal((GAUSSIAN_DRAWS, size)) @ np.linalg.cholesky(covariance).T
-    weights = np.full(GAUSSIAN_DRAWS, -np.log(GAUSSIAN_DRAWS))
-    return Outcome(mean, covariance, draws, weights, history, "", doubt, fit, details)
+    if enough(starts, agreeing):
+        return starts
+    for start in _run_starts(task, values, seeds, len(starts), jobs):
+        starts.append(start)
+        checkpoint.keep("starts", starts)
+        if progress is not None:
+            progress(len(starts), count)
+        if enough(starts, agreeing):
+            break
+    return starts
 
 
 def _run_starts(

@@ -125,8 +125,12 @@ def _disagreement(task: Task, fit: Fit, part: float) -> str | None:
     residual = float(np.minimum(fit.adjustment.distances, kernels.BEHIND).mean()) / 2.0
     if residual > MOST_RESIDUAL:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
-    parameters = task.parameters
-    distance = float((((fit.adjustment.values - parameters.prior_mean) / parameters.prior_std) ** 2).sum())
+    return prior_disagreement(task.parameters, fit.adjustment.values)
+
+
+def prior_disagreement(parameters: ParameterSet, values: Array) -> str | None:
+    """Why values (m,) do not agree with the prior; None if they do."""
+    distance = float((((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum())
     if chi2.sf(distance, parameters.size) < LEAST_PRIOR_PROBABILITY:
         return f"the cameras lie {np.sqrt(distance):.1f} standard deviations from the prior"
     return None
