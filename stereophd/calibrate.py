@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.calibrate_checkpoint import Checkpoint
 from stereophd.calibrate_inputs import CalibrationProblem, calibration_section, pmb_filter, read_problem, with_poses
-from stereophd.calibrate_methods import Checkpoint, Outcome, annealed_outcome, sequential_outcome
+from stereophd.calibrate_methods import annealed_outcome
+from stereophd.calibrate_outcome import Outcome
 from stereophd.calibrate_report import build_report
+from stereophd.calibrate_samplers import sequential_outcome
 from stereophd.calibration.posterior import DETERMINED, UNDETERMINED
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
@@ -25,7 +28,7 @@ from stereophd.track_output import smoothed_records, write_records
 from stereophd.track_run import run_filter
 
 if TYPE_CHECKING:
-    from stereophd.calibrate_methods import Progress
+    from stereophd.calibrate_outcome import Progress
     from stereophd.config_loading import LoadedConfig
     from stereophd.geometry.camera import Camera
 

@@ -1,154 +1,50 @@
-"""The methods of `calibrate`, each from a problem to an `Outcome`, with checkpoints."""
+"""Method annealed of `calibrate`, from a problem to an `Outcome`, with checkpoints."""
 
 from __future__ import annotations
 
-import pickle
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stereophd.calibrate_inputs import CalibrationProblem, phd_filter, pmb_filter, thinned
-from stereophd.calibration import sequential, tempered
+from stereophd.calibrate_checkpoint import Checkpoint
+from stereophd.calibrate_inputs import CalibrationProblem, pmb_filter, thinned
+from stereophd.calibrate_outcome import (
+    DRAWS_KEY,
+    PAIRING_KEY,
+    STARTS_KEY,
+    Array,
+    HistoryRow,
+    Outcome,
+    Progress,
+    seed_for,
+)
+from stereophd.calibrate_samplers import smc_outcome
 from stereophd.calibration.annealed import (
-    AnnealedSettings,
-    Fit,
-    Start,
-    Task,
     best_of,
-    distinct_modes,
+    distinct,
     enough,
-    fit_until,
-    real_detections,
-    rescaled,
+    modes_of,
+    prior_disagreement,
+    rival_of,
     run_start,
     start_values,
 )
-from stereophd.calibration.association import shared, track_detections
-from stereophd.calibration.batch import FilterBatch
-from stereophd.calibration.likelihood import Evidence
-from stereophd.calibration.resampling import effective_sample_size, weighted_mean_covariance
+from stereophd.calibration.fits import fit_until
+from stereophd.calibration.known_scale import measured_scale, rescaled
+from stereophd.calibration.posterior import laplace_draws
+from stereophd.calibration.scale import ScaleMeasurement
+from stereophd.calibration.task import AnnealedSettings, Fit, Start, Task
 from stereophd.config_calibration import CalibrationConfig, LengthScale, SpeedScale
-from stereophd.errors import InputError
-from stereophd.io.atomic import atomic_write
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
 
-Array = NDArray[np.float64]
-Progress = Callable[[int, int], None]
-
-# Keys of random numbers among the purposes of a seed (simulated runs count from 0).
-STARTS_KEY, SEQUENTIAL_KEY, SMC_KEY, DRAWS_KEY, PAIRING_KEY = (2**31 + k for k in range(1, 6))
-# Seconds between two checkpoints.
-CHECKPOINT_EVERY_S = 60.0
-# Draws that stand for a Gaussian posterior, and times at which it is given in the history.
-GAUSSIAN_DRAWS = 1000
+# Draws that stand for a Laplace posterior, and times at which it is given in the history.
+LAPLACE_DRAWS = 1000
 HISTORY_TIMES = 25
-
-
-@dataclass(frozen=True)
-class HistoryRow:
-    """Posterior of the parameters given the log up to a time."""
-
-    time_s: float
-    mean: Array
-    covariance: Array
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a method found.
-
-    Attributes
-    ----------
-    values, covariance : arrays (m,), (m, m)
-        Mean (or optimum) and covariance; NaN where nothing agrees with the data.
-    particles, log_weights : arrays (k, m), (k,)
-        Posterior as particles.
-    history : tuple of HistoryRow
-    reason : str
-        Why nothing was found; empty if something was.
-    doubt : str
-        Why the posterior is not to be trusted; empty if it may be.
-    fit : Fit or None
-        Trajectories and residuals, of method annealed.
-    details : dict
-        For the report.
-    """
-
-    values: Array
-    covariance: Array
-    particles: Array
-    log_weights: Array
-    history: tuple[HistoryRow, ...]
-    reason: str = ""
-    doubt: str = ""
-    fit: Fit | None = None
-    details: dict[str, Any] = field(default_factory=dict)
-
-
-class Checkpoint:
-    """State of an unfinished run, in a file beside its output folder.
-
-    Parameters
-    ----------
-    path : Path
-    identity : str
-        Of configuration and log: a checkpoint of another run is refused.
-    resume : bool
-        Whether to begin with what the file holds.
-    """
-
-    def __init__(self, path: Path, identity: str, resume: bool) -> None:
-        self.path = path
-        self._identity = identity
-        self._parts: dict[str, Any] = {}
-        self._saved = time.monotonic()
-        if resume:
-            self._parts = self._load()
-
-    def _load(self) -> dict[str, Any]:
-        try:
-            with open(self.path, "rb") as stream:
-                identity, parts = pickle.load(stream)
-        except FileNotFoundError:
-            raise InputError(f"--resume: expected a checkpoint {self.path}, found none") from None
-        except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path}: expected a checkpoint of this version, found {error}") from None
-        if identity != self._identity:
-            raise InputError(f"{self.path}: expected a checkpoint of this configuration and log, found another's")
-        return dict(parts)
-
-    def get(self, name: str) -> Any:
-        """What was kept under a name, or None."""
-        return self._parts.get(name)
-
-    def keep(self, name: str, value: Any) -> None:
-        """Keep a value; it is written now if the last time was a while ago."""
-        self._parts[name] = value
-        if time.monotonic() - self._saved >= CHECKPOINT_EVERY_S:
-            self.save()
-
-    def save(self) -> None:
-        """Write the file."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(self.path) as temporary, open(temporary, "wb") as stream:
-            pickle.dump((self._identity, self._parts), stream)
-        self._saved = time.monotonic()
-
-    def remove(self) -> None:
-        """Remove the file: the run is done."""
-        self.path.unlink(missing_ok=True)
-
-
-def seed_for(loaded: LoadedConfig, key: int) -> np.random.SeedSequence:
-    """Random numbers of a purpose."""
-    return np.random.SeedSequence(loaded.config.seed, spawn_key=(key,))
 
 
 def annealed_outcome(
@@ -160,8 +56,47 @@ def annealed_outcome(
     progress: Progress | None,
 ) -> Outcome:
     """Method annealed, with the posterior that the section names."""
+    task = _task(loaded, section, problem)
+    starts = _all_starts(loaded, task, checkpoint, jobs, progress)
+    best = best_of(starts)
+    details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
+    size = problem.parameters.size
+    if best is None or best.fit is None:
+        often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
+        why = f"none of {len(starts)} starts agrees with the data; most often: {often}"
+        nothing = np.full((size, size), np.nan)
+        return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
+    doubt = ""
+    if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
+        doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
+    task, fit = _at_known_scale(section, task, best.fit, details)
+    mean, covariance = fit.adjustment.values, fit.adjustment.covariance
+    if (against := prior_disagreement(task.parameters, mean)) is not None:
+        doubt = f"with the known {section.scale.kind} {against}"
+    details["fit"] = _fit_report(problem, best, fit)
+    history = tuple(
+        HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
+        for time_s in np.linspace(problem.scans.times[0], problem.scans.times[-1], HISTORY_TIMES + 1)[1:]
+        if (until := fit_until(task, fit, float(time_s))) is not None
+    )
+    if section.posterior == "smc":
+        found = distinct(starts)
+        fits = [mode.fit if task.scale is None else rescaled(task, mode.fit, task.scale) for mode in found if mode.fit]
+        modes = modes_of(fits, [mode.score for mode in found])
+        outcome = smc_outcome(
+            loaded, section, problem, task.scale, modes, fit, history, details, checkpoint, jobs, progress
+        )
+        return replace(outcome, doubt=doubt)
+    rng = np.random.default_rng(seed_for(loaded, DRAWS_KEY))
+    draws = laplace_draws(problem.parameters, problem.reference, mean, covariance, LAPLACE_DRAWS, rng)
+    weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
+    return Outcome(mean, covariance, draws, weights, history, "", doubt, fit, details)
+
+
+def _task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
+    """What every start works on."""
     settings = section.annealed
-    task = Task.of(
+    return Task.of(
         problem.parameters,
         problem.reference,
         pmb_filter(loaded, problem.parameters.cameras),
@@ -176,39 +111,26 @@ def annealed_outcome(
             settings.min_tracked,
         ),
     )
-    values = start_values(problem.parameters, seed_for(loaded, STARTS_KEY), settings.starts)
-    seeds = seed_for(loaded, PAIRING_KEY).spawn(settings.starts)
+
+
+def _all_starts(
+    loaded: LoadedConfig, task: Task, checkpoint: Checkpoint, jobs: int, progress: Progress | None
+) -> list[Start]:
+    """Run starts until enough agree."""
+    count, agreeing = task.settings.starts, task.settings.agreeing_starts
+    values = start_values(task.parameters, seed_for(loaded, STARTS_KEY), count)
+    seeds = seed_for(loaded, PAIRING_KEY).spawn(count)
     starts: list[Start] = list(checkpoint.get("starts") or [])
-    if not enough(starts, settings.agreeing_starts):
-        for start in _run_starts(task, values, seeds, len(starts), jobs):
-            starts.append(start)
-            checkpoint.keep("starts", starts)
-            if progress is not None:
-                progress(len(starts), len(values))
-            if enough(starts, settings.agreeing_starts):
-                break
-    best = best_of(starts)
-    details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
-    size = problem.parameters.size
-    if best is None or best.fit is None:
-        why = f"none of {len(starts)} starts agrees with the data"
-        nothing = np.full((size, size), np.nan)
-        return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
-    fit = _scaled_fit(section, task, best.fit, details)
-    mean, covariance = fit.adjustment.values, fit.adjustment.covariance
-    details["fit"] = _fit_report(problem, best, fit)
-    history = tuple(
-        HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
-        for time_s in np.linspace(problem.scans.times[0], problem.scans.times[-1], HISTORY_TIMES + 1)[1:]
-        if (until := fit_until(task, fit, float(time_s))) is not None
-    )
-    if section.posterior == "smc":
-        modes = distinct_modes(starts)
-        return smc_outcome(loaded, section, problem, modes, fit, history, details, checkpoint, jobs, progress)
-    rng = np.random.default_rng(seed_for(loaded, DRAWS_KEY))
-    draws = mean + rng.standard_normal((GAUSSIAN_DRAWS, size)) @ np.linalg.cholesky(covariance).T
-    weights = np.full(GAUSSIAN_DRAWS, -np.log(GAUSSIAN_DRAWS))
-    return Outcome(mean, covariance, draws, weights, history, "", "", fit, details)
+    if enough(starts, agreeing):
+        return starts
+    for start in _run_starts(task, values, seeds, len(starts), jobs):
+        starts.append(start)
+        checkpoint.keep("starts", starts)
+        if progress is not None:
+            progress(len(starts), count)
+        if enough(starts, agreeing):
+            break
+    return starts
 
 
 def _run_starts(
@@ -235,19 +157,19 @@ def _run_starts(
         outcomes.close()
 
 
-def _scaled_fit(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> Fit:
-    """Adjust again where speeds or a length of the scene are known."""
+def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> tuple[Task, Fit]:
+    """Adjust again where speeds or a length of the scene are known; the task holds what they say of the scale."""
     scale = section.scale
+    measured: ScaleMeasurement | None = None
     if isinstance(scale, SpeedScale):
-        scaled = rescaled(task, fit, "speed", scale.speed, scale.std)
+        measured = measured_scale(task, fit, "speed", scale.speed, scale.std)
     elif isinstance(scale, LengthScale):
-        scaled = rescaled(task, fit, "length", scale.length, scale.std)
-    else:
-        return fit
-    if scaled is None:
-        details["scale_warning"] = "no two objects keep their distance: the known length was not used"
-        return fit
-    return scaled
+        measured = measured_scale(task, fit, "length", scale.length, scale.std)
+        if measured is None:
+            details["scale_warning"] = "no two objects keep their distance: the known length was not used"
+    if measured is None:
+        return task, fit
+    return replace(task, scale=measured), rescaled(task, fit, measured)
 
 
 def _start_report(problem: CalibrationProblem, start: Start, best: Start | None) -> dict[str, Any]:
@@ -280,114 +202,3 @@ def _fit_report(problem: CalibrationProblem, best: Start, fit: Fit) -> dict[str,
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def sequential_outcome(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    checkpoint: Checkpoint,
-    jobs: int,
-    progress: Progress | None,
-) -> Outcome:
-    """Method sequential: the paper's particle filter over cameras."""
-    settings = section.sequential
-    cameras, parameters = problem.parameters.cameras, problem.parameters
-    template = (
-        phd_filter(loaded, cameras, settings.samples) if settings.likelihood == "phd" else pmb_filter(loaded, cameras)
-    )
-    per_unit = {"length": settings.center_noise, "rad": float(np.deg2rad(settings.rotation_noise_deg))}
-    walk = np.array([per_unit[p.unit] for p in parameters.parameters])
-    events = problem.scans.events
-
-    def after(number: int, state: Any, history: Any) -> None:
-        checkpoint.keep("sequential", (state, list(history)))
-        if progress is not None:
-            progress(number, len(events))
-
-    result = sequential.run(
-        parameters,
-        events,
-        FilterBatch(template, jobs),
-        sequential.SequentialSettings(
-            settings.particles, settings.resample_below, settings.roughening, walk if walk.any() else None
-        ),
-        seed_for(loaded, SEQUENTIAL_KEY),
-        checkpoint.get("sequential"),
-        after,
-    )
-    mean, covariance = weighted_mean_covariance(result.state.values, result.state.log_weights)
-    sizes = [info.effective_sample_size for info in result.history]
-    details = {
-        "log_evidence": result.state.log_evidence,
-        "effective_sample_size": effective_sample_size(result.state.log_weights),
-        "least_effective_sample_size": min(sizes),
-        "resampled": sum(info.resampled for info in result.history),
-    }
-    history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
-    doubt = _doubt(loaded, section, problem, mean, details)
-    return Outcome(mean, covariance, result.state.values, result.state.log_weights, history, "", doubt, None, details)
-
-
-def _doubt(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    values: Array,
-    details: dict[str, Any],
-) -> str:
-    """Track with the cameras found: a filter that settled on wrong ones has no tracks that two cameras share."""
-    settings = section.annealed
-    scans = thinned(problem.scans, settings.max_events)
-    found = track_detections(pmb_filter(loaded, problem.parameters.build(values)), scans, 1.0)
-    chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], settings.min_detections)
-    part = int(np.isin(found.tracks, chosen).sum()) / real_detections(problem.parameters, scans)
-    details["explained"] = part
-    if part >= settings.min_tracked:
-        return ""
-    return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
-
-
-def smc_outcome(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    modes: tempered.Modes,
-    fit: Fit,
-    history: tuple[HistoryRow, ...],
-    details: dict[str, Any],
-    checkpoint: Checkpoint,
-    jobs: int,
-    progress: Progress | None,
-) -> Outcome:
-    """Full posterior by tempered particles about the modes found."""
-    settings = section.smc
-    cameras = problem.parameters.cameras
-    template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
-    evidence = Evidence(
-        problem.parameters, thinned(problem.scans, settings.max_events).events, FilterBatch(template, jobs)
-    )
-    sampler = tempered.TemperedSampler(
-        problem.parameters,
-        evidence,
-        modes,
-        tempered.TemperedSettings(settings.particles, settings.resample_below, settings.moves, settings.spread),
-        seed_for(loaded, SMC_KEY),
-    )
-
-    def after(state: Any, steps: Any) -> None:
-        checkpoint.keep("smc", (state, list(steps)))
-        if progress is not None:
-            progress(int(1000 * state.temperature), 1000)
-
-    result = tempered.run(sampler, checkpoint.get("smc"), after)
-    mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
-    details["smc"] = {
-        "evidence": settings.evidence,
-        "log_evidence": result.log_evidence,
-        "acceptance": result.acceptance,
-        "effective_sample_size": result.effective_sample_size,
-        "ancestors": result.ancestors,
-        "modes": len(modes.weights),
-    }
-    return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)

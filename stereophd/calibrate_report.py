@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.calibrate_inputs import CalibrationProblem
-from stereophd.calibrate_methods import Outcome
+from stereophd.calibrate_outcome import Outcome
 from stereophd.calibration.posterior import (
     DETERMINED,
     PARTLY,

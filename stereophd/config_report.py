@@ -16,7 +16,9 @@ class SmoothConfig(Model):
     """Fixed-interval smoothing (``track --smooth``)."""
 
     max_gap_s: NonNegative = Field(
-        1.0, description="tracks that end and begin within this time, and fit, are stitched into one"
+        1.0,
+        description="s; tracks that end and begin within this time, and fit, are stitched into one, and detections of "
+        "an object are looked for this long before its first known one",
     )
 
 

@@ -13,23 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from stereophd.calibrate_inputs import build_parameters, build_scale
+from stereophd.calibrate_inputs import build_parameters
 from stereophd.calibration.parameters import CENTER, ROTATION, ParameterSet, pose_offsets
-from stereophd.calibration.posterior import PoseSpread, pose_spread
 from stereophd.calibration.resampling import weighted_mean_covariance
 from stereophd.config import Config
 from stereophd.config_loading import LoadedConfig, load_cameras
 from stereophd.errors import InputError
+from stereophd.evaluate_calibration_bounds import bound_figures
 from stereophd.evaluate_report import raise_if_above
 from stereophd.geometry.camera import Camera
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.provenance import from_metadata, provenance
 from stereophd.io.tables import open_parquet
 from stereophd.metrics.calibration import normalised_error_squared, pose_errors
-from stereophd.metrics.calibration_bounds import calibration_bound
-from stereophd.motion import ConstantVelocity
-from stereophd.simulate import build_scene
-from stereophd.simulation.detections import Scene
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -240,75 +236,6 @@ def weighted_quantiles(particles: Array, weights: Array, level: float) -> Array:
     cumulative = np.cumsum(weights[order], axis=0) / weights.sum()
     rows = (cumulative < level).sum(axis=0).clip(0, len(particles) - 1)
     return np.asarray(particles[order[rows, np.arange(particles.shape[1])], np.arange(particles.shape[1])])
-
-
-def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
-    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0)."""
-    parameters, reference = build_parameters(loaded)
-    by_name = {camera.name: camera for camera in true}
-    truth = ParameterSet(tuple(by_name[c.name] for c in parameters.cameras), parameters.parameters)
-    covariance = scenario_bound(loaded, truth, reference, 0)
-    names = dict.fromkeys(p.camera for p in parameters.parameters)
-    values = np.zeros(parameters.size)
-    spreads = {name: pose_spread(truth, reference, values, covariance, name) for name in names}
-    std = np.sqrt(np.diag(covariance))
-    return {
-        "cameras": {name: spread_figures(spread) for name, spread in spreads.items()},
-        "parameters": dict(zip(parameters.names, std.tolist(), strict=True)),
-    }
-
-
-def spread_figures(spread: PoseSpread) -> dict[str, Any]:
-    """Root mean square errors of a `PoseSpread`, as the errors are named."""
-    return {
-        "rotation_deg": _finite(math.degrees(spread.rotation)),
-        "direction_deg": _finite(math.degrees(spread.direction)),
-        "scale": _finite(spread.scale),
-        "center": _finite(spread.center),
-    }
-
-
-def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, run: int) -> Array:
-    """Bound on the covariance (m, m) of a calibration of the simulated run of a configuration.
-
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With ``simulate`` and ``calibration``.
-    truth : ParameterSet
-        With the true cameras: their values are zero.
-    reference : int
-    run : int
-        Whose objects, as `stereophd.simulate.simulate` draws them.
-    """
-    settings = loaded.config.simulate
-    if settings is None:
-        raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
-    object_seed, _ = np.random.SeedSequence(loaded.config.seed, spawn_key=(run,)).spawn(2)
-    scene = build_scene(loaded.config, truth.cameras, object_seed)
-    objects, cameras, times, positions = scene_positions(scene)
-    std = np.broadcast_to(np.asarray(settings.acceleration_std, dtype=float), 3)
-    return calibration_bound(
-        truth, np.zeros(truth.size), reference, ConstantVelocity(std), objects, cameras, times, positions,
-        build_scale(loaded, truth),
-    )  # fmt: skip
-
-
-def scene_positions(
-    scene: Scene,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
-    """Object, camera, time and true position (n, 3) of every object at every frame of every camera."""
-    objects, cameras, times, positions = [], [], [], []
-    for window in scene.windows():
-        for number, schedule in enumerate(scene.grid.frames):
-            _, instants = schedule.window(window.lower_s, window.upper_s)
-            states = window.states[:, np.searchsorted(window.times_s, instants)]
-            row, instant = np.nonzero(~np.isnan(states[:, :, 0]))
-            objects.append(window.object_id[row])
-            cameras.append(np.full(len(row), number))
-            times.append(instants[instant])
-            positions.append(states[row, instant, :3])
-    return np.concatenate(objects), np.concatenate(cameras), np.concatenate(times), np.concatenate(positions)
 
 
 def _finite(value: Any) -> float | None:

@@ -136,7 +136,7 @@ def track(
 def _announce_compilation() -> None:
     """Say that the kernels are compiled first, where no compiled ones are found."""
     folder = Path(__file__).parent / "disparity" / "__pycache__"
-    if not any(folder.glob("kernels.move_components-*.nbi")):
+    if not any(folder.glob("move_kernels.carry_components-*.nbi")):
         LOGGER.info("first run: compiling the kernels, once, in about 20 s")
 
 

@@ -222,6 +222,69 @@ def test_a_known_scale_is_kept(tmp_path: Path, scale: str) -> None:
     assert scores["joint"]["scale_ratio"] == pytest.approx(1.0, abs=0.03)
 
 
+def test_a_known_length_between_two_objects_is_kept(tmp_path: Path) -> None:
+    rod = [{"position": [x, 10, 130], "velocity": [0.9, -0.6, 0.3]} for x in (-25, -10)]
+    other = {"position": [15, -15, 180], "velocity": [-1.2, 0.3, -0.6]}
+    overrides = (*QUICK, "simulate.objects=null", f"simulate.given={json.dumps([*rod, other])}")
+    simulate(load_config(CONFIG, overrides), tmp_path / "scene")
+    log, outcomes = tmp_path / "scene" / "detections.parquet", {}
+    for length in (18.0, 30.0):
+        scale = f"calibration.scale={{kind: length, length: {length}, std: 0.1}}"
+        chosen = loaded(tmp_path / "scene", (*overrides, scale))
+        outcomes[length] = calibrate(chosen, log, tmp_path / str(length), plots=False)
+    # a fifth too long: everything is found a fifth too large
+    scores = evaluate_calibration(tmp_path / "18.0" / "cameras.yaml", tmp_path / "scene" / "cameras.yaml")
+    assert scores["joint"]["scale_ratio"] == pytest.approx(1.2, rel=0.03)
+    assert outcomes[18.0]["scale"]["determined_by"] == "length"
+    # twice the true one does not go with the prior of the cameras
+    assert outcomes[30.0]["status"] == "undetermined"
+    assert "standard deviations from the prior" in outcomes[30.0]["reason"]
+
+
+def test_more_clutter_than_stated_is_told_from_objects(scene: Path, tmp_path: Path) -> None:
+    # a tenth of what there is: two thirds of the detections would be expected to be of objects, a third are
+    overrides = (*QUICK, *(f"cameras.{name}.detector.clutter_per_frame=0.3" for name in ("left", "right")))
+    log = scene / "detections.parquet"
+    guess = (scene / "guess.yaml").read_text().replace("clutter_per_frame: 3.0", "clutter_per_frame: 0.3")
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "guess.yaml").write_text(guess)
+    report = calibrate(loaded(tmp_path / "scene", overrides), log, tmp_path / "out", plots=False)
+    assert report["status"] == "determined"
+    assert report["fit"]["explained"] == pytest.approx(1.0, abs=0.2)
+    log = cut(scene, tmp_path / "log.parquet", lambda c: c["object_id"] < 0)
+    report = calibrate(loaded(tmp_path / "scene", overrides), log, tmp_path / "clutter", plots=False)
+    assert report["status"] == "undetermined"
+
+
+def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
+    overrides = (
+        "simulate.duration_s=10",
+        "simulate.frame_rate_hz=5",
+        "simulate.objects.velocity_std=8",
+        "motion.max_speed=40",
+        "filter.birth.velocity_std=8",
+        "calibration.annealed.starts=2",
+        *(f"cameras.{name}.detector.clutter_per_frame=1" for name in ("left", "right")),
+    )
+    rolling = (*overrides, *(f"cameras.{n}.readout_s={s}" for n, s in (("left", 0.15), ("right", -0.15))))
+    simulate(load_config(CONFIG, rolling), tmp_path / "scene")
+    log, true = tmp_path / "scene" / "detections.parquet", tmp_path / "scene" / "cameras.yaml"
+    report = calibrate(loaded(tmp_path / "scene", rolling), log, tmp_path / "out", plots=False)
+    assert report["status"] == "determined"
+    assert report["fit"]["rms_residual_sigmas"] == pytest.approx(1.0, abs=0.1)
+    scores = evaluate_calibration(
+        tmp_path / "out" / "cameras.yaml", true, loaded=load_config(CONFIG, rolling, cameras_path=true)
+    )
+    errors, bounds = scores["cameras"]["right"], scores["bounds"]["cameras"]["right"]
+    for key in ("rotation_deg", "direction_deg"):
+        assert errors[key] < 5.0 * bounds[key]
+    guess = tmp_path / "scene" / "guess.yaml"
+    lines = [line for line in guess.read_text().splitlines() if "readout_s" not in line]
+    guess.write_text("\n".join(lines) + "\n")
+    ignored = calibrate(loaded(tmp_path / "scene", overrides), log, tmp_path / "ignored", plots=False)
+    assert ignored["fit"]["log_evidence"] < report["fit"]["log_evidence"] - 10.0
+
+
 def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:
     quick = ("simulate.duration_s=40", "calibration.annealed.starts=2")
     simulate(load_config(THREE, quick), tmp_path / "scene")

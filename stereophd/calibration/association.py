@@ -142,8 +142,9 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
         sure = np.flatnonzero(estimates.existence >= LEAST_EXISTENCE)
         if not len(sure) or not len(event.points):
             continue
-        points = estimates.states[sure, :3]
-        rows, columns = match(pinhole(multi_filter.rig.cameras[event.camera], points), wide, TRACK_GATE)
+        camera, states = multi_filter.rig.cameras[event.camera], estimates.states[sure]
+        rows, columns = match(detected_pixels(camera, states, wide), wide, TRACK_GATE)
+        points = states[:, :3]
         variances = np.trace(estimates.covariances[sure[rows], :3, :3], axis1=1, axis2=2)
         found.append((estimates.track_ids[sure[rows]], scans.first[number] + columns, points[rows], variances))
     if not found:
@@ -162,9 +163,20 @@ def pinhole(camera: Camera, points: Array) -> Array:
     return np.column_stack([camera.fx * x[:, 0] / depth + camera.cx, camera.fy * x[:, 1] / depth + camera.cy])
 
 
+def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
+    """Undistorted pixels (n, m, 2) of objects, positions and velocities (n, 6), at the times of m detections.
+
+    With a rolling shutter a detection is later than its event, by as much as its row says.
+    """
+    if event.delays is None or states.shape[1] < 6:
+        return np.asarray(pinhole(camera, states[:, :3])[:, None, :])
+    moved = states[:, None, :3] + event.delays[None, :, None] * states[:, None, 3:]
+    return pinhole(camera, moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
+
+
 def squared_distances(pixels: Array, event: Event) -> Array:
-    """Squared Mahalanobis distances (n, m) of pixels from the detections of an event; infinite for NaN."""
-    difference = pixels[:, None, :] - event.points[None, :, :]
+    """Squared Mahalanobis distances (n, m) of pixels (n, m or 1, 2) from an event's detections; infinite for NaN."""
+    difference = pixels - event.points[None, :, :]
     inverse = np.linalg.inv(event.covariances)
     distance = np.einsum("nmi,mij,nmj->nm", difference, inverse, difference)
     return np.asarray(np.where(np.isfinite(distance), distance, np.inf))

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 # A direction whose posterior standard deviation is above this part of the prior's is not determined by the data.
 UNDETERMINED_RATIO = 0.7
+# Draws of the posterior have at least this part of the optimum's scale.
+LEAST_SCALE = 0.05
 DETERMINED, PARTLY, UNDETERMINED = "determined", "partly determined", "undetermined"
 
 
@@ -71,6 +73,46 @@ def observability(parameters: ParameterSet, reference: int, values: Array, covar
     bits = -0.5 * float(np.log2(np.maximum(eigenvalues, 1e-300)).sum())
     own = np.sqrt(np.diag(covariance)) / std
     return Observability(ratios, directions, own, scale_ratio, bits, status)
+
+
+def laplace_draws(
+    parameters: ParameterSet, reference: int, values: Array, covariance: Array, count: int, rng: np.random.Generator
+) -> Array:
+    """Draw from the posterior that an optimum and its covariance mean: normal, but for what the scale does.
+
+    Where the scale is free the data know the directions of the cameras, and the centres lie in a cone: at a larger
+    scale they are spread as much wider. A step z ~ N(0, S) is split, with the gradient g of log s, into what goes with
+    the scale and what does not,
+
+        z = a S g / (g^T S g) + w,    a = g^T z,    g^T w = 0,
+
+    and the part of w that moves centres is multiplied by the factor 1 + a on the scale.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    reference : int
+        Index of the reference camera.
+    values, covariance : arrays (m,), (m, m)
+    count : int
+    rng : Generator
+
+    Returns
+    -------
+    array (count, m)
+    """
+    steps = rng.standard_normal((count, parameters.size)) @ np.linalg.cholesky(covariance).T
+    _, gradient = log_scale(parameters, reference, values)
+    if not gradient.any():
+        return np.asarray(values + steps)
+    amount = steps @ gradient
+    along = covariance @ gradient / (gradient @ covariance @ gradient)
+    rest = steps - amount[:, None] * along
+    # a scene turned inside out does not go with the data
+    amount = np.maximum(amount, LEAST_SCALE - 1.0)
+    centers = np.array([parameter.name in CENTER for parameter in parameters.parameters])
+    rest[:, centers] *= 1.0 + amount[:, None]
+    return np.asarray(values + amount[:, None] * along + rest)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.compilation import compiled, compiled_fast
-from stereophd.disparity.moment_kernels import cholesky, condition, weighted_moments
 from stereophd.disparity.space import BASELINE, VERTICAL
 from stereophd.geometry.kernels import pixel_in_view
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE, LENS_NONE, ROTATION, WIDTH
@@ -43,14 +42,6 @@ POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
 # A component of which this share is inside the region counts as inside.
 REGION_SLACK = 0.8
-
-
-def slice_moved(moved: MovedArrays, part: slice) -> MovedArrays:
-    """Views of the outputs of `move_components` for some of the components."""
-    return (
-        moved[0][part], moved[1][part], moved[2][part], moved[3][part], moved[4][part], moved[5][part],
-        moved[6][part],
-    )  # fmt: skip
 
 
 @compiled
@@ -211,8 +202,10 @@ def motion_noise(samples: Array, axes: Array) -> Array:
     """Unit noise of position and velocity (6, n) from samples (12, n), in the axes of `axes` (3, 3).
 
     The columns of `axes` are the world's axes in the destination's, times the acceleration's standard
-    deviation along them.
+    deviation along them. Samples of static objects have 3 rows, and no noise: (6, 0).
     """
+    if samples.shape[0] < 12:
+        return np.zeros((6, 0))
     out = np.empty((6, samples.shape[1]))
     for i in range(samples.shape[1]):
         for a in range(3):
@@ -244,20 +237,6 @@ def view_mask(points: Array, destination: Array, mask: Array) -> int:
             mask[i] = 1.0 if seen else 0.0
             count += mask[i]
     return int(count)
-
-
-@compiled_fast
-def _weigh(mask: Array, weights: Array, seen_weights: Array) -> tuple[float, float, float, float]:
-    """Fill the weights of the samples in view; sums of all weights, of these, of their squares, and of the others."""
-    whole = seen = squares = unseen = 0.0
-    for i in range(len(mask)):
-        weight = mask[i] * weights[i]
-        seen_weights[i] = weight
-        whole += weights[i]
-        seen += weight
-        squares += weight * weight
-        unseen += (1.0 - mask[i]) * weights[i]
-    return whole, seen, squares, unseen
 
 
 @compiled
@@ -304,123 +283,3 @@ def region_mask(
         weights[:] = sample_weights
         return 1.0
     return kept / total
-
-
-@compiled
-def missed_moments(
-    mean: Array,
-    factor: Array,
-    samples: Array,
-    sample_weights: Array,
-    mask: Array,
-    p_detect: float,
-    minimum: int,
-    missed_mean: Array,
-    missed_covariance: Array,
-) -> None:
-    """Gaussian (in its own space) of the part of a component that was not detected (paper VI-C, Fig. 8).
-
-    The samples are weighted by their own weight times 1 - p_detect in view and 1 outside; where too few
-    effective samples remain to carry a covariance, the Gaussian is kept and only its weight changes.
-    """
-    size = mean.shape[0]
-    count = samples.shape[1]
-    weights = np.empty(count)
-    total = 0.0
-    squares = 0.0
-    for i in range(count):
-        weights[i] = sample_weights[i] * (1.0 - p_detect * mask[i])
-        total += weights[i]
-        squares += weights[i] * weights[i]
-    unit_mean = np.zeros(size)
-    unit_covariance = np.eye(size)
-    if total * total >= minimum * squares and total > 0.0:
-        points = samples[:size].copy()
-        weighted_moments(points, weights, total, unit_mean, unit_covariance)
-    for a in range(size):
-        missed_mean[a] = mean[a]
-        for b in range(a + 1):
-            missed_mean[a] += factor[a, b] * unit_mean[b]
-    for a in range(size):
-        for b in range(a + 1):
-            value = 0.0
-            for c in range(a + 1):
-                for d in range(b + 1):
-                    value += factor[a, c] * unit_covariance[c, d] * factor[b, d]
-            missed_covariance[a, b] = value
-            missed_covariance[b, a] = value
-
-
-@compiled
-def move_components(
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    dts: Array,
-    samples: Array,
-    sample_weights: Array,
-    noise: Array,
-    destination: Array,
-    p_detect: float,
-    max_speed: float,
-    minimum: int,
-    region: Array,
-    moved: MovedArrays,
-) -> None:
-    """Move every component into the destination's space and split it by the field of view.
-
-    Component by component, with no state shared between them: results do not depend on how the
-    components are shared out over threads. Parameters as in `stereophd.disparity.moments.move`;
-    `region` is packed as for `region_mask`, or empty; `moved` is the tuple (means, covariances, fraction,
-    status, missed_means, missed_covariances, inside), filled in place.
-    """
-    out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
-    size = means.shape[1]
-    count = samples.shape[1]
-    points = np.empty((size + 1, count))
-    mask = np.empty(count)
-    seen_weights = np.empty(count)
-    weights = sample_weights.copy()
-    factor = np.empty((size, size))
-    scratch = np.empty((size, size))
-    for k in range(means.shape[0]):
-        status[k] = OUT_OF_VIEW
-        fraction[k] = 0.0
-        inside[k] = 1.0
-        if not cholesky(covariances[k], factor):
-            continue
-        if size == 6:
-            interval = abs(dts[k])
-            velocity_noise = math.sqrt(interval)
-            position_noise = velocity_noise * dts[k]
-            moving_trips(
-                means[k], factor, samples, noise, position_noise, velocity_noise,
-                homes[k], destination, dts[k], max_speed, points,
-            )  # fmt: skip
-        else:
-            static_trips(means[k], factor, samples, homes[k], destination, points)
-        if len(region) > 0:
-            inside[k] = region_mask(points, destination, homes[k], region, sample_weights, weights)
-            if inside[k] == 0.0:
-                continue
-        view_mask(points, destination, mask)
-        whole_weight, seen_weight, squares, unseen_weight = _weigh(mask, weights, seen_weights)
-        fraction[k] = seen_weight / whole_weight if unseen_weight > 0.0 else 1.0
-        # the effective number of samples: their count, where all weigh the same
-        if seen_weight * seen_weight >= minimum * squares and seen_weight > 0.0:
-            weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
-            if condition(out_covariances[k], scratch):
-                status[k] = PARTLY_IN_VIEW if unseen_weight > 0.0 else IN_VIEW
-        if status[k] == OUT_OF_VIEW:
-            mask[:] = 0.0
-        if status[k] == PARTLY_IN_VIEW and p_detect == 0.0 and inside[k] == 1.0:
-            missed_means[k] = means[k]
-            missed_covariances[k] = covariances[k]
-        elif status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
-            missed_moments(
-                means[k], factor, samples, weights, mask, p_detect, minimum,
-                missed_means[k], missed_covariances[k],
-            )  # fmt: skip
-            if not condition(missed_covariances[k], scratch):
-                missed_means[k] = means[k]
-                missed_covariances[k] = covariances[k]

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.compilation import compiled, compiled_fast
-from stereophd.disparity.kernels import POSITION_ALONE, POSITION_WITH_VELOCITY, disparity_scale, relative_pose
+from stereophd.disparity.kernels import (
+    POSITION_ALONE,
+    POSITION_WITH_VELOCITY,
+    disparity_scale,
+    motion_noise,
+    relative_pose,
+)
 from stereophd.disparity.moment_kernels import cholesky, condition, weighted_moments
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 
@@ -233,16 +239,16 @@ def world_components(
     homes: Array,
     dts: Array,
     samples: Array,
-    noise: Array,
+    acceleration_std: Array,
     max_speed: float,
     out_means: Array,
     out_covariances: Array,
 ) -> None:
     """Mean and covariance in the world (x, y, z, vx, vy, vz) of every component, moved by its dt.
 
-    `noise` (6, n) is the motion noise in the world's axes. Components whose mean disparity is not
-    positive (an object at infinity has no position) are left as NaN.
+    Components whose mean disparity is not positive (an object at infinity has no position) are left as NaN.
     """
+    noise = motion_noise(samples, np.diag(acceleration_std))
     size = means.shape[1]
     count = samples.shape[1]
     points = np.empty((size, count))

@@ -69,9 +69,9 @@ def rule_components(
     max_nonlinearity : float
         Limit of N; infinity for none.
     moved : tuple
-        As `stereophd.disparity.kernels.move_components` fills it; filled where the rule does.
+        As `stereophd.disparity.move_kernels.carry_components` fills it; filled where the rule does.
 
-    Other parameters as in `move_components`.
+    Other parameters as there.
     """
     out_means, out_covariances, fraction, status, inside = moved[0], moved[1], moved[2], moved[3], moved[6]
     size = means.shape[1]

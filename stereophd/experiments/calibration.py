@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stereophd.calibrate_checkpoint import Checkpoint
 from stereophd.calibrate_inputs import (
     CalibrationProblem,
     build_parameters,
@@ -23,15 +24,17 @@ from stereophd.calibrate_inputs import (
     draw_guess,
     pmb_filter,
 )
-from stereophd.calibrate_methods import Checkpoint, HistoryRow, annealed_outcome, sequential_outcome
+from stereophd.calibrate_methods import annealed_outcome
+from stereophd.calibrate_outcome import HistoryRow
 from stereophd.calibrate_report import status_of
+from stereophd.calibrate_samplers import sequential_outcome
 from stereophd.calibration.association import Scans
 from stereophd.calibration.parameters import RADIANS, ParameterSet, pose_offsets
 from stereophd.calibration.posterior import UNDETERMINED, observability, pose_spread
 from stereophd.config_experiment import CalibrationScenario
 from stereophd.disparity.events import make_event
 from stereophd.errors import InputError
-from stereophd.evaluate_calibration import scene_positions
+from stereophd.evaluate_calibration_bounds import scene_positions
 from stereophd.experiments.base import Array, Kind, Series, method_clock, run_seed
 from stereophd.metrics.bounds import mean_error_norm
 from stereophd.metrics.calibration import normalised_error_squared, pose_errors

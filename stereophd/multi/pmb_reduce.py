@@ -65,6 +65,8 @@ def reduce_tracks(
 @compiled
 def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> None:
     """Set the existence of all but the most probable tracks to 0."""
+    if len(existence) <= max_tracks:
+        return
     found = 0
     for g in np.argsort(-existence, kind="mergesort"):
         if names[g] != UNLABELLED:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.disparity import kernels, linear_kernels, moment_kernels
+from stereophd.disparity import kernels, linear_kernels, moment_kernels, move_kernels
 from stereophd.disparity.space import DisparitySpace
 from stereophd.motion import ConstantVelocity
 from tests.disparity.cases import (
@@ -183,7 +183,7 @@ def test_missed_moments(p_detect: float, own_weights: bool) -> None:
     sample_weights = rng.uniform(0.2, 3.0, 400) if own_weights else np.ones(400)
     expected = weighted(mean + samples[:6].T @ factor.T, sample_weights * (1.0 - p_detect * mask))
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
-    kernels.missed_moments(mean, factor, samples, sample_weights, mask, p_detect, 50, found_mean, found_covariance)
+    move_kernels.missed_moments(mean, factor, samples, sample_weights, mask, p_detect, 50, found_mean, found_covariance)
     np.testing.assert_allclose(found_mean, expected[0], rtol=1e-12)
     np.testing.assert_allclose(found_covariance, expected[1], rtol=1e-10, atol=1e-10)
 
@@ -197,7 +197,7 @@ def test_missed_moments_of_too_few_samples_keep_the_whole(seen: int, kept: bool)
     mask = (np.arange(400) < seen).astype(float)
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
     factor = np.linalg.cholesky(covariance)
-    kernels.missed_moments(mean, factor, samples, np.ones(400), mask, 1.0, 24, found_mean, found_covariance)
+    move_kernels.missed_moments(mean, factor, samples, np.ones(400), mask, 1.0, 24, found_mean, found_covariance)
     whole = bool(np.allclose(found_mean, mean, rtol=0, atol=1e-12))
     assert whole == kept
     if kept:

@@ -1,0 +1,151 @@
+"""The samplers of `calibrate`: method sequential, and posterior smc."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.calibrate_checkpoint import Checkpoint
+from stereophd.calibrate_inputs import CalibrationProblem, phd_filter, pmb_filter, thinned
+from stereophd.calibrate_outcome import (
+    SEQUENTIAL_KEY,
+    SMC_KEY,
+    Array,
+    HistoryRow,
+    Outcome,
+    Progress,
+    seed_for,
+)
+from stereophd.calibration import sequential, tempered
+from stereophd.calibration.annealed import real_detections
+from stereophd.calibration.association import shared, track_detections
+from stereophd.calibration.batch import FilterBatch
+from stereophd.calibration.likelihood import Evidence
+from stereophd.calibration.modes import Modes
+from stereophd.calibration.pairing import one_camera_tracks
+from stereophd.calibration.resampling import effective_sample_size, weighted_mean_covariance
+from stereophd.calibration.scale import ScaleMeasurement, scale_is_free
+from stereophd.calibration.task import Fit
+from stereophd.config_calibration import CalibrationConfig
+
+if TYPE_CHECKING:
+    from stereophd.config_loading import LoadedConfig
+
+
+def sequential_outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """Method sequential: the paper's particle filter over cameras."""
+    settings = section.sequential
+    cameras, parameters = problem.parameters.cameras, problem.parameters
+    template = (
+        phd_filter(loaded, cameras, settings.samples) if settings.likelihood == "phd" else pmb_filter(loaded, cameras)
+    )
+    per_unit = {"length": settings.center_noise, "rad": float(np.deg2rad(settings.rotation_noise_deg))}
+    walk = np.array([per_unit[p.unit] for p in parameters.parameters])
+    events = problem.scans.events
+
+    def after(number: int, state: Any, history: Any) -> None:
+        checkpoint.keep("sequential", (state, list(history)))
+        if progress is not None:
+            progress(number, len(events))
+
+    result = sequential.run(
+        parameters,
+        events,
+        FilterBatch(template, jobs),
+        sequential.SequentialSettings(
+            settings.particles, settings.resample_below, settings.roughening, walk if walk.any() else None
+        ),
+        seed_for(loaded, SEQUENTIAL_KEY),
+        checkpoint.get("sequential"),
+        after,
+    )
+    mean, covariance = weighted_mean_covariance(result.state.values, result.state.log_weights)
+    sizes = [info.effective_sample_size for info in result.history]
+    details = {
+        "log_evidence": result.state.log_evidence,
+        "effective_sample_size": effective_sample_size(result.state.log_weights),
+        "least_effective_sample_size": min(sizes),
+        "resampled": sum(info.resampled for info in result.history),
+    }
+    history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
+    doubt = _doubt(loaded, section, problem, mean, details)
+    return Outcome(mean, covariance, result.state.values, result.state.log_weights, history, "", doubt, None, details)
+
+
+def _doubt(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    values: Array,
+    details: dict[str, Any],
+) -> str:
+    """Track with the cameras found: a filter that settled on wrong ones has no tracks that two cameras share."""
+    settings = section.annealed
+    scans = thinned(problem.scans, settings.max_events)
+    found = track_detections(pmb_filter(loaded, problem.parameters.build(values)), scans, 1.0)
+    chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], settings.min_detections)
+    alone = one_camera_tracks(pmb_filter(loaded, problem.parameters.cameras), scans, settings.min_detections)
+    followed = sum(len(detections) for _, detections in alone) / max(len(scans.points), 1)
+    part = int(np.isin(found.tracks, chosen).sum()) / real_detections(problem.parameters, scans, followed)
+    details["explained"] = part
+    if part >= settings.min_tracked:
+        return ""
+    return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
+
+
+def smc_outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    scale: ScaleMeasurement | None,
+    modes: Modes,
+    fit: Fit,
+    history: tuple[HistoryRow, ...],
+    details: dict[str, Any],
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """Full posterior by tempered particles about the modes found."""
+    settings = section.smc
+    cameras = problem.parameters.cameras
+    template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
+    evidence = Evidence(
+        problem.parameters,
+        thinned(problem.scans, settings.max_events).events,
+        FilterBatch(template, jobs),
+        problem.reference if scale_is_free(problem.parameters) else None,
+        scale,
+    )
+    sampler = tempered.TemperedSampler(
+        problem.parameters,
+        evidence,
+        modes,
+        tempered.TemperedSettings(settings.particles, settings.resample_below, settings.moves, settings.spread),
+        seed_for(loaded, SMC_KEY),
+    )
+
+    def after(state: Any, steps: Any) -> None:
+        checkpoint.keep("smc", (state, list(steps)))
+        if progress is not None:
+            progress(int(1000 * state.temperature), 1000)
+
+    result = tempered.run(sampler, checkpoint.get("smc"), after)
+    mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
+    details["smc"] = {
+        "evidence": settings.evidence,
+        "log_evidence": result.log_evidence,
+        "acceptance": result.acceptance,
+        "effective_sample_size": result.effective_sample_size,
+        "ancestors": result.ancestors,
+        "modes": len(modes.weights),
+    }
+    return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)
