@@ -18,6 +18,7 @@ from stereophd.calibrate_outcome import Outcome
 from stereophd.calibrate_report import build_report
 from stereophd.calibrate_samplers import sequential_outcome
 from stereophd.calibration.posterior import DETERMINED, UNDETERMINED
+from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
 from stereophd.io.logs import LogReader
@@ -98,9 +99,13 @@ def calibrate(
     with OutputFolder(out_dir, FILES, force) as out:
         try:
             outcome = method(loaded, section, problem, checkpoint, jobs, progress)
-        except (KeyboardInterrupt, SystemExit):
-            checkpoint.save()
-            LOGGER.warning("interrupted: continue with --resume from %s", checkpoint.path)
+        except InputError:
+            raise
+        except BaseException:
+            # whatever it is called: compiled code may turn the exception of a signal into one of its own
+            if checkpoint.holds_anything:
+                checkpoint.save()
+                LOGGER.warning("stopped: continue with --resume from %s", checkpoint.path)
             raise
         report = build_report(section, problem, outcome, loaded.config.units.length)
         record = provenance("calibrate", loaded, inputs={"detections": log_path})
