@@ -26,7 +26,7 @@ demo: $(VENV)/.installed-plot
 	@find $(DEMO)/evaluated -type f | sort | sed 's/^/  /'
 
 test: $(VENV)/.installed-all
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(VENV)/.installed-all
 	$(BIN)/ruff check .

@@ -37,7 +37,8 @@ from stereophd.calibration.batch import CHUNK, BatchState, FilterBatch
 from stereophd.calibration.likelihood import hypothesis_spaces
 from stereophd.calibration.parameters import ParameterSet
 from stereophd.config_loading import load_config
-from stereophd.disparity.kernels import cholesky, motion_noise, moving_trips, view_mask, weighted_moments
+from stereophd.disparity.kernels import motion_noise, moving_trips, view_mask
+from stereophd.disparity.moment_kernels import cholesky, weighted_moments
 from stereophd.geometry.layout import ROTATION
 from stereophd.multi.events import Event
 from stereophd.multi.phd import PhdFilter

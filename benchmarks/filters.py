@@ -1,9 +1,12 @@
 """Accuracy of the filters side by side: OSPA, OSPA(2) and identities of PHD, PMB and smoothed PMB on harder scenes.
 
-    python benchmarks/filters.py --runs 5
+    python benchmarks/filters.py --runs 10
+    python benchmarks/filters.py --authors DIR
 
 Every scene is a variation of configs/paper/multi_object.yaml, simulated with seeds of its own; all filters see the
 same logs. Prints a Markdown table (docs/filters.md holds one). Means over runs, standard error in brackets.
+With --authors the logs are those in the folders of DIR (cameras.yaml, detections.parquet, truth.parquet, in cm), one
+run each.
 """
 
 from __future__ import annotations
@@ -21,6 +24,13 @@ from stereophd.track import track
 
 CONFIG = Path(__file__).parents[1] / "configs" / "paper" / "multi_object.yaml"
 DETECTORS = [f"cameras.{name}.detector" for name in ("left", "right")]
+# The pair of the paper, turned by 90 degrees about the viewing direction: above and below, inclined inward.
+INSIDE = (
+    "image_size_px: [800, 600], intrinsics: {fx: 898.8764044943821, fy: 888.8888888888889, cx: 400.0, cy: 300.0}, "
+    "detector: {sigma_px: [1.4142135623730951, 1.4142135623730951], p_detect: 0.95, clutter_per_frame: 10.0}"
+)
+UPPER = f"{{{INSIDE}, pose: {{center: [0.0, -20.0, 0.0], rotation_vector_deg: [15.0, 0.0, 0.0]}}}}"
+LOWER = f"{{{INSIDE}, pose: {{center: [0.0, 20.0, 0.0], rotation_vector_deg: [-15.0, 0.0, 0.0]}}}}"
 SCENES = {
     "six objects (the paper's)": [],
     "detection probability 0.7": [f"{key}.p_detect=0.7" for key in DETECTORS],
@@ -34,6 +44,8 @@ SCENES = {
     ],
     "objects leave one camera's view": ["simulate.objects.stay_in_view=any"],
     "births 0.05 /s, mean life 40 s": ["simulate.objects.births_per_s=0.05", "simulate.objects.mean_lifetime_s=40"],
+    "three cameras": [f"cameras.upper={UPPER}"],
+    "four cameras": [f"cameras.upper={UPPER}", f"cameras.lower={LOWER}"],
 }
 BIRTH = "birth: {per_frame: 0.05, disparity: {mean_px: 7.0, std_px: 3.0}, velocity_std: 1.5}"
 FILTERS = {
@@ -44,32 +56,51 @@ FILTERS = {
 
 
 def figures(scene: list[str], runs: int, folder: Path) -> dict[str, np.ndarray]:
-    """OSPA, OSPA(2) and identity switches (filters x runs x 3)."""
+    """Figures (`FIGURES`) of every filter (runs x figures) on a scene."""
     simulate(load_config(CONFIG, scene, seed=20_261_121), folder / "logs", runs=runs, force=True)
-    rows: dict[str, np.ndarray] = {}
-    for name, settings in FILTERS.items():
-        found = []
-        for run in sorted((folder / "logs").iterdir()):
-            loaded = load_config(CONFIG, [*scene, *settings], seed=1)
-            track(loaded, run / "detections.parquet", folder / "tracks", force=True)
-            report = evaluate(folder / "tracks" / "tracks.parquet", run / "truth.parquet", cutoff=20.0)
-            found.append([report["ospa"]["mean"], report["ospa2"]["mean"], report["identity_switches"]])
-        rows[name] = np.array(found, dtype=float)
-    return rows
+    logs = sorted((folder / "logs").iterdir())
+    return {
+        name: np.array([score([*scene, *settings], log, folder) for log in logs]) for name, settings in FILTERS.items()
+    }
+
+
+def score(settings: list[str], log: Path, folder: Path, cameras: Path | None = None) -> list[float]:
+    """Figures of one filter on one log (a folder as `stereophd simulate` writes it)."""
+    track(load_config(CONFIG, settings, 1, cameras), log / "detections.parquet", folder / "tracks", force=True)
+    report = evaluate(folder / "tracks" / "tracks.parquet", log / "truth.parquet", cutoff=20.0)
+    return [float(report["ospa"]["mean"]), float(report["ospa2"]["mean"]), float(report["identity_switches"])]
+
+
+def print_rows(title: str, found: dict[str, np.ndarray]) -> None:
+    """Print a row a filter."""
+    for name, values in found.items():
+        cells = [f"{mean:.2f}" for mean in values.mean(axis=0)]
+        if len(values) > 1:
+            error = values.std(axis=0, ddof=1) / np.sqrt(len(values))
+            cells = [f"{cell} ({e:.2f})" for cell, e in zip(cells, error, strict=True)]
+        print(f"| {title} | {name} | {' | '.join(cells)} |", flush=True)
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--runs", type=int, default=10, help="of each scene (default 10)")
+    parser.add_argument("--scenes", nargs="*", default=list(SCENES), choices=list(SCENES), metavar="SCENE")
+    parser.add_argument("--authors", type=Path, metavar="DIR", help="recorded logs in place of simulated scenes")
     options = parser.parse_args()
     print("| scene | filter | OSPA, cm | OSPA(2), cm | identity switches |\n|---|---|---|---|---|")
-    for title, scene in SCENES.items():
+    if options.authors is not None:
+        for log in sorted(path.parent for path in options.authors.glob("*/detections.parquet")):
+            with tempfile.TemporaryDirectory() as folder:
+                rows = {
+                    name: np.array([score(settings, log, Path(folder), log / "cameras.yaml")])
+                    for name, settings in FILTERS.items()
+                }
+            print_rows(log.name, rows)
+        return
+    for title in options.scenes:
         with tempfile.TemporaryDirectory() as folder:
-            for name, values in figures(scene, options.runs, Path(folder)).items():
-                mean, error = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
-                cells = " | ".join(f"{m:.2f} ({e:.2f})" for m, e in zip(mean, error, strict=True))
-                print(f"| {title} | {name} | {cells} |", flush=True)
+            print_rows(title, figures(SCENES[title], options.runs, Path(folder)))
 
 
 if __name__ == "__main__":

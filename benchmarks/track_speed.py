@@ -40,7 +40,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config_loading import LoadedConfig, load_config
-from stereophd.disparity.kernels import IN_VIEW, moving_trips, view_mask, weighted_moments
+from stereophd.disparity.kernels import IN_VIEW, moving_trips, view_mask
+from stereophd.disparity.moment_kernels import weighted_moments
 from stereophd.disparity.moments import move
 from stereophd.disparity.space import DisparitySpace
 from stereophd.io.logs import LogReader

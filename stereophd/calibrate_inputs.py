@@ -14,8 +14,10 @@ from stereophd.calibration.association import Scans
 from stereophd.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
 from stereophd.calibration.scale import ScaleMeasurement
 from stereophd.calibration.task import AnnealedSettings, Task
-from stereophd.config import CameraConfig, Config, MomentsConfig, PhdConfig, PmbConfig, PoseConfig
+from stereophd.config import Config
 from stereophd.config_calibration import BaselineScale, CalibrationConfig, per_axis
+from stereophd.config_cameras import CameraConfig, PoseConfig
+from stereophd.config_filter import MomentsConfig, PhdConfig, PmbConfig
 from stereophd.config_single import SingleConfig
 from stereophd.errors import InputError
 from stereophd.geometry.camera import Camera

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from stereophd.config import CameraConfig, CamerasFile, CameraTimes, Config
+from stereophd.config import Config
+from stereophd.config_cameras import CameraConfig, CamerasFile
 from stereophd.config_errors import describe, nearest
+from stereophd.config_report import CameraTimes
 from stereophd.config_yaml import KeyPath, Place, Tree, parse_yaml, read_yaml
 from stereophd.errors import InputError
 from stereophd.io.provenance import sha256_of

@@ -66,7 +66,7 @@ def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, ru
         raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
     object_seed, _ = np.random.SeedSequence(loaded.config.seed, spawn_key=(run,)).spawn(2)
     scene = build_scene(loaded.config, truth.cameras, object_seed)
-    objects, cameras, times, positions = _scene_positions(scene)
+    objects, cameras, times, positions = scene_positions(scene)
     std = np.broadcast_to(np.asarray(settings.acceleration_std, dtype=float), 3)
     return calibration_bound(
         truth, np.zeros(truth.size), reference, ConstantVelocity(std), objects, cameras, times, positions,
@@ -74,7 +74,7 @@ def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, ru
     )  # fmt: skip
 
 
-def _scene_positions(
+def scene_positions(
     scene: Scene,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
     """True position of every object at every frame of every camera."""

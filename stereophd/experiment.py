@@ -26,6 +26,7 @@ from stereophd.errors import InputError
 from stereophd.experiments.base import Series, find_kind
 from stereophd.experiments.execution import Progress, execute
 from stereophd.experiments.parts import PATTERN, PartStore, RunResult, parquet_metadata
+from stereophd.experiments.quantities import QuantityCheck
 from stereophd.experiments.summary import Summary, summarise, with_windows
 from stereophd.experiments.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.work import BOUND_METHOD, BOUND_RUN, Part
@@ -127,7 +128,8 @@ def experiment(
             return _read_results(loaded, settings, out)
         bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
         wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
-        execute(wanted, store, jobs, dask, progress)
+        check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
+        execute(wanted, store, jobs, dask, progress, check.see)
         results, runs = _results(loaded, settings, parts, store.read())
         with OutputFolder(out, [*FILES, PATTERN], force=True) as files:
             _write(results, runs, loaded, files)
@@ -218,7 +220,9 @@ def _results(
         series = [with_windows(result.series, settings.windows) for result in own]
         summaries = summarise(series, bounds[part.case])
         cells.append(Cell(part.method, part.case, names[part.case], tuple(summaries)))
-        runs += [RunResult(r.method, r.case, r.run, tuple(s), r.cpu_s) for r, s in zip(own, series, strict=True)]
+        runs += [
+            RunResult(r.method, r.case, r.run, r.seed, tuple(s), r.cpu_s) for r, s in zip(own, series, strict=True)
+        ]
         cpu.setdefault(part.method, []).extend(result.cpu_s for result in own)
     return Results(_name(loaded), settings, tuple(cells), _timing(cpu)), runs
 
@@ -257,7 +261,7 @@ def _write(results: Results, runs: list[RunResult], loaded: LoadedConfig, out: O
     with TableWriter(out.path(RUNS_FILE), RUNS, metadata) as table:
         for run in runs:
             for series in run.series:
-                table.append(columns_of(results.name, run.method, run.case, run.run, series))
+                table.append(columns_of(results.name, run.method, run.case, run.run, run.seed, series))
     with TableWriter(out.path(SUMMARY_FILE), SUMMARY, metadata) as table:
         for cell in results.cells:
             for summary in cell.summaries:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stereophd.config import Config, SimulateConfig
+from stereophd.config import Config
+from stereophd.config_simulate import SimulateConfig
 from stereophd.errors import InputError
 from stereophd.geometry.camera import Camera
 from stereophd.io.atomic import OutputFolder

@@ -1,4 +1,4 @@
-"""Fixed-interval smoothing of tracks in the world, and the stitching of broken pieces.
+"""Fixed-interval smoothing of tracks in the world.
 
 A log is offline: what a camera saw later says where an object was before. The Rauch-Tung-Striebel smoother
 runs back over the filtered world states of each track, with the motion model of the filter, and goes on
@@ -8,7 +8,6 @@ likelihood estimates of linear dynamic systems", AIAA Journal 3 (8), 1965.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +16,6 @@ from numpy.typing import NDArray
 from stereophd.motion import Motion, Static
 
 Array = NDArray[np.float64]
-
-# Squared Mahalanobis distance (99 % of a chi-square with 6 degrees of freedom) up to which the end of one
-# track and the start of another may be one object.
-STITCH_DISTANCE = 16.81
 
 
 @dataclass(frozen=True)
@@ -95,41 +90,3 @@ def extend_back(
         np.concatenate([covariances, trajectory.covariances]),
         np.concatenate([existence, trajectory.existence]),
     )
-
-
-def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float) -> dict[int, int]:
-    """Find tracks that continue others.
-
-    The end of a track, predicted over the gap, is compared with the start of each track that begins at
-    most `max_gap_s` later; pairs are chosen jointly, at the least total squared Mahalanobis distance.
-
-    Returns
-    -------
-    dict
-        Track -> the earlier track that it continues, for those that do.
-    """
-    from scipy.optimize import linear_sum_assignment
-
-    count = len(trajectories)
-    # twice the limit where no pair is allowed: no assignment gains by such a pair
-    cost = np.full((count, count), 2.0 * STITCH_DISTANCE)
-    starts = np.array([t.times[0] for t in trajectories])
-    first_events = np.array([t.events[0] for t in trajectories])
-    for i, earlier in enumerate(trajectories):
-        gaps = starts - earlier.times[-1]
-        after = (first_events > earlier.events[-1]) & (gaps >= 0.0) & (gaps <= max_gap_s)
-        for j in np.flatnonzero(after):
-            matrix, noise = motion.transition(float(gaps[j]))
-            later = trajectories[int(j)]
-            difference = later.states[0] - matrix @ earlier.states[-1]
-            covariance = matrix @ earlier.covariances[-1] @ matrix.T + noise + later.covariances[0]
-            # static objects have no velocity to compare: its covariance is zero
-            distance = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
-            if distance <= STITCH_DISTANCE:
-                cost[i, j] = distance
-    rows, columns = linear_sum_assignment(cost)
-    return {
-        trajectories[j].track_id: trajectories[i].track_id
-        for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
-        if cost[i, j] <= STITCH_DISTANCE
-    }

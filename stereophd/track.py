@@ -16,17 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config import (
-    BirthConfig,
-    CameraTimes,
-    Config,
-    GridTimes,
-    MotionConfig,
-    PhdConfig,
-    PmbConfig,
-    RegionConfig,
-    ReportConfig,
-)
+from stereophd.config import Config
+from stereophd.config_filter import BirthConfig, MotionConfig, PhdConfig, PmbConfig, RegionConfig
+from stereophd.config_report import CameraTimes, GridTimes, ReportConfig
 from stereophd.config_single import SingleConfig
 from stereophd.disparity.samples import draw_sample_sets
 from stereophd.errors import InputError
@@ -144,7 +136,7 @@ def track(
 def _announce_compilation() -> None:
     """Say that the kernels are compiled first, where no compiled ones are found."""
     folder = Path(__file__).parent / "disparity" / "__pycache__"
-    if not any(folder.glob("kernels.move_components-*.nbi")):
+    if not any(folder.glob("move_kernels.carry_components-*.nbi")):
         LOGGER.info("first run: compiling the kernels, once, in about 20 s")
 
 

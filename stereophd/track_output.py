@@ -16,7 +16,8 @@ from stereophd.geometry.camera import Camera
 from stereophd.io.tables import TableWriter
 from stereophd.motion import Motion
 from stereophd.multi.intensity import Estimates
-from stereophd.smoothing import Trajectory, extend_back, smooth, stitch
+from stereophd.smoothing import Trajectory, extend_back, smooth
+from stereophd.stitching import stitch
 from stereophd.track_run import Record
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from stereophd.motion import ConstantVelocity, Static
-from stereophd.smoothing import Trajectory, extend_back, smooth, stitch
+from stereophd.smoothing import Trajectory, extend_back, smooth
+from stereophd.stitching import stitch
 
 Array = NDArray[np.float64]
 
@@ -170,3 +171,24 @@ def test_static_objects_have_one_state_throughout() -> None:
     smoothed = smooth(track, Static())
     np.testing.assert_array_equal(smoothed.states, np.repeat(states[-1:], 3, axis=0))
     np.testing.assert_array_equal(smoothed.covariances, np.repeat(covariances[-1:], 3, axis=0))
+
+
+def test_many_pieces_are_stitched_as_one_assignment_would() -> None:
+    # a thousand objects far apart, each in three pieces: groups are matched apart, with the result of all at once
+    rng = np.random.default_rng(5)
+    pieces: list[Trajectory] = []
+    expected = {}
+    for thing in range(1000):
+        start = np.concatenate([rng.uniform(-1e4, 1e4, 3), rng.normal(size=3)])
+        for part in range(3):
+            events = 30 * part + np.arange(5)
+            times = 0.1 * events
+            states = np.tile(start, (5, 1))
+            states[:, :3] += times[:, None] * start[3:]
+            track_id = 3 * thing + part
+            covariances = np.tile(0.01 * np.eye(6), (5, 1, 1))
+            pieces.append(Trajectory(track_id, events, times, states, covariances, np.ones(5)))
+            if part:
+                expected[track_id] = track_id - 1
+    shuffled = [pieces[k] for k in rng.permutation(len(pieces))]
+    assert stitch(shuffled, MOTION, 3.0) == expected

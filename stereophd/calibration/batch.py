@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from stereophd.calibration.batch_arrays import EventArrays, SampleArrays, Step
 from stereophd.calibration.batch_kernels import phd_update, pmb_update, predict
-from stereophd.disparity.moments import FEWEST_SAMPLES, NO_REGION, WIDE_DISPARITY, minimum_in_view
+from stereophd.disparity.moments import FEWEST_SAMPLES, NO_REGION, minimum_in_view
+from stereophd.disparity.move_kernels import Look
 from stereophd.multi.base import IMPORTANT_WEIGHT
 from stereophd.multi.birth import birth_moments
 from stereophd.multi.events import Event
@@ -153,7 +154,8 @@ class FilterBatch:
     def _samples(self, state: BatchState) -> SampleArrays:
         sets = self.template.sets
         samples = sets.turn(state.n_events)
-        return SampleArrays(samples, np.ones(samples.shape[1]), sets.reserve, sets.reserve_weights)
+        first = Look(samples, np.ones(samples.shape[1]), minimum_in_view(samples.shape[1]))
+        return SampleArrays(first, Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES))
 
     def _detections(self, event: Event) -> EventArrays:
         template = self.template
@@ -177,10 +179,7 @@ class FilterBatch:
             area=float(camera.width * camera.height),
             acceleration_std=np.array(motion.acceleration_std),
             max_speed=np.inf if motion.max_speed is None else float(motion.max_speed),
-            minimum=minimum_in_view(template.sets.size),
-            reserve_minimum=FEWEST_SAMPLES,
             important=IMPORTANT_WEIGHT,
-            wide=WIDE_DISPARITY,
             prune_weight=float(settings.prune_weight),
             merge_distance=float(settings.merge_distance),
             max_components=int(settings.max_components),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stereophd.compilation import compiled
 from stereophd.disparity.kernels import MovedArrays
+from stereophd.disparity.move_kernels import Look
 from stereophd.multi.intensity import UNLABELLED, Parts
 
 Array = NDArray[np.float64]
@@ -21,14 +22,12 @@ ROOM = 256
 class SampleArrays(NamedTuple):
     """Standard-normal samples of an event, shared by all hypotheses.
 
-    `samples` (rows, n) with `weights` (n,) of 1; `reserve` (rows, r) with `reserve_weights` (r,) for the second
-    look at components of which only a corner is in view (`stereophd.disparity.samples.SampleSets`).
+    `first`, and `second` for the second look at components of which only a corner is in view
+    (`stereophd.disparity.samples.SampleSets`).
     """
 
-    samples: Array
-    weights: Array
-    reserve: Array
-    reserve_weights: Array
+    first: Look
+    second: Look
 
 
 class EventArrays(NamedTuple):
@@ -52,9 +51,8 @@ class Step(NamedTuple):
     `camera`, `time_s` of the event; `survival` since the last one; first unused label; `p_detect`, `clutter` and
     `births` a frame, `area` of the camera's image (px^2); `shape_p_detect`: for the shape of the missed part, 0
     where it keeps its own; `acceleration_std` (3,) and `max_speed` of the motion;
-    `minimum`, `reserve_minimum`: fewest samples in view; `important`, `wide`: weight and relative spread of the
-    disparity from which a component gets a second look; then the parameters of the reduction (`PhdSettings`,
-    `PmbSettings`).
+    `important`: weight from which a component gets a second look; then the parameters of the reduction
+    (`PhdSettings`, `PmbSettings`).
     """
 
     camera: int
@@ -68,10 +66,7 @@ class Step(NamedTuple):
     area: float
     acceleration_std: Array
     max_speed: float
-    minimum: int
-    reserve_minimum: int
     important: float
-    wide: float
     prune_weight: float
     merge_distance: float
     max_components: int
@@ -124,15 +119,6 @@ def take_parts(parts: Parts, index: Integers) -> Parts:
     out = allocate_parts(len(index), parts[1].shape[1])
     copy_parts(parts, index, out, 0)
     return out
-
-
-@compiled
-def allocate_moved(count: int, size: int) -> MovedArrays:
-    """Return the fields of `stereophd.disparity.moments.Moved`, nothing in view."""
-    return (
-        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
-        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
-    )  # fmt: skip
 
 
 @compiled

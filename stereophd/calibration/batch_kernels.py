@@ -16,7 +16,6 @@ from stereophd.calibration.batch_arrays import (
     EventArrays,
     SampleArrays,
     Step,
-    allocate_moved,
     allocate_parts,
     append_parts,
     predicted_parts,
@@ -30,11 +29,9 @@ from stereophd.disparity.kernels import (
     OUT_OF_VIEW,
     PARTLY_IN_VIEW,
     MovedArrays,
-    motion_noise,
-    move_components,
 )
+from stereophd.disparity.move_kernels import allocate_moved, carry_components
 from stereophd.disparity.space import PACKED_SIZE
-from stereophd.geometry.layout import ROTATION
 from stereophd.multi.association import kalman_updates, pair_likelihoods
 from stereophd.multi.intensity import Parts
 from stereophd.multi.pmb_reduce import reduce_tracks
@@ -43,26 +40,6 @@ from stereophd.multi.reduce import merge_sorted
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@compiled
-def _noise(samples: Array, destination: Array, step: Step) -> Array:
-    """Motion noise of samples in the destination's axes, as `stereophd.disparity.moments` makes it."""
-    if samples.shape[0] < 12:
-        return np.zeros((6, 0))
-    axes = np.empty((3, 3))
-    for a in range(3):
-        for b in range(3):
-            axes[a, b] = destination[ROTATION + 3 * a + b] * step.acceleration_std[b]
-    return motion_noise(samples, axes)
-
-
-@compiled
-def _corners(weights: Array, means: Array, covariances: Array, moved: MovedArrays, step: Step) -> Integers:
-    """Components that matter and of which no more than a corner was found in view."""
-    spread = (step.wide * means[:, 2]) ** 2
-    corner = (weights >= step.important) & (moved[3] == OUT_OF_VIEW)
-    return np.flatnonzero(corner & ((covariances[:, 2, 2] > spread) | (moved[2] > 0.0)))
 
 
 @compiled
@@ -104,30 +81,14 @@ def predict(
         means, covariances, cameras, times = parts[1][part], parts[2][part], parts[3][part], parts[4][part]
         weights[:] = parts[0][part] * step.survival
         destination = spaces[h, step.camera]
-        samples, sample_weights, minimum = sets.samples, sets.weights, step.minimum
-        which = np.arange(len(weights))
-        outputs = moved
-        for look in range(2):
-            if look == 1:
-                which = _corners(weights, means, covariances, moved, step)
-                if len(which) == 0:
-                    break
-                samples, sample_weights, minimum = sets.reserve, sets.reserve_weights, step.reserve_minimum
-                means, covariances, cameras, times = means[which], covariances[which], cameras[which], times[which]
-                outputs = allocate_moved(len(which), size)
-            homes = np.empty((len(which), PACKED_SIZE))
-            for i in range(len(which)):
-                homes[i] = spaces[h, cameras[i]]
-            move_components(
-                means, covariances, homes, step.time_s - times, samples, sample_weights,
-                _noise(samples, destination, step), destination, step.shape_p_detect, step.max_speed, minimum, region,
-                outputs,
-            )  # fmt: skip
-        # after the break there is none: `outputs` is `moved` itself
-        for i, k in enumerate(which):
-            moved[0][k], moved[1][k], moved[2][k] = outputs[0][i], outputs[1][i], outputs[2][i]
-            moved[3][k], moved[4][k], moved[5][k] = outputs[3][i], outputs[4][i], outputs[5][i]
-            moved[6][k] = outputs[6][i]
+        homes = np.empty((len(weights), PACKED_SIZE))
+        for k in range(len(weights)):
+            homes[k] = spaces[h, cameras[k]]
+        carry_components(
+            np.arange(len(weights)), means, covariances, homes, step.time_s - times, weights >= step.important,
+            sets.first, sets.second, destination, step.acceleration_std, step.shape_p_detect, step.max_speed, region,
+            moved,
+        )  # fmt: skip
         _forget(weights, parts[3][part], moved, step)
     return all_weights, all_moved
 
@@ -135,12 +96,10 @@ def predict(
 @compiled
 def _forget(weights: Array, cameras: Integers, moved: MovedArrays, step: Step) -> None:
     """Drop what lies outside the region, and what was never established and left the view of its camera."""
-    fraction, status, inside = moved[2], moved[3], moved[6]
+    status, inside = moved[3], moved[6]
     for i in range(len(weights)):
-        if status[i] == OUT_OF_VIEW:
-            fraction[i] = 0.0
-            if cameras[i] == step.camera and weights[i] < step.important:
-                weights[i] = 0.0
+        if status[i] == OUT_OF_VIEW and cameras[i] == step.camera and weights[i] < step.important:
+            weights[i] = 0.0
         weights[i] *= inside[i]
 
 

@@ -82,7 +82,7 @@ class Rig:
     def spaces(self, cameras: NDArray[np.int64], times: Array) -> Array:
         """Packed spaces (n, 30) of components, each at home in a camera at a time."""
         if not self.moving:
-            return np.asarray(self.packed[cameras])
+            return self.packed.take(cameras, axis=0)
         out = np.empty((len(cameras), PACKED_SIZE))
         for camera, time_s in set(zip(cameras.tolist(), times.tolist(), strict=True)):
             out[(cameras == camera) & (times == time_s)] = self.space(camera, time_s)

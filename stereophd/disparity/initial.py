@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.compilation import compiled
 from stereophd.disparity.space import BASELINE, VERTICAL
 from stereophd.geometry.layout import CX, CY, FX, FY
 
@@ -82,6 +83,7 @@ def disparity_moments(
     return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)
 
 
+@compiled
 def initial_moments(
     points: Array,
     noises: Array,
@@ -116,33 +118,34 @@ def initial_moments(
     """
     count = len(points)
     means = np.zeros((count, size))
-    means[:, :2] = points
-    means[:, 2] = mean
     covariances = np.zeros((count, size, size))
-    covariances[:, :2, :2] = noises
-    covariances[:, 2, 2] = std**2
-    if size == 3:
-        return means, covariances
     focal = space[FY] if space[VERTICAL] == 1.0 else space[FX]
     scale = focal * space[BASELINE]
-    # rows of the map from camera velocity to (du / d, dv / d, dd / d^2), for every detection
-    rows = np.zeros((count, 3, 3))
-    rows[:, 0, 0] = space[FX] / scale
-    rows[:, 1, 1] = space[FY] / scale
-    rows[:, 0, 2] = (space[CX] - points[:, 0]) / scale
-    rows[:, 1, 2] = (space[CY] - points[:, 1]) / scale
-    rows[:, 2, 2] = -1.0 / scale
+    # rows of the map from camera velocity to (du / d, dv / d, dd / d^2)
+    rows = np.zeros((3, 3))
+    rows[0, 0], rows[1, 1], rows[2, 2] = space[FX] / scale, space[FY] / scale, -1.0 / scale
     # E[d^2], E[d^3], E[d^4] of the prior, by the powers of d that each pair of components carries
     second = mean**2 + std**2
     third = mean**3 + 3.0 * mean * std**2
     fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
-    powers = np.array([[second, second, third], [second, second, third], [third, third, fourth]])
-    velocity = rows @ np.swapaxes(rows, 1, 2) * velocity_std**2
-    velocity = velocity * powers
-    covariances[:, 3:, 3:] = velocity
-    if delays is not None:
-        # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
-        delays = delays[:, None, None]
-        covariances[:, :3, :3] += delays**2 * velocity
-        covariances[:, :3, 3:] = covariances[:, 3:, :3] = -delays * velocity
+    for j in range(count):
+        means[j, :2] = points[j]
+        means[j, 2] = mean
+        covariances[j, :2, :2] = noises[j]
+        covariances[j, 2, 2] = std**2
+        if size == 3:
+            continue
+        rows[0, 2] = (space[CX] - points[j, 0]) / scale
+        rows[1, 2] = (space[CY] - points[j, 1]) / scale
+        for a in range(3):
+            for b in range(3):
+                power = second if a < 2 and b < 2 else (fourth if a == 2 and b == 2 else third)
+                product = rows[a, 0] * rows[b, 0] + rows[a, 1] * rows[b, 1] + rows[a, 2] * rows[b, 2]
+                variance = product * velocity_std**2 * power
+                covariances[j, 3 + a, 3 + b] = variance
+                if delays is not None:
+                    # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
+                    covariances[j, a, b] += delays[j] ** 2 * variance
+                    covariances[j, a, 3 + b] = -delays[j] * variance
+                    covariances[j, 3 + a, b] = -delays[j] * variance
     return means, covariances

@@ -40,89 +40,34 @@ OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 POSITION_WITH_VELOCITY = 0.5
 POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
-# A covariance has full rank if it still factorises with its diagonal lowered by this fraction: a bound on
-# single pivots does not do, because after a small one the rounding of the next can exceed it.
-RANK_MARGIN = 1e-12
-
 # A component of which this share is inside the region counts as inside.
 REGION_SLACK = 0.8
 
 
-def slice_moved(moved: MovedArrays, part: slice) -> MovedArrays:
-    """Views of the outputs of `move_components` for some of the components."""
-    return (
-        moved[0][part], moved[1][part], moved[2][part], moved[3][part], moved[4][part], moved[5][part],
-        moved[6][part],
-    )  # fmt: skip
-
-
 @compiled
-def cholesky(matrix: Array, factor: Array) -> bool:
-    """Lower Cholesky factor of a symmetric matrix (d, d); False if it is not positive definite."""
-    size = matrix.shape[0]
-    for j in range(size):
-        for i in range(j, size):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            if i == j:
-                if not 0.0 < total < np.inf:
-                    return False
-                factor[j, j] = math.sqrt(total)
-            else:
-                factor[i, j] = total / factor[j, j]
-        for k in range(j + 1, size):
-            factor[j, k] = 0.0
-    return True
+def relative_pose(source: Array, destination: Array) -> tuple[float, ...]:
+    """Pose of the source camera's frame in the destination's: x_B = rotation x_A + translation.
 
-
-@compiled
-def has_full_rank(matrix: Array, factor: Array) -> bool:
-    """Whether a symmetric matrix (d, d) is positive definite with a margin; `factor` is scratch."""
-    lowered = matrix.copy()
-    for j in range(matrix.shape[0]):
-        lowered[j, j] *= 1.0 - RANK_MARGIN
-    return cholesky(lowered, factor)
-
-
-@compiled
-def condition(matrix: Array, factor: Array) -> bool:
-    """Make a covariance positive definite in place; False if it holds NaN or cannot be helped.
-
-    The diagonal is raised by growing fractions of itself, from 1e-9 to 1e-3, until the factorisation
-    succeeds: a covariance that leaves the moment transforms always has full rank.
+    Returns the rotation row by row, then the translation: twelve numbers (an array would cost more than they do).
     """
-    if has_full_rank(matrix, factor):
-        return True
-    raised = 1e-9
-    while raised < 2e-3:
-        for j in range(matrix.shape[0]):
-            if not matrix[j, j] > 0.0 or matrix[j, j] == np.inf:
-                return False
-            matrix[j, j] *= 1.0 + raised
-        if has_full_rank(matrix, factor):
-            return True
-        raised *= 10.0
-    return False
-
-
-@compiled
-def relative_pose(source: Array, destination: Array, rotation: Array, translation: Array) -> None:
-    """Pose of the source camera's frame in the destination's: x_B = rotation x_A + translation."""
-    for a in range(3):
-        row = ROTATION + 3 * a
-        for b in range(3):
-            column = ROTATION + 3 * b
-            rotation[a, b] = (
-                destination[row] * source[column]
-                + destination[row + 1] * source[column + 1]
-                + destination[row + 2] * source[column + 2]
-            )
-        translation[a] = (
-            destination[row] * (source[CENTER] - destination[CENTER])
-            + destination[row + 1] * (source[CENTER + 1] - destination[CENTER + 1])
-            + destination[row + 2] * (source[CENTER + 2] - destination[CENTER + 2])
-        )
+    s, d = source[ROTATION : ROTATION + 9], destination[ROTATION : ROTATION + 9]
+    x = source[CENTER] - destination[CENTER]
+    y = source[CENTER + 1] - destination[CENTER + 1]
+    z = source[CENTER + 2] - destination[CENTER + 2]
+    return (
+        d[0] * s[0] + d[1] * s[1] + d[2] * s[2],
+        d[0] * s[3] + d[1] * s[4] + d[2] * s[5],
+        d[0] * s[6] + d[1] * s[7] + d[2] * s[8],
+        d[3] * s[0] + d[4] * s[1] + d[5] * s[2],
+        d[3] * s[3] + d[4] * s[4] + d[5] * s[5],
+        d[3] * s[6] + d[4] * s[7] + d[5] * s[8],
+        d[6] * s[0] + d[7] * s[1] + d[8] * s[2],
+        d[6] * s[3] + d[7] * s[4] + d[8] * s[5],
+        d[6] * s[6] + d[7] * s[7] + d[8] * s[8],
+        d[0] * x + d[1] * y + d[2] * z,
+        d[3] * x + d[4] * y + d[5] * z,
+        d[6] * x + d[7] * y + d[8] * z,
+    )
 
 
 @compiled
@@ -167,13 +112,7 @@ def moving_trips(
     out : array (7, n)
         Filled with (u, v, d, du, dv, dd) and rho times the depth before the destination.
     """
-    rotation = np.empty((3, 3))
-    translation = np.empty(3)
-    relative_pose(source, destination, rotation, translation)
-    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    t0, t1, t2 = translation[0], translation[1], translation[2]
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, t0, t1, t2 = relative_pose(source, destination)
     per_fx, per_fy, per_scale = 1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)
     fx, fy, cx, cy = destination[FX], destination[FY], destination[CX], destination[CY]
     scale = disparity_scale(destination)
@@ -238,9 +177,7 @@ def moving_trips(
 @compiled_fast
 def static_trips(mean: Array, factor: Array, samples: Array, source: Array, destination: Array, out: Array) -> None:
     """Carry the samples of one static object; as `moving_trips` with states (3,) and out (4, n)."""
-    rotation = np.empty((3, 3))
-    translation = np.empty(3)
-    relative_pose(source, destination, rotation, translation)
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, t0, t1, t2 = relative_pose(source, destination)
     per_fx, per_fy, per_scale = 1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)
     fx, fy, cx, cy = destination[FX], destination[FY], destination[CX], destination[CY]
     scale = disparity_scale(destination)
@@ -250,9 +187,9 @@ def static_trips(mean: Array, factor: Array, samples: Array, source: Array, dest
         ray_x = (m0 + factor[0, 0] * a0) * per_fx
         ray_y = (m1 + factor[1, 0] * a0 + factor[1, 1] * a1) * per_fy
         rho = (m2 + factor[2, 0] * a0 + factor[2, 1] * a1 + factor[2, 2] * a2) * per_scale
-        x_b = rotation[0, 0] * ray_x + rotation[0, 1] * ray_y + rotation[0, 2] + rho * translation[0]
-        y_b = rotation[1, 0] * ray_x + rotation[1, 1] * ray_y + rotation[1, 2] + rho * translation[1]
-        z_b = rotation[2, 0] * ray_x + rotation[2, 1] * ray_y + rotation[2, 2] + rho * translation[2]
+        x_b = r00 * ray_x + r01 * ray_y + r02 + rho * t0
+        y_b = r10 * ray_x + r11 * ray_y + r12 + rho * t1
+        z_b = r20 * ray_x + r21 * ray_y + r22 + rho * t2
         per_z = 1.0 / z_b
         out[0, i] = fx * x_b * per_z + cx
         out[1, i] = fy * y_b * per_z + cy
@@ -265,8 +202,10 @@ def motion_noise(samples: Array, axes: Array) -> Array:
     """Unit noise of position and velocity (6, n) from samples (12, n), in the axes of `axes` (3, 3).
 
     The columns of `axes` are the world's axes in the destination's, times the acceleration's standard
-    deviation along them.
+    deviation along them. Samples of static objects have 3 rows, and no noise: (6, 0).
     """
+    if samples.shape[0] < 12:
+        return np.zeros((6, 0))
     out = np.empty((6, samples.shape[1]))
     for i in range(samples.shape[1]):
         for a in range(3):
@@ -281,22 +220,23 @@ def motion_noise(samples: Array, axes: Array) -> Array:
     return out
 
 
-@compiled
+@compiled_fast
 def view_mask(points: Array, destination: Array, mask: Array) -> int:
     """Mark the samples in view of the destination (in front, inside the distorted image); count them."""
     depth = points[points.shape[0] - 1]
     right, bottom = destination[WIDTH] - 0.5, destination[HEIGHT] - 0.5
-    distorted = destination[LENS_CODE] != LENS_NONE
-    count = 0
-    for i in range(points.shape[1]):
-        u, v = points[0, i], points[1, i]
-        if distorted:
-            seen = depth[i] > 0.0 and pixel_in_view(destination, u, v)
-        else:
+    count = 0.0
+    if destination[LENS_CODE] != LENS_NONE:
+        for i in range(points.shape[1]):
+            mask[i] = 1.0 if depth[i] > 0.0 and pixel_in_view(destination, points[0, i], points[1, i]) else 0.0
+            count += mask[i]
+    else:
+        for i in range(points.shape[1]):
+            u, v = points[0, i], points[1, i]
             seen = (depth[i] > 0.0) & (u >= -0.5) & (u <= right) & (v >= -0.5) & (v <= bottom)
-        mask[i] = 1.0 if seen else 0.0
-        count += seen
-    return count
+            mask[i] = 1.0 if seen else 0.0
+            count += mask[i]
+    return int(count)
 
 
 @compiled
@@ -343,157 +283,3 @@ def region_mask(
         weights[:] = sample_weights
         return 1.0
     return kept / total
-
-
-@compiled_fast
-def weighted_moments(points: Array, weights: Array, total: float, mean: Array, covariance: Array) -> None:
-    """Mean (d,) and covariance (d, d) of the columns of points (>= d, n); overwrites points.
-
-    Columns of weight 0 may hold NaN or infinity.
-    """
-    size = mean.shape[0]
-    samples = points.shape[1]
-    for a in range(size):
-        row = points[a]
-        shift = 0.0
-        for i in range(samples):
-            shift += row[i] * weights[i] if weights[i] > 0.0 else 0.0
-        shift /= total
-        mean[a] = shift
-        for i in range(samples):
-            row[i] = row[i] - shift if weights[i] > 0.0 else 0.0
-    for a in range(size):
-        row = points[a]
-        for b in range(a + 1):
-            other = points[b]
-            second = 0.0
-            for i in range(samples):
-                second += weights[i] * row[i] * other[i]
-            covariance[a, b] = second / total
-            covariance[b, a] = covariance[a, b]
-
-
-@compiled
-def missed_moments(
-    mean: Array,
-    factor: Array,
-    samples: Array,
-    sample_weights: Array,
-    mask: Array,
-    p_detect: float,
-    minimum: int,
-    missed_mean: Array,
-    missed_covariance: Array,
-) -> None:
-    """Gaussian (in its own space) of the part of a component that was not detected (paper VI-C, Fig. 8).
-
-    The samples are weighted by their own weight times 1 - p_detect in view and 1 outside; where too few
-    effective samples remain to carry a covariance, the Gaussian is kept and only its weight changes.
-    """
-    size = mean.shape[0]
-    count = samples.shape[1]
-    weights = np.empty(count)
-    total = 0.0
-    squares = 0.0
-    for i in range(count):
-        weights[i] = sample_weights[i] * (1.0 - p_detect * mask[i])
-        total += weights[i]
-        squares += weights[i] * weights[i]
-    unit_mean = np.zeros(size)
-    unit_covariance = np.eye(size)
-    if total * total >= minimum * squares and total > 0.0:
-        points = samples[:size].copy()
-        weighted_moments(points, weights, total, unit_mean, unit_covariance)
-    for a in range(size):
-        missed_mean[a] = mean[a]
-        for b in range(a + 1):
-            missed_mean[a] += factor[a, b] * unit_mean[b]
-    for a in range(size):
-        for b in range(a + 1):
-            value = 0.0
-            for c in range(a + 1):
-                for d in range(b + 1):
-                    value += factor[a, c] * unit_covariance[c, d] * factor[b, d]
-            missed_covariance[a, b] = value
-            missed_covariance[b, a] = value
-
-
-@compiled
-def move_components(
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    dts: Array,
-    samples: Array,
-    sample_weights: Array,
-    noise: Array,
-    destination: Array,
-    p_detect: float,
-    max_speed: float,
-    minimum: int,
-    region: Array,
-    moved: MovedArrays,
-) -> None:
-    """Move every component into the destination's space and split it by the field of view.
-
-    Component by component, with no state shared between them: results do not depend on how the
-    components are shared out over threads. Parameters as in `stereophd.disparity.moments.move`;
-    `region` is packed as for `region_mask`, or empty; `moved` is the tuple (means, covariances, fraction,
-    status, missed_means, missed_covariances, inside), filled in place.
-    """
-    out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
-    size = means.shape[1]
-    count = samples.shape[1]
-    points = np.empty((size + 1, count))
-    mask = np.empty(count)
-    seen_weights = np.empty(count)
-    weights = sample_weights.copy()
-    factor = np.empty((size, size))
-    scratch = np.empty((size, size))
-    for k in range(means.shape[0]):
-        status[k] = OUT_OF_VIEW
-        fraction[k] = 0.0
-        inside[k] = 1.0
-        if not cholesky(covariances[k], factor):
-            continue
-        if size == 6:
-            interval = abs(dts[k])
-            velocity_noise = math.sqrt(interval)
-            position_noise = velocity_noise * dts[k]
-            moving_trips(
-                means[k], factor, samples, noise, position_noise, velocity_noise,
-                homes[k], destination, dts[k], max_speed, points,
-            )  # fmt: skip
-        else:
-            static_trips(means[k], factor, samples, homes[k], destination, points)
-        if len(region) > 0:
-            inside[k] = region_mask(points, destination, homes[k], region, sample_weights, weights)
-            if inside[k] == 0.0:
-                continue
-        view_mask(points, destination, mask)
-        whole_weight = weights.sum()
-        seen_weight = 0.0
-        squares = 0.0
-        for i in range(count):
-            seen_weights[i] = mask[i] * weights[i]
-            seen_weight += seen_weights[i]
-            squares += seen_weights[i] * seen_weights[i]
-        fraction[k] = seen_weight / whole_weight
-        # the effective number of samples: their count, where all weigh the same
-        if seen_weight * seen_weight >= minimum * squares and seen_weight > 0.0:
-            weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
-            if condition(out_covariances[k], scratch):
-                status[k] = IN_VIEW if seen_weight == whole_weight else PARTLY_IN_VIEW
-        if status[k] == OUT_OF_VIEW:
-            mask[:] = 0.0
-        if status[k] == PARTLY_IN_VIEW and p_detect == 0.0 and inside[k] == 1.0:
-            missed_means[k] = means[k]
-            missed_covariances[k] = covariances[k]
-        elif status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
-            missed_moments(
-                means[k], factor, samples, weights, mask, p_detect, minimum,
-                missed_means[k], missed_covariances[k],
-            )  # fmt: skip
-            if not condition(missed_covariances[k], scratch):
-                missed_means[k] = means[k]
-                missed_covariances[k] = covariances[k]

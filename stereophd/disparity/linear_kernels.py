@@ -11,16 +11,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.compilation import compiled
+from stereophd.compilation import compiled, compiled_fast
 from stereophd.disparity.kernels import (
     POSITION_ALONE,
     POSITION_WITH_VELOCITY,
-    cholesky,
-    condition,
     disparity_scale,
+    motion_noise,
     relative_pose,
-    weighted_moments,
 )
+from stereophd.disparity.moment_kernels import cholesky, condition, weighted_moments
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 
 Array = NDArray[np.float64]
@@ -47,9 +46,8 @@ def linear_move(
     `noise_axes` (3, 3) holds, column by column, the acceleration noise of the world's axes in the
     destination's axes, scaled by its standard deviation. Other arguments as `moving_trips`.
     """
-    rotation = np.empty((3, 3))
-    translation = np.empty(3)
-    relative_pose(source, destination, rotation, translation)
+    pose = np.array(relative_pose(source, destination))
+    rotation, translation = pose[:9].reshape(3, 3), pose[9:]
     per = np.array([1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)])
     scales = np.array([destination[FX], destination[FY], disparity_scale(destination)])
     ray = np.array([(mean[0] - source[CX]) * per[0], (mean[1] - source[CY]) * per[1], 1.0])
@@ -159,6 +157,81 @@ def linear_components(
             out_covariances[k] = covariance[:size, :size]
 
 
+@compiled_fast
+def _moving_to_world(
+    mean: Array,
+    factor: Array,
+    samples: Array,
+    noise: Array,
+    dt: float,
+    home: Array,
+    max_speed: float,
+    points: Array,
+    weights: Array,
+) -> float:
+    """Samples of a moving object in the world: fill points (6, n) and weights (n,), return the sum of these."""
+    m0, m1, m2, m3, m4, m5 = mean[0] - home[CX], mean[1] - home[CY], mean[2], mean[3], mean[4], mean[5]
+    l00 = factor[0, 0]
+    l10, l11 = factor[1, 0], factor[1, 1]
+    l20, l21, l22 = factor[2, 0], factor[2, 1], factor[2, 2]
+    l30, l31, l32, l33 = factor[3, 0], factor[3, 1], factor[3, 2], factor[3, 3]
+    l40, l41, l42, l43, l44 = factor[4, 0], factor[4, 1], factor[4, 2], factor[4, 3], factor[4, 4]
+    l50, l51, l52, l53, l54 = factor[5, 0], factor[5, 1], factor[5, 2], factor[5, 3], factor[5, 4]
+    l55 = factor[5, 5]
+    # from the camera's axes back to the world's
+    r = home[ROTATION : ROTATION + 9]
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8]
+    c0, c1, c2 = home[CENTER], home[CENTER + 1], home[CENTER + 2]
+    per_fx, per_fy, scale = 1.0 / home[FX], 1.0 / home[FY], disparity_scale(home)
+    velocity_noise = math.sqrt(abs(dt))
+    position_noise = velocity_noise * dt
+    total = 0.0
+    for i in range(samples.shape[1]):
+        a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
+        a3, a4, a5 = samples[3, i], samples[4, i], samples[5, i]
+        disparity = m2 + l20 * a0 + l21 * a1 + l22 * a2
+        weights[i] = 1.0 if disparity * FARTHEST_SAMPLE >= m2 else 0.0
+        total += weights[i]
+        per_disparity = 1.0 / disparity
+        depth = scale * per_disparity
+        growth = (m5 + l50 * a0 + l51 * a1 + l52 * a2 + l53 * a3 + l54 * a4 + l55 * a5) * per_disparity
+        x = (m0 + l00 * a0) * per_fx * depth
+        y = (m1 + l10 * a0 + l11 * a1) * per_fy * depth
+        vx = (m3 + l30 * a0 + l31 * a1 + l32 * a2 + l33 * a3) * per_fx * depth - x * growth
+        vy = (m4 + l40 * a0 + l41 * a1 + l42 * a2 + l43 * a3 + l44 * a4) * per_fy * depth - y * growth
+        vz = -depth * growth
+        speed2 = vx * vx + vy * vy + vz * vz
+        slow = max_speed / math.sqrt(speed2) if speed2 > max_speed * max_speed else 1.0
+        vx, vy, vz = slow * vx, slow * vy, slow * vz
+        x, y, depth = x + dt * vx, y + dt * vy, depth + dt * vz
+        points[0, i] = c0 + r00 * x + r10 * y + r20 * depth + position_noise * noise[0, i]
+        points[1, i] = c1 + r01 * x + r11 * y + r21 * depth + position_noise * noise[1, i]
+        points[2, i] = c2 + r02 * x + r12 * y + r22 * depth + position_noise * noise[2, i]
+        points[3, i] = r00 * vx + r10 * vy + r20 * vz + velocity_noise * noise[3, i]
+        points[4, i] = r01 * vx + r11 * vy + r21 * vz + velocity_noise * noise[4, i]
+        points[5, i] = r02 * vx + r12 * vy + r22 * vz + velocity_noise * noise[5, i]
+    return total
+
+
+@compiled_fast
+def _static_to_world(mean: Array, factor: Array, samples: Array, home: Array, points: Array, weights: Array) -> float:
+    """Samples of a static object in the world; as `_moving_to_world` with states (3,) and points (3, n)."""
+    scale = disparity_scale(home)
+    total = 0.0
+    for i in range(samples.shape[1]):
+        a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
+        disparity = mean[2] + factor[2, 0] * a0 + factor[2, 1] * a1 + factor[2, 2] * a2
+        weights[i] = 1.0 if disparity * FARTHEST_SAMPLE >= mean[2] else 0.0
+        total += weights[i]
+        depth = scale / disparity
+        x = (mean[0] - home[CX] + factor[0, 0] * a0) / home[FX] * depth
+        y = (mean[1] - home[CY] + factor[1, 0] * a0 + factor[1, 1] * a1) / home[FY] * depth
+        for a in range(3):
+            r0, r1, r2 = home[ROTATION + a], home[ROTATION + 3 + a], home[ROTATION + 6 + a]
+            points[a, i] = home[CENTER + a] + r0 * x + r1 * y + r2 * depth
+    return total
+
+
 @compiled
 def world_components(
     means: Array,
@@ -166,19 +239,19 @@ def world_components(
     homes: Array,
     dts: Array,
     samples: Array,
-    noise: Array,
+    acceleration_std: Array,
     max_speed: float,
     out_means: Array,
     out_covariances: Array,
 ) -> None:
     """Mean and covariance in the world (x, y, z, vx, vy, vz) of every component, moved by its dt.
 
-    `noise` (6, n) is the motion noise in the world's axes. Components whose mean disparity is not
-    positive (an object at infinity has no position) are left as NaN.
+    Components whose mean disparity is not positive (an object at infinity has no position) are left as NaN.
     """
+    noise = motion_noise(samples, np.diag(acceleration_std))
     size = means.shape[1]
     count = samples.shape[1]
-    points = np.empty((6, count))
+    points = np.empty((size, count))
     weights = np.empty(count)
     factor = np.empty((size, size))
     mean = np.empty(size)
@@ -187,42 +260,18 @@ def world_components(
     for k in range(means.shape[0]):
         out_means[k] = np.nan
         out_covariances[k] = np.nan
-        home, dt = homes[k], dts[k]
         if not means[k, 2] > 0.0 or not cholesky(covariances[k], factor):
             continue
-        scale = disparity_scale(home)
-        velocity_noise = math.sqrt(abs(dt))
-        state = np.zeros(6)
-        total = 0.0
-        for i in range(count):
-            for a in range(size):
-                state[a] = means[k, a]
-                for b in range(a + 1):
-                    state[a] += factor[a, b] * samples[b, i]
-            weights[i] = 1.0 if state[2] * FARTHEST_SAMPLE >= means[k, 2] else 0.0
-            total += weights[i]
-            depth = scale / state[2]
-            x, y = (state[0] - home[CX]) / home[FX] * depth, (state[1] - home[CY]) / home[FY] * depth
-            growth = state[5] / state[2]
-            vx = state[3] / home[FX] * depth - x * growth
-            vy = state[4] / home[FY] * depth - y * growth
-            vz = -depth * growth
-            speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-            slow = max_speed / speed if speed > max_speed else 1.0
-            for a in range(3):
-                # column a of the rotation: from the camera's axes back to the world's
-                r0, r1, r2 = home[ROTATION + a], home[ROTATION + 3 + a], home[ROTATION + 6 + a]
-                velocity = slow * (r0 * vx + r1 * vy + r2 * vz)
-                points[a, i] = home[CENTER + a] + r0 * x + r1 * y + r2 * depth + dt * velocity
-                points[3 + a, i] = velocity
-                if size == 6:
-                    points[a, i] += velocity_noise * dt * noise[a, i]
-                    points[3 + a, i] += velocity_noise * noise[3 + a, i]
+        if size == 6:
+            total = _moving_to_world(
+                means[k], factor, samples, noise, dts[k], homes[k], max_speed, points, weights
+            )  # fmt: skip
+        else:
+            total = _static_to_world(means[k], factor, samples, homes[k], points, weights)
         weighted_moments(points, weights, total, mean, covariance)
         if not condition(covariance, scratch):
             continue
+        out_means[k] = 0.0
+        out_covariances[k] = 0.0
         out_means[k, :size] = mean
         out_covariances[k, :size, :size] = covariance
-        out_means[k, size:] = 0.0
-        out_covariances[k, size:, :] = 0.0
-        out_covariances[k, :, size:] = 0.0

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from stereophd.disparity import kernels, linear_kernels
 from stereophd.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
+from stereophd.disparity.move_kernels import Look, allocate_moved, carry_components, noise_axes
 from stereophd.disparity.rule_kernels import rule_components
 from stereophd.disparity.samples import SampleSets, cubature_points
-from stereophd.geometry.layout import ROTATION
 from stereophd.motion import ConstantVelocity, Motion
 
 __all__ = ["IN_VIEW", "OUT_OF_VIEW", "PARTLY_IN_VIEW", "Moved", "minimum_in_view", "move", "world_moments"]
@@ -32,10 +32,8 @@ Array = NDArray[np.float64]
 FEWEST_SAMPLES = 24
 # Components whose disparity is known no better than to this fraction are not worth a try with a low-order rule.
 WIDEST_RULE = 0.5
-# A component whose disparity is known to better than this fraction has no tail to look for.
-WIDE_DISPARITY = 0.05
 NO_REGION = np.empty(0)
-NO_NOISE = np.zeros((6, 0))
+NO_ACCELERATION = np.zeros(3)
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
 
@@ -129,27 +127,26 @@ def move(
     Moved
     """
     samples = sets.turn(turn)
-    noise = _motion_noise(samples, motion, _rotation(destination))
-    moved = _allocate(means)
+    first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
+    second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
+    moved = allocate_moved(*means.shape)
     region = NO_REGION if region is None else region
-    todo = np.arange(len(means))
+    important = np.zeros(len(means), dtype=bool) if important is None else important
+    which = np.arange(len(means))
     if sets.method in ("adaptive", "unscented", "linear"):
-        todo = _low_order(means, covariances, homes, dts, destination, motion, sets, region, moved)
-    _run(
-        means, covariances, homes, dts, samples, np.ones(samples.shape[1]), noise, destination, p_detect,
-        _max_speed(motion), minimum_in_view(samples.shape[1]), region, moved, todo, threads,
-    )  # fmt: skip
-    status, fraction = moved[3], moved[2]
-    if important is not None:
-        wide = covariances[:, 2, 2] > (WIDE_DISPARITY * means[:, 2]) ** 2
-        corner = np.flatnonzero(important & (status == OUT_OF_VIEW) & (wide | (fraction > 0.0)))
-        if len(corner):
-            noise = _motion_noise(sets.reserve, motion, _rotation(destination))
-            _run(
-                means, covariances, homes, dts, sets.reserve, sets.reserve_weights, noise, destination,
-                p_detect, _max_speed(motion), FEWEST_SAMPLES, region, moved, corner, threads,
-            )  # fmt: skip
-    fraction[status == OUT_OF_VIEW] = 0.0
+        which = _low_order(means, covariances, homes, dts, destination, motion, sets, region, moved)
+
+    def run(part: slice) -> None:
+        carry_components(
+            which[part], means, covariances, homes, dts, important, first, second, destination,
+            _acceleration(motion), p_detect, _max_speed(motion), region, moved,
+        )  # fmt: skip
+
+    slices = _slices(len(which), samples.shape[1], threads)
+    if len(slices) == 1:
+        run(slices[0])
+    else:
+        list(_pool(threads).map(run, slices))
     return Moved(*moved)
 
 
@@ -163,13 +160,12 @@ def world_moments(
     out (a Gaussian in disparity has no moments in depth). For static objects the velocity is 0.
     Parameters as `move`.
     """
-    samples = sets.turn(turn)
-    noise = _motion_noise(samples, motion, np.eye(3))
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
     linear_kernels.world_components(
-        means, covariances, homes, dts, samples, noise, _max_speed(motion), out_means, out_covariances
-    )
+        means, covariances, homes, dts, sets.turn(turn), _acceleration(motion), _max_speed(motion), out_means,
+        out_covariances,
+    )  # fmt: skip
     return out_means, out_covariances
 
 
@@ -178,28 +174,14 @@ def _max_speed(motion: Motion) -> float:
     return np.inf if speed is None else float(speed)
 
 
-def _allocate(means: Array) -> kernels.MovedArrays:
-    count, size = means.shape
-    return (
-        np.zeros((count, size)),
-        np.zeros((count, size, size)),
-        np.zeros(count),
-        np.zeros(count, dtype=np.int64),
-        np.zeros((count, size)),
-        np.zeros((count, size, size)),
-        np.ones(count),
-    )
+def _acceleration(motion: Motion) -> Array:
+    # a copy, because compiled code takes a read-only array for another type, and would be compiled twice
+    return motion.acceleration_std.copy() if isinstance(motion, ConstantVelocity) else NO_ACCELERATION
 
 
-def _motion_noise(samples: Array, motion: Motion, rotation: Array) -> Array:
-    """Unit motion noise (6, n): position and velocity rows, rotated into the destination's axes."""
-    if isinstance(motion, ConstantVelocity):
-        return kernels.motion_noise(samples, rotation * motion.acceleration_std)
-    return NO_NOISE
-
-
-def _rotation(space: Array) -> Array:
-    return space[ROTATION : ROTATION + 9].reshape(3, 3)
+@cache
+def _equal_weights(samples: int) -> Array:
+    return np.ones(samples)
 
 
 @cache
@@ -220,61 +202,18 @@ def _low_order(
 ) -> NDArray[np.intp]:
     """Move by the unscented or the linear rule; return which components still need samples."""
     points = _rule_points(12 if means.shape[1] == 6 else 3)
-    rotation = _rotation(destination)
+    axes = noise_axes(destination, _acceleration(motion))
     adaptive = sets.method == "adaptive"
     todo = rule_components(
-        means, covariances, homes, dts, points, _motion_noise(points, motion, rotation), destination,
+        means, covariances, homes, dts, points, kernels.motion_noise(points, axes), destination,
         _max_speed(motion), region, WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf,
         moved,
     )  # fmt: skip
     if sets.method == "linear":
-        std = motion.acceleration_std if isinstance(motion, ConstantVelocity) else np.zeros(3)
-        axes = np.ascontiguousarray(rotation * std)
         linear_kernels.linear_components(
             means, covariances, homes, dts, axes, destination, _max_speed(motion), moved[0], moved[1]
         )
     return todo
-
-
-def _run(
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    dts: Array,
-    samples: Array,
-    weights: Array,
-    noise: Array,
-    destination: Array,
-    p_detect: float,
-    max_speed: float,
-    minimum: int,
-    region: Array,
-    moved: kernels.MovedArrays,
-    todo: NDArray[np.intp],
-    threads: int,
-) -> None:
-    """Run the sample trips of the components `todo`, in slices over threads, into `moved`."""
-    whole = len(todo) == len(means)
-    if len(todo) == 0:
-        return
-    if not whole:
-        means, covariances, homes, dts = means[todo], covariances[todo], homes[todo], dts[todo]
-    outputs = moved if whole else _allocate(means)
-
-    def run(part: slice) -> None:
-        kernels.move_components(
-            means[part], covariances[part], homes[part], dts[part], samples, weights, noise, destination,
-            p_detect, max_speed, minimum, region, kernels.slice_moved(outputs, part),
-        )  # fmt: skip
-
-    slices = _slices(len(todo), samples.shape[1], threads)
-    if len(slices) == 1:
-        run(slices[0])
-    else:
-        list(_pool(threads).map(run, slices))
-    if not whole:
-        for whole_values, values in zip(moved, outputs, strict=True):
-            whole_values[todo] = values
 
 
 def _slices(count: int, samples: int, threads: int) -> list[slice]:

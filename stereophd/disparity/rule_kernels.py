@@ -25,14 +25,12 @@ from stereophd.disparity.kernels import (
     IN_VIEW,
     OUT_OF_VIEW,
     MovedArrays,
-    cholesky,
-    condition,
     moving_trips,
     region_mask,
     static_trips,
     view_mask,
-    weighted_moments,
 )
+from stereophd.disparity.moment_kernels import cholesky, condition, weighted_moments
 
 Array = NDArray[np.float64]
 
@@ -71,9 +69,9 @@ def rule_components(
     max_nonlinearity : float
         Limit of N; infinity for none.
     moved : tuple
-        As `stereophd.disparity.kernels.move_components` fills it; filled where the rule does.
+        As `stereophd.disparity.move_kernels.carry_components` fills it; filled where the rule does.
 
-    Other parameters as in `move_components`.
+    Other parameters as there.
     """
     out_means, out_covariances, fraction, status, inside = moved[0], moved[1], moved[2], moved[3], moved[6]
     size = means.shape[1]

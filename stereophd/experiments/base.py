@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -51,7 +54,8 @@ class Kind:
     ----------
     run : callable (LoadedConfig, int) -> sequence of Series
         One run, of this number, of the method and case that the configuration describes. Its random
-        numbers come from the seed and the number alone: methods see the same data.
+        numbers come from the seed and the number alone: methods see the same data. What is the method's
+        work, and not making the data or scoring, it does under `method_clock`.
     bounds : callable (LoadedConfig) -> sequence of Series
         Bounds on the mean (or the root mean square) of quantities, where they are known.
     check : callable (LoadedConfig) -> None
@@ -61,6 +65,29 @@ class Kind:
     run: Callable[[LoadedConfig, int], Sequence[Series]]
     bounds: Callable[[LoadedConfig], Sequence[Series]]
     check: Callable[[LoadedConfig], None]
+
+
+# Processor times of the blocks under `method_clock` in the run that is being done, s.
+_METHOD_SECONDS: ContextVar[list[float]] = ContextVar("method_seconds")
+
+
+@contextmanager
+def method_clock() -> Iterator[None]:
+    """Count the processor time of this block as the method's; a run without such a block counts as a whole."""
+    start = time.thread_time()
+    yield
+    _METHOD_SECONDS.get([]).append(time.thread_time() - start)
+
+
+@contextmanager
+def method_seconds() -> Iterator[list[float]]:
+    """Collect the times of the blocks under `method_clock` within this one."""
+    seconds: list[float] = []
+    token = _METHOD_SECONDS.set(seconds)
+    try:
+        yield seconds
+    finally:
+        _METHOD_SECONDS.reset(token)
 
 
 def find_kind(name: str) -> Kind:
@@ -73,3 +100,8 @@ def find_kind(name: str) -> Kind:
 def run_seed(seed: int, run: int) -> np.random.SeedSequence:
     """Return the seed of a run: that of run k of ``simulate --runs``, whatever the number of runs."""
     return np.random.SeedSequence(seed, spawn_key=(run,))
+
+
+def seed_number(seed: int, run: int) -> int:
+    """Return the first 63 bits that the seed of a run gives: they tell runs apart, and show which saw the same data."""
+    return int(run_seed(seed, run).generate_state(1, np.uint64)[0] >> 1)

@@ -26,19 +26,21 @@ from stereophd.calibrate_inputs import (
 )
 from stereophd.calibrate_methods import annealed_outcome
 from stereophd.calibrate_outcome import HistoryRow
+from stereophd.calibrate_report import status_of
 from stereophd.calibrate_samplers import sequential_outcome
 from stereophd.calibration.association import Scans
 from stereophd.calibration.parameters import RADIANS, ParameterSet, pose_offsets
-from stereophd.calibration.posterior import pose_spread
+from stereophd.calibration.posterior import UNDETERMINED, observability, pose_spread
 from stereophd.config_experiment import CalibrationScenario
 from stereophd.disparity.events import make_event
 from stereophd.errors import InputError
-from stereophd.experiments.base import Array, Kind, Series, run_seed
+from stereophd.evaluate_calibration_bounds import scene_positions
+from stereophd.experiments.base import Array, Kind, Series, method_clock, run_seed
 from stereophd.metrics.bounds import mean_error_norm
 from stereophd.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.metrics.calibration_bounds import calibration_bound
 from stereophd.simulate import GUESS_KEY, build_scene
-from stereophd.simulation.detections import Scene, simulate_frames, truth_rows
+from stereophd.simulation.detections import Scene, simulate_frames
 from stereophd.track import build_motion
 
 if TYPE_CHECKING:
@@ -46,6 +48,9 @@ if TYPE_CHECKING:
 
 # Key of the calibration's own random numbers among those of a run.
 METHOD_KEY = 3
+
+# Half of the interval that holds 90 % of a Gaussian, in standard deviations.
+INTERVAL_90 = 1.6448536269514722
 
 # Times are equal if they agree to the nanosecond.
 SAME_TIME_S = 1e-9
@@ -71,31 +76,35 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     events.sort(key=lambda event: (event.time_s, event.camera))
     problem = CalibrationProblem(parameters, reference, Scans.of(events), build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, method_clock():
         outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False), 1, None)
-    found = Series("found", "1", np.array([float(not outcome.reason)]))
-    return [found, *_errors(loaded, parameters, reference, true, outcome.history)]
+    found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
+    limits = _scene_bounds(loaded, number)
+    return [found, *_errors(loaded, parameters, reference, true, outcome.history, limits)]
 
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the Cramer-Rao bound over time, its variances averaged over scenes."""
-    times = _times(loaded)
-    motion = build_motion(loaded.config.motion)
-    covariances: list[list[Array]] = []
-    for number in range(_scenario(loaded).bound_scenes):
-        scene, guessed, parameters, reference, true = _setting(loaded, number)
-        scale = build_scale(guessed, parameters)
-        objects, cameras, at, positions = _sightings(scene)
-        row = []
-        for time_s in times.tolist():
-            past = at <= time_s + SAME_TIME_S
-            row.append(
-                calibration_bound(
-                    parameters, true, reference, motion, objects[past], cameras[past], at[past], positions[past], scale
-                )
+    _, _, parameters, reference, true = _setting(loaded, 0)
+    scenes = range(_scenario(loaded).bound_scenes)
+    covariances = np.mean([_scene_bounds(loaded, number) for number in scenes], axis=0)
+    return _bound_series(loaded, parameters, reference, true, covariances)
+
+
+def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
+    """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
+    scene, guessed, parameters, reference, true = _setting(loaded, number)
+    motion, scale = build_motion(loaded.config.motion), build_scale(guessed, parameters)
+    objects, cameras, at, positions = scene_positions(scene)
+    bounds = []
+    for time_s in _times(loaded).tolist():
+        past = at <= time_s + SAME_TIME_S
+        bounds.append(
+            calibration_bound(
+                parameters, true, reference, motion, objects[past], cameras[past], at[past], positions[past], scale
             )
-        covariances.append(row)
-    return _bound_series(loaded, parameters, reference, true, np.array(covariances).mean(axis=0))
+        )
+    return np.array(bounds)
 
 
 def _scenario(loaded: LoadedConfig) -> CalibrationScenario:
@@ -133,20 +142,13 @@ def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, Pa
 OFFSETS = ("center_x", "center_y", "center_z", "rotation_x", "rotation_y", "rotation_z")
 
 
-def _sightings(scene: Scene) -> tuple[np.ndarray, np.ndarray, Array, Array]:
-    """Return object, camera, time and position of every object at every frame of every camera."""
-    times, objects, states = (np.concatenate(part) for part in zip(*truth_rows(scene), strict=True))
-    parts = []
-    for camera, schedule in enumerate(scene.grid.frames):
-        own = np.isin(times, schedule.window(scene.grid.start_s, scene.grid.end_s)[1])
-        parts.append((objects[own], np.full(int(own.sum()), camera), times[own], states[own, :3]))
-    objects, cameras, times, positions = (np.concatenate(part) for part in zip(*parts, strict=True))
-    order = np.lexsort((cameras, times))
-    return objects[order], cameras[order], times[order], positions[order]
-
-
 def _errors(
-    loaded: LoadedConfig, parameters: ParameterSet, reference: int, true: Array, history: Sequence[HistoryRow]
+    loaded: LoadedConfig,
+    parameters: ParameterSet,
+    reference: int,
+    true: Array,
+    history: Sequence[HistoryRow],
+    limits: Array,
 ) -> list[Series]:
     """Return errors at the times of the scenario, each by the last estimate up to then; NaN before the first."""
     times, unit = _times(loaded), loaded.config.units.length
@@ -157,21 +159,37 @@ def _errors(
         last = int(np.searchsorted(known, time_s + SAME_TIME_S, side="right")) - 1
         if last < 0:
             continue
-        row = history[last]
-        errors = pose_errors([camera.pose for camera in parameters.build(row.mean)], truth, reference)
+        mean, covariance = history[last].mean, history[last].covariance
+        errors = pose_errors([camera.pose for camera in parameters.build(mean)], truth, reference)
+        limit = _spreads(parameters, reference, true, limits[k])
         figures = {
             "rotation_error": math.degrees(_root(errors.rotation)),
             "direction_error": math.degrees(_root(errors.direction)),
             "center_error": _root(errors.center),
-            **_spreads(parameters, reference, row.mean, row.covariance),
-            "nees": normalised_error_squared(row.mean - true, row.covariance),
+            **_spreads(parameters, reference, mean, covariance),
+            **_consistency(parameters, reference, mean, covariance, true),
         }
+        for name in ("rotation", "direction"):
+            figures[f"{name}_error_ratio"] = figures[f"{name}_error"] / limit[f"{name}_std"]
         for j, name in enumerate(_names(parameters)):
-            figures[f"{name}_error"] = abs(row.mean[j] - true[j]) * _scale(parameters, j)
+            figures[f"{name}_error"] = abs(mean[j] - true[j]) * _scale(parameters, j)
         for name, value in figures.items():
             values.setdefault(name, np.full(len(times), np.nan))[k] = value
     units = _units(parameters, unit)
-    return [Series(name, units[name], one, times) for name, one in values.items()]
+    return [Series(name, units.get(name, "1"), one, times) for name, one in values.items()]
+
+
+def _consistency(
+    parameters: ParameterSet, reference: int, mean: Array, covariance: Array, true: Array
+) -> dict[str, float]:
+    """Return how well a posterior knows itself: NEES, the share of parameters in their interval, and the spread of the
+    scale in that of its prior."""
+    inside = np.abs(mean - true) <= INTERVAL_90 * np.sqrt(np.diag(covariance))
+    return {
+        "nees": normalised_error_squared(mean - true, covariance),
+        "coverage_90": float(inside.mean()),
+        "scale_std_ratio": observability(parameters, reference, mean, covariance).scale_ratio,
+    }
 
 
 def _bound_series(
@@ -213,7 +231,7 @@ def _scale(parameters: ParameterSet, index: int) -> float:
 
 
 def _units(parameters: ParameterSet, length: str) -> dict[str, str]:
-    units = {"nees": "1"}
+    units = dict[str, str]()
     for kind in ("error", "std"):
         units |= {f"rotation_{kind}": "deg", f"direction_{kind}": "deg", f"center_{kind}": length}
     for j, name in enumerate(_names(parameters)):

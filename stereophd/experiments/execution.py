@@ -9,12 +9,16 @@ from dataclasses import dataclass, field
 
 import stereophd
 from stereophd.errors import InputError, StereophdError
+from stereophd.experiments.base import Series
 from stereophd.experiments.parts import PartStore
 from stereophd.experiments.work import Chunk, ChunkResult, Part
 from stereophd.experiments.workers import DaskWorkers, Workers, WorkersLostError, in_this_process, on_cores
 
 # Called with the runs done and their total.
 Progress = Callable[[int, int], None]
+
+# Called with method, case and series of a run.
+See = Callable[[str, str, Sequence[Series]], None]
 
 # How often a run is tried, and how often in a row all workers may be lost without a run being finished.
 ATTEMPTS = 3
@@ -58,6 +62,7 @@ def execute(
     jobs: int,
     dask: str | None,
     progress: Progress | None,
+    see: See,
 ) -> None:
     """Do the wanted runs that the store does not hold, and store them.
 
@@ -71,6 +76,8 @@ def execute(
     dask : str, optional
         Address of a Dask scheduler.
     progress : callable, optional
+    see : callable
+        Called with what each run gave, finished earlier or now; an error that it raises ends the experiment.
 
     Raises
     ------
@@ -79,7 +86,10 @@ def execute(
     StereophdError
         A run failed `ATTEMPTS` times, or workers die without finishing a run.
     """
-    done = {(result.method, result.case, result.run) for result in store.read()}
+    done = set()
+    for result in store.read():
+        see(result.method, result.case, result.series)
+        done.add((result.method, result.case, result.run))
     parts = {(part.method, part.case): part for part, _ in wanted}
     missing = {
         (part.method, part.case): [run for run in runs if (part.method, part.case, run) not in done]
@@ -92,18 +102,21 @@ def execute(
         LOGGER.info("resuming: %d of %d runs are there", ledger.total - ledger.left, ledger.total)
     if dask is not None:
         with closing(DaskWorkers(dask)) as cluster:
-            _work(ledger, store, cluster, cluster.count, progress)
+            _work(ledger, store, cluster, cluster.count, progress, see)
     else:
-        _work(ledger, store, in_this_process if jobs == 1 else on_cores(jobs), jobs, progress)
+        _work(ledger, store, in_this_process if jobs == 1 else on_cores(jobs), jobs, progress, see)
 
 
-def _work(ledger: _Ledger, store: PartStore, workers: Workers, count: int, progress: Progress | None) -> None:
+def _work(ledger: _Ledger, store: PartStore, workers: Workers, count: int, progress: Progress | None, see: See) -> None:
     fruitless = 0
     while ledger.left:
         before = ledger.left
         try:
             for result in workers(ledger.chunks(count)):
                 _take(ledger, store, result)
+                for outcome in result.outcomes:
+                    if outcome.error is None:
+                        see(result.chunk.part.method, result.chunk.part.case, outcome.series)
                 if progress is not None:
                     progress(ledger.total - ledger.left, ledger.total)
         except WorkersLostError as error:

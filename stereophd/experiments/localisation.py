@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd import config_experiment
 from stereophd.errors import InputError
-from stereophd.experiments.base import Array, Kind, Series, run_seed
+from stereophd.experiments.base import Array, Kind, Series, method_clock, run_seed
 from stereophd.experiments.single_object import (
     bounds_of,
     last_of,
@@ -40,7 +40,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the error of the position after each observation, and after the last one."""
     scenario = _scenario(loaded)
     rng = np.random.default_rng(run_seed(loaded.config.seed, number))
-    result = localisation_run(scenario, estimator_settings(loaded.config), rng)
+    result = localisation_run(scenario, estimator_settings(loaded.config), rng, method_clock())
     reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
     unit = loaded.config.units.length
     series = series_of_errors("position", unit, _times(loaded), reported, result.covariances, result.mean_errors)

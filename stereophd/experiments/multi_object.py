@@ -15,7 +15,7 @@ from stereophd.config_experiment import MultiObjectScenario
 from stereophd.disparity.space import DisparitySpace
 from stereophd.errors import InputError
 from stereophd.evaluation.alignment import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
-from stereophd.experiments.base import Array, Kind, Series, run_seed
+from stereophd.experiments.base import Array, Kind, Series, method_clock, run_seed
 from stereophd.experiments.known_association import Sightings, sight, straight_lines
 from stereophd.metrics.scans import PointSets, score_scans
 from stereophd.multi.base import DisparityFilter
@@ -59,10 +59,11 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     event_times = np.array([_true_time(cameras, frame) for frame in frames])
     last = last_event_of_each_time(event_times)
     aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
-    if _scenario(loaded).tracker == "filter":
-        estimates = _filtered(loaded, cameras, frames, last)
-    else:
-        estimates = _known(loaded, cameras, frames, event_times[last], aligned.points)
+    with method_clock():
+        if _scenario(loaded).tracker == "filter":
+            estimates = _filtered(loaded, cameras, frames, last)
+        else:
+            estimates = _known(loaded, cameras, frames, event_times[last], aligned.points)
     usable = ~(aligned.outside | aligned.gap)
     return _scores(loaded, event_times[last][usable], estimates.keep_scans(usable), aligned.points.keep_scans(usable))
 

@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 
 import stereophd
 from stereophd.errors import InputError
-from stereophd.experiments.base import Array, Series
+from stereophd.experiments.base import Array, Series, seed_number
 from stereophd.experiments.tables import columns_of, pieces
-from stereophd.experiments.work import Chunk, Outcome
+from stereophd.experiments.work import BOUND_RUN, Chunk, Outcome
 from stereophd.io.atomic import atomic_write
 from stereophd.io.provenance import sha256_of
 from stereophd.io.table_reading import damaged_is_input_error, open_parquet
@@ -42,11 +42,12 @@ ABOUT_KEY = b"about"
 
 @dataclass(frozen=True)
 class RunResult:
-    """A finished run."""
+    """A finished run; its seed is that of the table, 0 of bounds and of a run that gave nothing."""
 
     method: str
     case: str
     run: int
+    seed: int
     series: tuple[Series, ...]
     cpu_s: float
 
@@ -94,8 +95,10 @@ class PartStore:
             TableWriter(path, RUNS, {ABOUT_KEY: about.encode()}) as table,
         ):
             for outcome in outcomes:
+                bound = outcome.run == BOUND_RUN
+                seed = 0 if bound else seed_number(chunk.part.config.config.seed, outcome.run)
                 for series in outcome.series:
-                    table.append(columns_of("", method, case, outcome.run, series))
+                    table.append(columns_of("", method, case, outcome.run, seed, series))
 
     def read(self) -> list[RunResult]:
         """Return all finished runs.
@@ -118,12 +121,13 @@ def _read(path: Path) -> Iterable[RunResult]:
     about = json.loads(schema.metadata[ABOUT_KEY])
     quantities, units = table.column("quantity").to_pylist(), table.column("unit").to_pylist()
     runs = table.column("run").to_numpy()
-    values = table.column("value").to_numpy()
+    seeds, values = table.column("seed").to_numpy(), table.column("value").to_numpy()
     times = table.column("time_s").to_numpy(zero_copy_only=False)  # null becomes NaN
     for run, cpu_s in about["cpu_s"]:
         start, end = np.searchsorted(runs, [run, run + 1]).tolist()
         series = _series(quantities[start:end], units[start:end], times[start:end], values[start:end])
-        yield RunResult(about["method"], about["case"], run, tuple(series), cpu_s)
+        seed = int(seeds[start]) if end > start else 0
+        yield RunResult(about["method"], about["case"], run, seed, tuple(series), cpu_s)
 
 
 def _series(quantities: list[str], units: list[str], times_s: Array, values: Array) -> Iterable[Series]:

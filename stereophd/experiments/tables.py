@@ -15,7 +15,7 @@ from stereophd.io.tables import FLOAT, INTEGER, STRING, read_table
 STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
 
 
-def columns_of(experiment: str, method: str, case: str, run: int, series: Series) -> dict[str, Any]:
+def columns_of(experiment: str, method: str, case: str, run: int, seed: int, series: Series) -> dict[str, Any]:
     """Return rows of ``runs.parquet``."""
     times: Any = [None] * len(series.values) if series.times_s is None else series.times_s
     return {
@@ -23,6 +23,7 @@ def columns_of(experiment: str, method: str, case: str, run: int, series: Series
         "method": method,
         "case": case,
         "run": run,
+        "seed": seed,
         "time_s": times,
         "quantity": series.quantity,
         "unit": series.unit,

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd import config_experiment
 from stereophd.errors import InputError
-from stereophd.experiments.base import Kind, Series, run_seed
+from stereophd.experiments.base import Kind, Series, method_clock, run_seed
 from stereophd.experiments.single_object import (
     bounds_of,
     rig_of,
@@ -41,7 +41,7 @@ def check(loaded: LoadedConfig) -> None:
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the errors of position and velocity over time."""
     rng = np.random.default_rng(run_seed(loaded.config.seed, number))
-    result = tracking_run(_scenario(loaded), estimator_settings(loaded.config), rng)
+    result = tracking_run(_scenario(loaded), estimator_settings(loaded.config), rng, method_clock())
     reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
     series = []
     for name, unit, part in _parts(loaded):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import stereophd
 from stereophd.errors import InputError
-from stereophd.experiments.base import Series, find_kind
+from stereophd.experiments.base import Series, find_kind, method_seconds
 
 if TYPE_CHECKING:
     from stereophd.config_loading import LoadedConfig
@@ -49,7 +49,7 @@ class Outcome:
     users : bool
         Whether the error is one of the configuration: the run would fail again.
     cpu_s : float
-        Processor time, s.
+        Processor time of the method, s.
     """
 
     run: int
@@ -75,13 +75,16 @@ def run_chunk(chunk: Chunk) -> ChunkResult:
 
 def _run(part: Part, run: int) -> Outcome:
     start = time.thread_time()
+    seconds: list[float] = []
     series: Sequence[Series] = ()
     error, users = None, False
     try:
         kind = find_kind(part.kind)
-        series = kind.bounds(part.config) if run == BOUND_RUN else kind.run(part.config, run)
+        with method_seconds() as seconds:
+            series = kind.bounds(part.config) if run == BOUND_RUN else kind.run(part.config, run)
     except Exception as failure:  # whatever it is: reported, and tried again
         error, users = f"{type(failure).__name__}: {failure}", isinstance(failure, InputError)
         if users:
             error = str(failure)
-    return Outcome(run, tuple(series), error, users, time.thread_time() - start)
+    whole = time.thread_time() - start
+    return Outcome(run, tuple(series), error, users, sum(seconds) if seconds else whole)

@@ -88,6 +88,7 @@ RUNS = _schema(
         "method": STRING,
         "case": STRING,
         "run": INTEGER,
+        "seed": INTEGER,
         "time_s": FLOAT,
         "quantity": STRING,
         "unit": STRING,

@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.compilation import compiled
 from stereophd.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion, Static
@@ -23,6 +24,7 @@ from stereophd.multi.extract import Hysteresis, select_objects
 from stereophd.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info, empty_mixture
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # Components from this weight or existence on get more samples where only a corner of them is in view.
 IMPORTANT_WEIGHT = 0.1
@@ -126,11 +128,8 @@ class DisparityFilter(ABC):
             self.threads,
             self.rig.region,
         )
-        # what lies outside the region is gone; what was never established and has left the view of the only
-        # camera that may have seen it is forgotten, or clutter would fill the world around the view
-        unknown = (mixture.tracks < 0) & (weights < IMPORTANT_WEIGHT)
-        lost = unknown & (moved.status == OUT_OF_VIEW) & (mixture.cameras == event.camera)
-        return Prediction(mixture.with_weights(np.where(lost, 0.0, weights * moved.inside)), moved)
+        weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
+        return Prediction(mixture.with_weights(weights), moved)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
@@ -138,22 +137,23 @@ class DisparityFilter(ABC):
             state.mixture, self.hysteresis, state.next_label, state.next_track, self.labels_may_split
         )
         state = FilterState(chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track)
-        parts = chosen.mixture.take(chosen.index)
-        time_s = 0.0 if state.time_s is None else state.time_s
+        mixture, index = chosen.mixture, chosen.index
+        cameras, times = mixture.cameras[index], mixture.times[index]
         means, covariances = world_moments(
-            parts.means,
-            parts.covariances,
-            self.rig.spaces(parts.cameras, parts.times),
-            time_s - parts.times,
+            mixture.means[index],
+            mixture.covariances[index],
+            self.rig.spaces(cameras, times),
+            (0.0 if state.time_s is None else state.time_s) - times,
             self.motion,
             self.sets,
             state.n_events,
         )
-        finite = np.isfinite(means).all(axis=1)
-        order = np.flatnonzero(finite)[np.argsort(parts.tracks[finite], kind="stable")]
-        return state, Estimates(
-            parts.tracks[order], means[order], covariances[order], chosen.existence[order], parts.labels[order]
-        )
+        estimates = Estimates(mixture.tracks[index], means, covariances, chosen.existence, mixture.labels[index])
+        finite = np.isfinite(means)
+        if finite.all():
+            return state, estimates
+        # an object at infinity has no position
+        return state, estimates.take(np.asarray(finite.all(axis=1)))
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""
@@ -176,6 +176,23 @@ class DisparityFilter(ABC):
             np.full(count, UNLABELLED),
             np.zeros(count, dtype=bool),
         )
+
+
+@compiled
+def surviving_weights(
+    weights: Array, tracks: Integers, cameras: Integers, status: Integers, inside: Array, camera: int
+) -> Array:
+    """Weights (n,) of moved components without what is lost.
+
+    What lies outside the region is gone; what was never established (no identity, and light) and has left the view of
+    the only camera that may have seen it is forgotten, or clutter would fill the world around the view.
+    """
+    out = weights * inside
+    for k in range(len(weights)):
+        unknown = tracks[k] < 0 and weights[k] < IMPORTANT_WEIGHT
+        if unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera:
+            out[k] = 0.0
+    return out
 
 
 def missed_states(prediction: Prediction, event: Event) -> GaussianMixture:

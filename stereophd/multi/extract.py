@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ class Hysteresis:
 
 @dataclass(frozen=True)
 class Selection:
-    """Outcome of `select_objects`: the relabelled mixture, and which components are reported."""
+    """Outcome of `select_objects`: the relabelled mixture, and which components are reported, in order of identity."""
 
     mixture: GaussianMixture
     index: Integers
@@ -77,8 +77,17 @@ def select_objects(
         next_track,
         split,
     )
-    mixture = replace(mixture, labels=labels, tracks=tracks, reported=reported)
-    return Selection(mixture, index, existence, next_label, next_track)
+    relabelled = GaussianMixture(
+        mixture.weights,
+        mixture.means,
+        mixture.covariances,
+        mixture.cameras,
+        mixture.times,
+        labels,
+        tracks,
+        reported,
+    )
+    return Selection(relabelled, index, existence, next_label, next_track)
 
 
 @compiled
@@ -93,14 +102,15 @@ def _select(
     next_track: int,
     split: bool,
 ) -> tuple[Integers, Integers, NDArray[np.bool_], Integers, Array, int, int]:
-    """Return labels, identities and flags of all components, then the chosen ones, their existences and counters."""
-    # by label, heaviest first
-    order = np.argsort(-weights, kind="mergesort")
-    order = order[np.argsort(labels[order], kind="mergesort")]
+    """Return labels, identities, flags of all components; the chosen ones by identity, existences; counters."""
+    order = _by_label(weights, labels)
     known, labels, tracks, reported = labels, labels.copy(), tracks.copy(), reported.copy()
+    for k in range(len(labels)):
+        if labels[k] == UNLABELLED:
+            tracks[k], reported[k] = UNLABELLED, False
     for i in range(1, len(order)):
         k = order[i]
-        if split and known[k] != UNLABELLED and known[k] == known[order[i - 1]] and weights[k] >= confirm:
+        if split and known[k] == known[order[i - 1]] and weights[k] >= confirm:
             labels[k], tracks[k], reported[k] = next_label, UNLABELLED, False
             next_label += 1
     if split:
@@ -118,7 +128,7 @@ def _select(
             track = max(track, tracks[k])
             was_reported = was_reported or reported[k]
             end += 1
-        shown = label != UNLABELLED and total >= (release if was_reported else confirm)
+        shown = total >= (release if was_reported else confirm)
         if shown:
             if track < 0:
                 track = next_track
@@ -126,7 +136,19 @@ def _select(
             index[found], existence[found] = order[start], total
             found += 1
         for k in order[start:end]:
-            tracks[k] = track if label != UNLABELLED else UNLABELLED
-            reported[k] = shown
+            tracks[k], reported[k] = track, shown
         start = end
-    return labels, tracks, reported, index[:found], existence[:found], next_label, next_track
+    shown_order = np.argsort(tracks[index[:found]], kind="mergesort")
+    return labels, tracks, reported, index[shown_order], existence[shown_order], next_label, next_track
+
+
+@compiled
+def _by_label(weights: Array, labels: Integers) -> Integers:
+    """Components with a label, by label and then by falling weight; most often they are in this order."""
+    order = np.flatnonzero(labels != UNLABELLED)
+    for i in range(1, len(order)):
+        before, k = order[i - 1], order[i]
+        if labels[k] < labels[before] or (labels[k] == labels[before] and weights[k] > weights[before]):
+            order = order[np.argsort(-weights[order], kind="mergesort")]
+            return order[np.argsort(labels[order], kind="mergesort")]
+    return order

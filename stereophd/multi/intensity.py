@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,16 @@ class GaussianMixture:
 
     def with_weights(self, weights: Array) -> GaussianMixture:
         """Return the same components with other weights."""
-        return replace(self, weights=weights)
+        return GaussianMixture(
+            weights,
+            self.means,
+            self.covariances,
+            self.cameras,
+            self.times,
+            self.labels,
+            self.tracks,
+            self.reported,
+        )
 
 
 def empty_mixture(size: int) -> GaussianMixture:
@@ -120,7 +129,10 @@ class Estimates:
     def certain(self, max_position_std: float) -> Estimates:
         """Return the estimates whose position has at most this standard deviation (root of the trace)."""
         variance = np.trace(self.covariances[:, :3, :3], axis1=1, axis2=2)
-        kept = variance <= max_position_std**2
+        return self.take(variance <= max_position_std**2)
+
+    def take(self, kept: NDArray[np.bool_]) -> Estimates:
+        """Return some of the estimates, by a mask (k,)."""
         return Estimates(
             self.track_ids[kept],
             self.states[kept],

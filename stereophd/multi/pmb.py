@@ -16,6 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.compilation import compiled
+from stereophd.disparity.kernels import MovedArrays
 from stereophd.disparity.samples import SampleSets
 from stereophd.motion import Motion
 from stereophd.multi.attribution import detected_labels
@@ -23,9 +28,12 @@ from stereophd.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.multi.birth import BirthPrior, birth_moments
 from stereophd.multi.events import Event, Rig
 from stereophd.multi.extract import Hysteresis
-from stereophd.multi.intensity import GaussianMixture, Info
+from stereophd.multi.intensity import GaussianMixture, Info, Parts
 from stereophd.multi.pmb_reduce import reduce_tracks
 from stereophd.multi.pmb_update import update_tracks
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -102,7 +110,7 @@ class PmbFilter(DisparityFilter):
         newborn_means, newborn_covariances = birth_moments(
             event, self.rig.space(event.camera, event.time_s), self.birth, self.state_size
         )
-        parts, log_likelihood = update_tracks(
+        parts, log_likelihood, detected, expected = _update(
             mixture.parts,
             prediction.moved.arrays,
             event.points,
@@ -118,17 +126,14 @@ class PmbFilter(DisparityFilter):
                 float(self.birth.per_frame),
                 float(camera.width * camera.height),
             ),
-            settings.prune_weight,
-        )
-        detected = detected_labels(parts[5], parts[0], len(mixture))
-        parts, expected = reduce_tracks(
-            parts,
-            settings.recycle_below,
-            settings.prune_weight,
-            settings.merge_distance,
-            settings.max_components,
-            settings.hypothesis_distance,
-            settings.least_share,
+            (
+                settings.recycle_below,
+                settings.prune_weight,
+                settings.merge_distance,
+                settings.max_components,
+                settings.hypothesis_distance,
+                settings.least_share,
+            ),
         )
         reduced = GaussianMixture(*parts)
         label = state.next_label + len(event.points)
@@ -136,3 +141,29 @@ class PmbFilter(DisparityFilter):
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track),
             Info(log_likelihood, expected, len(reduced), detected),
         )
+
+
+@compiled
+def _update(
+    parts: Parts,
+    moved: MovedArrays,
+    points: Array,
+    noises: Array,
+    areas: Array,
+    delays: Array | None,
+    newborn_means: Array,
+    newborn_covariances: Array,
+    place: tuple[int, float, int],
+    rates: tuple[float, float, float, float],
+    reduction: tuple[float, float, float, int, float, float],
+) -> tuple[Parts, float, Integers, float]:
+    """`update_tracks`, which labels were detected, and `reduce_tracks` (parameters: theirs), in one call."""
+    n_missed = len(parts[0])
+    parts, log_likelihood = update_tracks(
+        parts, moved, points, noises, areas, delays, newborn_means, newborn_covariances, place, rates, reduction[1]
+    )
+    detected = detected_labels(parts[5], parts[0], n_missed)
+    parts, expected = reduce_tracks(
+        parts, reduction[0], reduction[1], reduction[2], reduction[3], reduction[4], reduction[5]
+    )
+    return parts, log_likelihood, detected, expected

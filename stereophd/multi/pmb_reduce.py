@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.compilation import compiled
-from stereophd.disparity.kernels import cholesky
+from stereophd.disparity.moment_kernels import cholesky
 from stereophd.multi.intensity import UNLABELLED, Parts
-from stereophd.multi.pmb_update import group
+from stereophd.multi.pmb_update import allocate, copy_gaussian, fill, group
 from stereophd.multi.reduce import merge_sorted, squared_distance
 
 Array = NDArray[np.float64]
@@ -65,6 +65,8 @@ def reduce_tracks(
 @compiled
 def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> None:
     """Set the existence of all but the most probable tracks to 0."""
+    if len(existence) <= max_tracks:
+        return
     found = 0
     for g in np.argsort(-existence, kind="mergesort"):
         if names[g] != UNLABELLED:
@@ -108,7 +110,8 @@ def _merge_hypotheses(parts: Parts, distance: float) -> Parts:
             end += 1
         leaders[merged] = start
         if end == start + 1:
-            weights[merged], means[merged], covariances[merged] = weights[start], means[start], covariances[start]
+            weights[merged] = weights[start]
+            copy_gaussian(means, covariances, start, means, covariances, merged)
             merged += 1
         else:
             # what is written lies before what is still to be read
@@ -117,7 +120,8 @@ def _merge_hypotheses(parts: Parts, distance: float) -> Parts:
                 distance, True,
             )  # fmt: skip
             for i in range(len(w)):
-                weights[merged], means[merged], covariances[merged] = w[i], m[i], c[i]
+                weights[merged] = w[i]
+                copy_gaussian(m, c, i, means, covariances, merged)
                 leaders[merged] = start + heaviest[i]
                 merged += 1
         start = end
@@ -198,21 +202,17 @@ def _within(difference: Array, covariance: Array, distance: float) -> bool:
 
 @compiled
 def _take(parts: Parts, index: Integers) -> Parts:
-    return (
-        parts[0][index], parts[1][index], parts[2][index], parts[3][index], parts[4][index], parts[5][index],
-        parts[6][index], parts[7][index],
-    )  # fmt: skip
+    """Return the components with these indices."""
+    out = allocate(len(index), parts[1].shape[1])
+    fill(parts, index, out, 0)
+    return out
 
 
 @compiled
 def _concatenate(first: Parts, second: Parts, third: Parts) -> Parts:
-    return (
-        np.concatenate((first[0], second[0], third[0])),
-        np.concatenate((first[1], second[1], third[1])),
-        np.concatenate((first[2], second[2], third[2])),
-        np.concatenate((first[3], second[3], third[3])),
-        np.concatenate((first[4], second[4], third[4])),
-        np.concatenate((first[5], second[5], third[5])),
-        np.concatenate((first[6], second[6], third[6])),
-        np.concatenate((first[7], second[7], third[7])),
-    )
+    a, b, c = len(first[0]), len(second[0]), len(third[0])
+    out = allocate(a + b + c, first[1].shape[1])
+    fill(first, np.arange(a), out, 0)
+    fill(second, np.arange(b), out, a)
+    fill(third, np.arange(c), out, a + b)
+    return out

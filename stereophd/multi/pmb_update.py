@@ -157,20 +157,58 @@ def update_tracks(
 
 
 @compiled
+def allocate(count: int, size: int) -> Parts:
+    """Room for components, not filled in."""
+    return (
+        np.empty(count), np.empty((count, size)), np.empty((count, size, size)), np.empty(count, dtype=np.int64),
+        np.empty(count), np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64),
+        np.empty(count, dtype=np.bool_),
+    )  # fmt: skip
+
+
+@compiled
+def copy_gaussian(means: Array, covariances: Array, k: int, to_means: Array, to_covariances: Array, i: int) -> None:
+    """Copy mean and covariance k to place i (in loops: compiled, assigning slices takes five times as long)."""
+    size = means.shape[1]
+    for a in range(size):
+        to_means[i, a] = means[k, a]
+        for b in range(size):
+            to_covariances[i, a, b] = covariances[k, a, b]
+
+
+@compiled
+def fill(parts: Parts, index: Integers, out: Parts, start: int) -> None:
+    """Copy the components with these indices to `out`, from place `start` on.
+
+    In loops over unpacked arrays: each fetch of an array from a tuple, each row as an array of its own, counts a
+    reference up and down, which costs more than the row.
+    """
+    weights, means, covariances, cameras, times, labels, tracks, reported = parts
+    to_weights, to_means, to_covariances, to_cameras, to_times, to_labels, to_tracks, to_reported = out
+    size = means.shape[1]
+    for i in range(len(index)):
+        k, place = index[i], start + i
+        to_weights[place], to_cameras[place], to_times[place] = weights[k], cameras[k], times[k]
+        to_labels[place], to_tracks[place], to_reported[place] = labels[k], tracks[k], reported[k]
+        for a in range(size):
+            to_means[place, a] = means[k, a]
+            for b in range(size):
+                to_covariances[place, a, b] = covariances[k, a, b]
+
+
+@compiled
 def _allocate(parts: Parts, updated: Integers, n_new: int) -> Parts:
     """Room for all components missed, those `updated` and new ones, with labels and identities filled in."""
+    known_labels, known_tracks, known_reported = parts[5], parts[6], parts[7]
     count, size = parts[1].shape
-    total = count + len(updated) + n_new
-    labels = np.full(total, UNLABELLED)
-    tracks = np.full(total, UNLABELLED)
-    reported = np.zeros(total, dtype=np.bool_)
+    out = allocate(count + len(updated) + n_new, size)
+    labels, tracks, reported = out[5], out[6], out[7]
     for k in range(count + len(updated)):
         origin = k if k < count else updated[k - count]
-        labels[k], tracks[k], reported[k] = parts[5][origin], parts[6][origin], parts[7][origin]
-    return (
-        np.empty(total), np.empty((total, size)), np.empty((total, size, size)), np.empty(total, dtype=np.int64),
-        np.empty(total), labels, tracks, reported,
-    )  # fmt: skip
+        labels[k], tracks[k], reported[k] = known_labels[origin], known_tracks[origin], known_reported[origin]
+    for k in range(count + len(updated), len(labels)):
+        labels[k], tracks[k], reported[k] = UNLABELLED, UNLABELLED, False
+    return out
 
 
 @compiled
@@ -185,18 +223,22 @@ def _fill_missed(
     out: Parts,
 ) -> None:
     """Components as the event left them undetected (see `stereophd.multi.base.missed_states`)."""
-    for k in range(len(parts[0])):
-        factor = still[member[k]] if parts[5][k] != UNLABELLED else 1.0
-        out[0][k] = (parts[0][k] - detected[k]) * factor
-        status = moved[3][k]
-        out[3][k] = camera if status == IN_VIEW else parts[3][k]
-        out[4][k] = time_s if status == IN_VIEW else parts[4][k]
-        if status == IN_VIEW:
-            out[1][k], out[2][k] = moved[0][k], moved[1][k]
-        elif status == PARTLY_IN_VIEW or moved[6][k] < 1.0:
-            out[1][k], out[2][k] = moved[4][k], moved[5][k]
+    weights, means, covariances, cameras, times, labels = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]
+    moved_means, moved_covariances, status, missed_means, missed_covariances, inside = (
+        moved[0], moved[1], moved[3], moved[4], moved[5], moved[6],
+    )  # fmt: skip
+    to_weights, to_means, to_covariances, to_cameras, to_times = out[0], out[1], out[2], out[3], out[4]
+    for k in range(len(weights)):
+        factor = still[member[k]] if labels[k] != UNLABELLED else 1.0
+        to_weights[k] = (weights[k] - detected[k]) * factor
+        to_cameras[k] = camera if status[k] == IN_VIEW else cameras[k]
+        to_times[k] = time_s if status[k] == IN_VIEW else times[k]
+        if status[k] == IN_VIEW:
+            copy_gaussian(moved_means, moved_covariances, k, to_means, to_covariances, k)
+        elif status[k] == PARTLY_IN_VIEW or inside[k] < 1.0:
+            copy_gaussian(missed_means, missed_covariances, k, to_means, to_covariances, k)
         else:
-            out[1][k], out[2][k] = parts[1][k], parts[2][k]
+            copy_gaussian(means, covariances, k, to_means, to_covariances, k)
 
 
 @compiled

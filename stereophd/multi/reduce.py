@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.compilation import compiled
-from stereophd.disparity.kernels import cholesky
+from stereophd.disparity.moment_kernels import cholesky
 from stereophd.multi.intensity import GaussianMixture
 
 Array = NDArray[np.float64]

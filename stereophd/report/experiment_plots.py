@@ -14,6 +14,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from stereophd.experiments.base import Array
 from stereophd.report.experiment_moves import draw_moves
@@ -34,6 +35,9 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 # Small files that are still sharp enough for a page.
 DPI = 100
+
+# Decades of a logarithmic scale up to which some, and all, of the numbers between its powers are written.
+MINOR_LABELS = (2.0, 0.5)
 
 # Points of one case that stand side by side, as a share of the distance between cases.
 SPREAD = 0.6
@@ -100,7 +104,8 @@ def _draw(results: Results) -> Figure:
 def _add_title(figure: Figure, results: Results) -> None:
     title = results.config.figure.title
     if title:
-        text = f"{title}: {results.config.runs} runs"
+        bands = "" if results.config.scenario.kind == "move" else ", 95 % intervals"
+        text = f"{title}: {results.config.runs} runs{bands}"
         figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
 
 
@@ -153,6 +158,8 @@ def _panel(axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], o
     settings = results.config.figure
     if settings.log:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(LogFormatter())
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=MINOR_LABELS))
     elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for line in lines):
         axes.set_ylim(bottom=0)
     if settings.most is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stereophd.disparity.events import Event, Rig
 from stereophd.disparity.initial import InitialPrior
-from stereophd.disparity.kernels import condition
+from stereophd.disparity.moment_kernels import condition
 from stereophd.disparity.samples import cubature_points
 from stereophd.geometry.layout import FX, FY
 from stereophd.motion import Motion

@@ -7,6 +7,7 @@ given generators of the same seed see the same detections.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,9 +71,14 @@ class LocalisationRun:
 
 
 def localisation_run(
-    scenario: LocalisationScenario, settings: EstimatorSettings, rng: np.random.Generator
+    scenario: LocalisationScenario,
+    settings: EstimatorSettings,
+    rng: np.random.Generator,
+    clock: AbstractContextManager[None] | None = None,
 ) -> LocalisationRun:
     """Draw one observation for each entry of the sequence, estimate, and compare after each.
+
+    The estimator, and not the drawing, works within `clock`.
 
     Raises
     ------
@@ -87,7 +93,8 @@ def localisation_run(
             raise ValueError(f"expected the object in view of {name}, found it out of view at {scenario.position}")
         events.append(event)
     estimator = build_estimator(settings, scenario.rig, Static(), scenario.prior, rng)
-    maps, means, covariances = _run(estimator, events, range(len(events)))
+    with clock or nullcontext():
+        maps, means, covariances = _run(estimator, events, range(len(events)))
     return LocalisationRun(maps[:, :3] - scenario.position, means[:, :3] - scenario.position, covariances[:, :3, :3])
 
 
@@ -154,8 +161,16 @@ class TrackingRun:
     covariances: Array
 
 
-def tracking_run(scenario: TrackingScenario, settings: EstimatorSettings, rng: np.random.Generator) -> TrackingRun:
-    """Draw a trajectory and its detections (where in view, with each detector's p_detect), and track it."""
+def tracking_run(
+    scenario: TrackingScenario,
+    settings: EstimatorSettings,
+    rng: np.random.Generator,
+    clock: AbstractContextManager[None] | None = None,
+) -> TrackingRun:
+    """Draw a trajectory and its detections (where in view, with each detector's p_detect), and track it.
+
+    The estimator, and not the drawing, works within `clock`.
+    """
     states = draw_trajectory(scenario, rng)
     events = []
     for time_s, camera, state in zip(scenario.times.tolist(), scenario.cameras.tolist(), states, strict=True):
@@ -163,7 +178,8 @@ def tracking_run(scenario: TrackingScenario, settings: EstimatorSettings, rng: n
         events.append(_detection(scenario.rig, camera, time_s, state[:3], p_detect, rng))
     estimator = build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, rng)
     last = last_events(scenario.times)
-    maps, means, covariances = _run(estimator, events, last.tolist())
+    with clock or nullcontext():
+        maps, means, covariances = _run(estimator, events, last.tolist())
     return TrackingRun(scenario.times[last], maps - states[last], means - states[last], covariances)
 
 

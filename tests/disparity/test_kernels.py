@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.disparity import kernels, linear_kernels
+from stereophd.disparity import kernels, linear_kernels, moment_kernels, move_kernels
 from stereophd.disparity.space import DisparitySpace
 from stereophd.motion import ConstantVelocity
 from tests.disparity.cases import (
@@ -166,7 +166,7 @@ def test_weighted_moments(size: int, count: int) -> None:
     mean, covariance = weighted(points[:size, kept].T, weights[kept])
     points[:, lost] = np.resize([np.nan, np.inf, -np.inf], len(lost))
     found_mean, found_covariance = np.empty(size), np.empty((size, size))
-    kernels.weighted_moments(points, weights, weights.sum(), found_mean, found_covariance)
+    moment_kernels.weighted_moments(points, weights, weights.sum(), found_mean, found_covariance)
     np.testing.assert_allclose(found_mean, mean, rtol=1e-13)
     np.testing.assert_allclose(found_covariance, covariance, rtol=1e-10, atol=1e-10)
     assert np.array_equal(found_covariance, found_covariance.T)
@@ -183,7 +183,7 @@ def test_missed_moments(p_detect: float, own_weights: bool) -> None:
     sample_weights = rng.uniform(0.2, 3.0, 400) if own_weights else np.ones(400)
     expected = weighted(mean + samples[:6].T @ factor.T, sample_weights * (1.0 - p_detect * mask))
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
-    kernels.missed_moments(mean, factor, samples, sample_weights, mask, p_detect, 50, found_mean, found_covariance)
+    move_kernels.missed_moments(mean, factor, samples, sample_weights, mask, p_detect, 50, found_mean, found_covariance)
     np.testing.assert_allclose(found_mean, expected[0], rtol=1e-12)
     np.testing.assert_allclose(found_covariance, expected[1], rtol=1e-10, atol=1e-10)
 
@@ -197,7 +197,7 @@ def test_missed_moments_of_too_few_samples_keep_the_whole(seen: int, kept: bool)
     mask = (np.arange(400) < seen).astype(float)
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
     factor = np.linalg.cholesky(covariance)
-    kernels.missed_moments(mean, factor, samples, np.ones(400), mask, 1.0, 24, found_mean, found_covariance)
+    move_kernels.missed_moments(mean, factor, samples, np.ones(400), mask, 1.0, 24, found_mean, found_covariance)
     whole = bool(np.allclose(found_mean, mean, rtol=0, atol=1e-12))
     assert whole == kept
     if kept:
@@ -210,14 +210,14 @@ def test_cholesky(seed: int, size: int, exponent: float) -> None:
     rng = np.random.default_rng(seed)
     matrix = random_covariance(rng, 10.0**exponent * 10.0 ** rng.uniform(-3.0, 3.0, size))
     factor = np.full((size, size), np.nan)
-    assert kernels.cholesky(matrix, factor)
+    assert moment_kernels.cholesky(matrix, factor)
     expected = np.linalg.cholesky(matrix)
     error = np.abs(factor - expected) / np.sqrt(np.diag(matrix))[:, None]
     # the factor's error grows with the condition of the correlation matrix
     correlation = matrix / np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
     assert error.max() <= 1e-14 * np.linalg.cond(correlation)
     before = matrix.copy()
-    assert kernels.condition(matrix, factor)
+    assert moment_kernels.condition(matrix, factor)
     np.testing.assert_array_equal(matrix, before)  # what has full rank is left alone
 
 
@@ -226,7 +226,7 @@ def test_cholesky(seed: int, size: int, exponent: float) -> None:
     [np.zeros((3, 3)), np.ones((3, 3)), np.diag([1.0, 0.0, 1.0]), np.diag([1.0, -1.0, 1.0]), np.full((3, 3), np.nan)],
 )
 def test_cholesky_refuses_what_has_no_full_rank(matrix: np.ndarray) -> None:
-    assert not kernels.cholesky(matrix, np.empty((3, 3)))
+    assert not moment_kernels.cholesky(matrix, np.empty((3, 3)))
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -236,7 +236,7 @@ def test_condition_gives_full_rank(seed: int, rank: int) -> None:
     root = rng.standard_normal((6, rank)) * 10.0 ** rng.uniform(-4.0, 4.0, (6, 1))
     matrix = root @ root.T
     before = matrix.copy()
-    assert kernels.condition(matrix, np.empty((6, 6)))
+    assert moment_kernels.condition(matrix, np.empty((6, 6)))
     np.linalg.cholesky(matrix)
     off = ~np.eye(6, dtype=bool)
     np.testing.assert_array_equal(matrix[off], before[off])
@@ -257,7 +257,7 @@ def test_condition_of_nearly_dependent_coordinates() -> None:
         root[rng.integers(1, 6)] = root[0] + 10.0 ** rng.uniform(-6.0, -1.0) * rng.standard_normal(rank)
         root *= 10.0 ** rng.uniform(-4.0, 4.0, (6, 1))
         matrix = root @ root.T
-        assert kernels.condition(matrix, np.empty((6, 6)))
+        assert moment_kernels.condition(matrix, np.empty((6, 6)))
         np.linalg.cholesky(matrix)
 
 
@@ -266,13 +266,13 @@ def test_condition_of_nearly_dependent_coordinates() -> None:
     [np.full((2, 2), np.nan), np.diag([1.0, 0.0]), np.diag([1.0, np.inf]), np.array([[1.0, 2.0], [2.0, 1.0]])],
 )
 def test_condition_says_what_it_cannot_help(matrix: np.ndarray) -> None:
-    assert not kernels.condition(matrix, np.empty((2, 2)))
+    assert not moment_kernels.condition(matrix, np.empty((2, 2)))
 
 
 def test_relative_pose_and_disparity_scale() -> None:
     source, destination = pair("mixed")
-    rotation, translation = np.empty((3, 3)), np.empty(3)
-    kernels.relative_pose(source.packed(), destination.packed(), rotation, translation)
+    pose = np.array(kernels.relative_pose(source.packed(), destination.packed()))
+    rotation, translation = pose[:9].reshape(3, 3), pose[9:]
     points = np.random.default_rng(8).standard_normal((10, 3)) * 50.0
     expected = destination.camera.pose.to_camera(source.camera.pose.to_world(points))
     np.testing.assert_allclose(points @ rotation.T + translation, expected, rtol=1e-12, atol=1e-12)

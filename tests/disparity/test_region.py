@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
-from stereophd.config import RegionConfig
+from stereophd.config_filter import RegionConfig
 from stereophd.disparity.kernels import REGION_SLACK, region_mask
 from stereophd.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move
 from stereophd.disparity.samples import RESERVE_SAMPLES, RESERVE_WIDTH, draw_sample_sets

@@ -65,3 +65,9 @@ def load(path: Path) -> Load:
         return load_config(path, overrides)
 
     return function
+
+
+@pytest.fixture
+def without_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Experiments in this process draw no figure, which takes longer than their runs."""
+    monkeypatch.setattr("stereophd.experiment.find_spec", lambda name: None)

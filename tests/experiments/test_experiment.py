@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from stereophd.errors import InputError, StereophdError
 from stereophd.experiment import cases_of, experiment, finished_runs
 from stereophd.experiments import multi_object, work
-from stereophd.experiments.base import Kind, Series
+from stereophd.experiments.base import Kind, Series, method_clock
 from stereophd.experiments.parts import experiment_hash
 from stereophd.io.provenance import METADATA_KEY
 
@@ -71,6 +72,7 @@ class TestResults:
             ("method", "string"),
             ("case", "string"),
             ("run", "int64"),
+            ("seed", "int64"),
             ("time_s", "double"),
             ("quantity", "string"),
             ("unit", "string"),
@@ -80,6 +82,12 @@ class TestResults:
         assert runs.num_rows == 2 * 2 * 5 * (8 * 2 + 2)
         assert set(runs.column("case").to_pylist()) == {"right camera at 0 cm", "right camera at 5 cm"}
         assert set(runs.column("experiment").to_pylist()) == {"small"}
+        # a seed a run, the same for all methods and cases
+        assert (
+            len({(row["run"], row["seed"]) for row in runs.to_pylist()})
+            == len(set(runs.column("seed").to_pylist()))
+            == 5
+        )
         summary = pq.read_table(tmp_path / "out" / "summary.parquet")
         assert summary.schema.names == [
             *("experiment", "method", "case", "time_s", "quantity", "unit"),
@@ -91,6 +99,7 @@ class TestResults:
             assert record["config_sha256"] == loaded.sha256
             assert record["seed"] == 3
 
+    @pytest.mark.usefixtures("without_figure")
     def test_summary_is_that_of_the_runs(self, load: Load, tmp_path: Path) -> None:
         experiment(load(), tmp_path / "out")
         runs = pq.read_table(tmp_path / "out" / "runs.parquet").to_pylist()
@@ -103,7 +112,7 @@ class TestResults:
             half = 2.7764451 * np.std(values, ddof=1) / np.sqrt(5)  # Student's t, 4 degrees of freedom
             assert row["ci_low"] == pytest.approx(np.mean(values) - half)
 
-    @pytest.mark.usefixtures("fake")
+    @pytest.mark.usefixtures("fake", "without_figure")
     def test_bounds_root_mean_squares_and_windows(self, load: Load, tmp_path: Path) -> None:
         results = experiment(load("experiment.windows={late: [1, 2]}"), tmp_path / "out")
         values = np.abs([np.random.default_rng([3, run]).normal(size=3) for run in range(5)])
@@ -118,12 +127,35 @@ class TestResults:
         assert found["position_rmse_late"].bound == pytest.approx([np.sqrt((9 + 16) / 2)])
         assert found["final"].times_s is None
 
+    @pytest.mark.usefixtures("without_figure")
     def test_methods_see_the_same_data_whatever_the_number_of_runs(self, load: Load, tmp_path: Path) -> None:
         experiment(load(), tmp_path / "five")
         experiment(load("experiment.runs=2", "experiment.methods={filter: {}}"), tmp_path / "two")
         five, two = (pq.read_table(tmp_path / name / "runs.parquet").to_pylist() for name in ("five", "two"))
         same = [row for row in five if row["method"] == "filter" and row["run"] < 2]
         assert two == same
+
+    def test_the_time_is_that_of_the_method(self, load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+        def busy(seconds: float) -> None:
+            start = time.thread_time()
+            while time.thread_time() < start + seconds:
+                pass
+
+        def run(loaded: Any, number: int) -> list[Series]:
+            busy(0.2)
+            if number == 0:
+                return []
+            with method_clock():
+                busy(0.02)
+            with method_clock():
+                busy(0.02)
+            return []
+
+        monkeypatch.setattr(multi_object, "KIND", Kind(run, lambda loaded: [], lambda loaded: None))
+        part = work.Part("a", "all", "multi_object", load())
+        whole, method = work.run_chunk(work.Chunk(part, (0, 1))).outcomes
+        assert whole.cpu_s >= 0.2
+        assert 0.04 <= method.cpu_s < 0.2
 
 
 class TestPlan:
@@ -166,7 +198,20 @@ class TestPlan:
             experiment(load(override), tmp_path / "out")
         assert not (tmp_path / "out").exists()
 
+    @pytest.mark.parametrize("key", ["table", "figure.quantities"])
+    def test_an_unknown_quantity_is_found_after_the_first_runs(
+        self, load: Load, tmp_path: Path, fake: FakeKind, key: str
+    ) -> None:
+        out = tmp_path / "out"
+        with pytest.raises(InputError, match=rf"experiment\.{key}: unknown quantity position_eror_late; did you mean"):
+            experiment(load(f"experiment.{key}=[position_eror_late]"), out)
+        # the first run of two methods in two cases
+        assert fake.runs == [0, 0, 0, 0]
+        experiment(load(f"experiment.{key}=[position_error_late]"), out, resume=True)
+        assert len(fake.runs) == 20
 
+
+@pytest.mark.usefixtures("without_figure")
 class TestResume:
     def test_an_interrupted_experiment_goes_on(self, load: Load, tmp_path: Path, fake: FakeKind) -> None:
         loaded, out = load(), tmp_path / "out"
@@ -226,6 +271,7 @@ class TestResume:
         assert len(fake.runs) == 20
 
 
+@pytest.mark.usefixtures("without_figure")
 class TestFailures:
     def test_a_failed_run_is_reported_and_tried_again(
         self, load: Load, tmp_path: Path, fake: FakeKind, caplog: pytest.LogCaptureFixture

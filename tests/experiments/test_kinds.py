@@ -171,11 +171,16 @@ def test_calibration_errors_are_those_of_the_guess_before_any_data() -> None:
     assert guessed.config.seed != loaded.config.seed
     covariance = np.diag(parameters.prior_std**2)
     history = [calibration.HistoryRow(0.0, np.zeros(6), covariance)]
-    found = by_name(calibration._errors(loaded, parameters, reference, true, history))
+    limits = np.stack([covariance / 4.0] * 2)
+    found = by_name(calibration._errors(loaded, parameters, reference, true, history, limits))
     assert found["center_error"] == pytest.approx(np.full(2, np.linalg.norm(true[:3])))
     assert found["right_rotation_y_error"] == pytest.approx(np.full(2, np.rad2deg(abs(true[4]))))
     assert found["center_std"] == pytest.approx(np.full(2, 5.0 * np.sqrt(3.0)))
-    assert found["nees"] == pytest.approx(np.full(2, ((true / parameters.prior_std) ** 2).sum()))
+    assert found["rotation_error_ratio"] == pytest.approx(2.0 * found["rotation_error"] / found["rotation_std"])
+    in_prior_stds = np.abs(true / parameters.prior_std)
+    assert found["nees"] == pytest.approx(np.full(2, (in_prior_stds**2).sum()))
+    assert found["coverage_90"] == pytest.approx(np.full(2, (in_prior_stds <= 1.6449).mean()))
+    assert found["scale_std_ratio"] == pytest.approx(np.ones(2))
 
 
 def test_the_table_as_json(load: Load, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

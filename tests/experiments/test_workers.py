@@ -20,7 +20,13 @@ from stereophd.experiments import workers
 from .conftest import Load
 from .test_experiment import contents
 
+pytestmark = pytest.mark.usefixtures("without_figure")
+
 GIVE_UP_S = 60
+
+
+# So many runs that some are left when a worker is killed after the third, however slow this process is.
+MANY = "experiment.runs=25"
 
 
 @pytest.fixture
@@ -28,6 +34,13 @@ def expected(load: Load, tmp_path: Path) -> dict[str, bytes]:
     """The tables from this process."""
     experiment(load(), tmp_path / "one")
     return contents(tmp_path / "one")
+
+
+@pytest.fixture
+def expected_of_many(load: Load, tmp_path: Path) -> dict[str, bytes]:
+    """The tables of many runs from this process."""
+    experiment(load(MANY), tmp_path / "many")
+    return contents(tmp_path / "many")
 
 
 def kill_one(pids: Callable[[], list[int]], done_before: int = 3) -> tuple[Callable[[int, int], None], list[int]]:
@@ -49,16 +62,19 @@ def joblib_workers() -> list[int]:
     return [p.pid for p in children if any("popen_loky" in word for word in p.cmdline())]
 
 
-def test_two_processes_and_a_killed_one(
-    load: Load, tmp_path: Path, expected: dict[str, bytes], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_two_processes(load: Load, tmp_path: Path, expected: dict[str, bytes]) -> None:
     experiment(load(), tmp_path / "two", jobs=2)
     assert contents(tmp_path / "two") == expected
+
+
+def test_a_killed_process_loses_no_run(
+    load: Load, tmp_path: Path, expected_of_many: dict[str, bytes], caplog: pytest.LogCaptureFixture
+) -> None:
     progress, killed = kill_one(joblib_workers)
-    experiment(load(), tmp_path / "killed", jobs=2, progress=progress)
+    experiment(load(MANY), tmp_path / "killed", jobs=2, progress=progress)
     assert killed
     assert "a worker died" in caplog.text
-    assert contents(tmp_path / "killed") == expected
+    assert contents(tmp_path / "killed") == expected_of_many
 
 
 @pytest.fixture(scope="module")
@@ -71,19 +87,23 @@ def cluster() -> Iterator[object]:
         yield local
 
 
-def test_dask_and_a_killed_worker(load: Load, tmp_path: Path, expected: dict[str, bytes], cluster: object) -> None:
+def test_dask(load: Load, tmp_path: Path, expected: dict[str, bytes], cluster: object) -> None:
     experiment(load(), tmp_path / "dask", dask=cluster.scheduler_address)  # type: ignore[attr-defined]
     assert contents(tmp_path / "dask") == expected
 
+
+def test_a_killed_worker_of_dask_loses_no_run(
+    load: Load, tmp_path: Path, expected_of_many: dict[str, bytes], cluster: object
+) -> None:
     def pids() -> list[int]:
         return [nanny.pid for nanny in cluster.workers.values()]  # type: ignore[attr-defined]
 
     before = set(pids())
     progress, killed = kill_one(pids)
-    experiment(load(), tmp_path / "killed", dask=cluster.scheduler_address, progress=progress)  # type: ignore[attr-defined]
+    experiment(load(MANY), tmp_path / "killed", dask=cluster.scheduler_address, progress=progress)  # type: ignore[attr-defined]
     assert killed
     assert killed[0] in before
-    assert contents(tmp_path / "killed") == expected
+    assert contents(tmp_path / "killed") == expected_of_many
 
 
 def test_no_scheduler(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

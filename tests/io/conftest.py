@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd.config import CameraConfig
+from stereophd.config_cameras import CameraConfig
 from stereophd.geometry.camera import Camera
 
 WIDTH, HEIGHT = 640, 480

@@ -1,0 +1,177 @@
+"""The PMB filter beside trackers built on Stone Soup, on one log, in one process, on one thread.
+
+    python benchmarks/peers.py                                        the paper's scene, simulated
+    python benchmarks/peers.py --log LOG --truth TRUTH --cameras CAMERAS.yaml
+
+Two cameras with common times, as Stone Soup's triangulated births need them. Accuracy: OSPA (p 2, c 20) after both
+cameras of a time, over the last half of the scans and over all. Speed: processor time of the filters alone per second
+of scene, detections in memory, the best of several repetitions in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from common import PAPER_CONFIG, read_events  # first: sets the number of threads
+
+# isort: split
+import numpy as np
+from numpy.typing import NDArray
+from peers_stonesoup import Knowledge, Scan, run_gnn, run_phd
+
+from stereophd.config_loading import LoadedConfig, load_config
+from stereophd.evaluate_inputs import read_truth
+from stereophd.evaluation.alignment import align_truth
+from stereophd.metrics.ospa import ospa
+from stereophd.multi.base import DisparityFilter
+from stereophd.multi.events import Event
+from stereophd.simulate import simulate
+from stereophd.track import build_filter
+
+Array = NDArray[np.float64]
+
+TARGET_MS_PER_SECOND = 0.5
+ORDER, CUTOFF = 2.0, 20.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; return 0 if the target is met, else 1."""
+    options = _parse(arguments)
+    with tempfile.TemporaryDirectory() as name:
+        loaded, log, truth_path = _scene(options, Path(name))
+        events = read_events(loaded, log)
+        truth, _ = read_truth(truth_path)
+    scans = to_scans(events)
+    times_s = np.array([scan[0] for scan in scans])
+    aligned = align_truth(truth, times_s, 1.5 * truth.step_s).points
+    true_points = np.split(aligned.position, aligned.start[1:-1])
+    multi_filter = build_filter(loaded.config, loaded.build_cameras(), loaded.path)
+    known = tell(loaded)
+    ways: dict[str, Callable[[], list[Array]]] = {
+        "PMB (stereophd)": lambda: run_pmb(multi_filter, events),
+        "Stone Soup, GNN and EKF": lambda: run_gnn(scans, known),
+        "Stone Soup, GM-PHD and EKF": lambda: run_phd(scans, known),
+    }
+    seconds = float(times_s[-1] - times_s[0]) + float(np.median(np.diff(times_s)))
+    rows = {
+        title: {**accuracy(found, true_points), "ms_per_second": 1e3 * best / seconds}
+        for title, (found, best) in _measure(ways, options.repetitions).items()
+    }
+    ours, *others = rows
+    for title in others:
+        rows[title]["times_ours"] = rows[title]["ms_per_second"] / rows[ours]["ms_per_second"]
+    print(json.dumps(rows, indent=2) if options.json else _table(rows, len(events), seconds))
+    return 0 if rows[ours]["ms_per_second"] <= TARGET_MS_PER_SECOND else 1
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--log", type=Path, help="detection log; default: simulate the paper's scene")
+    parser.add_argument("--truth", type=Path, help="its truth.parquet")
+    parser.add_argument("--cameras", type=Path, help="its cameras.yaml")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated scene (default 1)")
+    parser.add_argument("--repetitions", type=int, default=5, help="of each way, the best counts (default 5)")
+    parser.add_argument("--json", action="store_true", help="one JSON document in place of the table")
+    options = parser.parse_args(arguments)
+    if len({options.log is None, options.truth is None, options.cameras is None}) > 1:
+        parser.error("--log, --truth and --cameras go together")
+    return options
+
+
+def _scene(options: argparse.Namespace, folder: Path) -> tuple[LoadedConfig, Path, Path]:
+    """Return configuration, log and truth; simulated into `folder` if none were named."""
+    loaded = load_config(PAPER_CONFIG, ["filter.kind=pmb"], options.seed, options.cameras)
+    if options.log is not None:
+        return loaded, options.log, options.truth
+    simulate(loaded, folder / "scene")
+    return loaded, folder / "scene" / "detections.parquet", folder / "scene" / "truth.parquet"
+
+
+def to_scans(events: Sequence[Event]) -> list[Scan]:
+    """Join the events of two cameras at one time."""
+    scans: dict[float, dict[int, Array]] = {}
+    for event in events:
+        scans.setdefault(event.time_s, {})[event.camera] = event.points
+    if any(set(views) != {0, 1} for views in scans.values()):
+        raise SystemExit("error: expected two cameras with common times")
+    return [(time_s, views[0], views[1]) for time_s, views in sorted(scans.items())]
+
+
+def tell(loaded: LoadedConfig) -> Knowledge:
+    """What the configuration says, for the trackers of Stone Soup."""
+    cameras, config = loaded.build_cameras(), loaded.config
+    detector = cameras[0].detector
+    assert config.filter is not None
+    assert config.filter.birth.disparity is not None
+    prior, focal = config.filter.birth.disparity, cameras[0].fx * config.disparity.baseline
+    near, far = prior.mean_px + 2.0 * prior.std_px, max(prior.mean_px - 2.0 * prior.std_px, 1e-3 * prior.mean_px)
+    return Knowledge(
+        projections=(cameras[0].projection_matrix, cameras[1].projection_matrix),
+        noise=np.diag(np.square(detector.sigma)),
+        p_detect=detector.p_detect,
+        clutter_density=detector.clutter_per_frame / (cameras[0].width * cameras[0].height),
+        survival=config.filter.survival_per_s,
+        acceleration_std=float(np.max(config.motion.acceleration_std)),
+        velocity_std=config.filter.birth.velocity_std,
+        depths=(focal / near, focal / far),
+    )
+
+
+def run_pmb(multi_filter: DisparityFilter, events: Sequence[Event]) -> list[Array]:
+    """Positions (k, 3) after the last event of every time."""
+    state = multi_filter.init()
+    found: dict[float, Array] = {}
+    for event in events:
+        state, _, estimates = multi_filter.step(state, event)
+        found[event.time_s] = estimates.states[:, :3]
+    return list(found.values())
+
+
+def accuracy(found: Sequence[Array], truth: Sequence[Array]) -> dict[str, float]:
+    """Mean OSPA over the last half of the scans and over all, and the share of scans with a wrong number."""
+    distances = np.array([float(ospa(x, y, ORDER, CUTOFF).distance) for x, y in zip(found, truth, strict=True)])
+    wrong = np.array([len(x) != len(y) for x, y in zip(found, truth, strict=True)])
+    half = len(distances) // 2
+    return {"ospa_last_half": distances[half:].mean(), "ospa": distances.mean(), "wrong_number": wrong.mean()}
+
+
+def _measure(ways: dict[str, Callable[[], list[Array]]], repetitions: int) -> dict[str, tuple[list[Array], float]]:
+    """Result and best processor time (s) of each way, the ways taking turns."""
+    found = {title: way() for title, way in ways.items()}  # compiles, fills caches
+    best = dict.fromkeys(ways, float("inf"))
+    gc.disable()
+    for _ in range(repetitions):
+        for title, way in ways.items():
+            gc.collect()
+            start = time.process_time()
+            way()
+            best[title] = min(best[title], time.process_time() - start)
+    gc.enable()
+    return {title: (found[title], best[title]) for title in ways}
+
+
+def _table(rows: dict[str, dict[str, Any]], events: int, seconds: float) -> str:
+    lines = [
+        f"{events} events, {seconds:g} s of scene, one thread",
+        "| tracker | OSPA, last half | OSPA, all | scans with a wrong number | ms per second of scene | times ours |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines.extend(
+        f"| {title} | {row['ospa_last_half']:.2f} | {row['ospa']:.2f} | {row['wrong_number']:.1%} | "
+        f"{row['ms_per_second']:.2f} | {row.get('times_ours', 1.0):.1f} |"
+        for title, row in rows.items()
+    )
+    lines.append(f"target: the PMB filter in at most {TARGET_MS_PER_SECOND:g} ms per second of scene")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
