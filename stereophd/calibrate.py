@@ -95,6 +95,8 @@ def calibrate(
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
     checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
+    if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
+        LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
         try:
