@@ -41,7 +41,8 @@ format: $(VENV)/.installed-all
 # Short versions; benchmarks/README.md has the long ones. All run, then it fails if a target was missed.
 bench: $(VENV)/.installed-all
 	@failed=0; \
-	for run in "track_speed.py --repetitions 3" "single_object.py --repetitions 3" "start_up.py --repetitions 3" \
+	for run in "track_speed.py --repetitions 3" "peers.py --repetitions 1" "single_object.py --repetitions 3" \
+		"start_up.py --repetitions 3" "many_objects.py --objects 100 200 --frames 200 --repetitions 1" \
 		"long_log.py --detections 200000" "calibrate_speed.py --particles 100 --events 60"; do \
 		echo "benchmarks/$$run"; $(BIN)/python benchmarks/$$run || failed=1; echo; \
 	done; exit $$failed

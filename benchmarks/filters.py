@@ -47,11 +47,10 @@ SCENES = {
     "three cameras": [f"cameras.upper={UPPER}"],
     "four cameras": [f"cameras.upper={UPPER}", f"cameras.lower={LOWER}"],
 }
-BIRTH = "birth: {per_frame: 0.05, disparity: {mean_px: 7.0, std_px: 3.0}, velocity_std: 1.5}"
 FILTERS = {
     "PHD": [],
-    "PMB": [f"filter={{kind: pmb, {BIRTH}}}"],
-    "PMB, smoothed": [f"filter={{kind: pmb, {BIRTH}}}", "report.smooth={}"],
+    "PMB": ["filter.kind=pmb"],
+    "PMB, smoothed": ["filter.kind=pmb", "report.smooth={}"],
 }
 
 
@@ -68,7 +67,12 @@ def score(settings: list[str], log: Path, folder: Path, cameras: Path | None = N
     """Figures of one filter on one log (a folder as `stereophd simulate` writes it)."""
     track(load_config(CONFIG, settings, 1, cameras), log / "detections.parquet", folder / "tracks", force=True)
     report = evaluate(folder / "tracks" / "tracks.parquet", log / "truth.parquet", cutoff=20.0)
-    return [float(report["ospa"]["mean"]), float(report["ospa2"]["mean"]), float(report["identity_switches"])]
+    return [
+        float(report["ospa"]["mean"]),
+        float(report["ospa2"]["mean"]),
+        float(report["identity_switches"]),
+        float(report["position_error"]["median"]),
+    ]
 
 
 def print_rows(title: str, found: dict[str, np.ndarray]) -> None:
@@ -88,7 +92,8 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="*", default=list(SCENES), choices=list(SCENES), metavar="SCENE")
     parser.add_argument("--authors", type=Path, metavar="DIR", help="recorded logs in place of simulated scenes")
     options = parser.parse_args()
-    print("| scene | filter | OSPA, cm | OSPA(2), cm | identity switches |\n|---|---|---|---|---|")
+    print("| scene | filter | OSPA, cm | OSPA(2), cm | identity switches | median error, cm |")
+    print("|---|---|---|---|---|---|")
     if options.authors is not None:
         for log in sorted(path.parent for path in options.authors.glob("*/detections.parquet")):
             with tempfile.TemporaryDirectory() as folder:

@@ -1,6 +1,6 @@
 """The PMB filter beside trackers built on Stone Soup, on one log, in one process, on one thread.
 
-    python benchmarks/peers.py                                        the paper's scene, simulated
+    python benchmarks/peers.py --seeds 1 2 3                          the paper's scene, simulated
     python benchmarks/peers.py --log LOG --truth TRUTH --cameras CAMERAS.yaml
 
 Two cameras with common times, as Stone Soup's triangulated births need them. Accuracy: OSPA (p 2, c 20) after both
@@ -18,7 +18,6 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from common import PAPER_CONFIG, read_events  # first: sets the number of threads
 
@@ -40,15 +39,38 @@ Array = NDArray[np.float64]
 
 TARGET_MS_PER_SECOND = 0.5
 ORDER, CUTOFF = 2.0, 20.0
+# In its turn a way is repeated until it has taken this long: what takes 50 ms is measured as well as what takes 3 s.
+LEAST_S = 0.5
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; return 0 if the target is met, else 1."""
     options = _parse(arguments)
+    found = []
     with tempfile.TemporaryDirectory() as name:
-        loaded, log, truth_path = _scene(options, Path(name))
-        events = read_events(loaded, log)
-        truth, _ = read_truth(truth_path)
+        for seed in options.seeds:
+            loaded = load_config(PAPER_CONFIG, ["filter.kind=pmb"], seed, options.cameras)
+            log, truth = options.log, options.truth
+            if log is None:
+                folder = Path(name) / str(seed)
+                simulate(loaded, folder)
+                log, truth = folder / "detections.parquet", folder / "truth.parquet"
+            found.append(compare(loaded, log, truth, options.repetitions))
+    rows = {
+        title: {key: float(np.mean([scene[title][key] for scene in found])) for key in values}
+        for title, values in found[0].items()
+    }
+    ours, *others = rows
+    for title in others:
+        rows[title]["times_ours"] = rows[title]["ms_per_second"] / rows[ours]["ms_per_second"]
+    print(json.dumps(rows, indent=2) if options.json else _table(rows, len(found)))
+    return 0 if rows[ours]["ms_per_second"] <= TARGET_MS_PER_SECOND else 1
+
+
+def compare(loaded: LoadedConfig, log: Path, truth_path: Path, repetitions: int) -> dict[str, dict[str, float]]:
+    """Accuracy and time of every tracker on one log."""
+    events = read_events(loaded, log)
+    truth, _ = read_truth(truth_path)
     scans = to_scans(events)
     times_s = np.array([scan[0] for scan in scans])
     aligned = align_truth(truth, times_s, 1.5 * truth.step_s).points
@@ -61,15 +83,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "Stone Soup, GM-PHD and EKF": lambda: run_phd(scans, known),
     }
     seconds = float(times_s[-1] - times_s[0]) + float(np.median(np.diff(times_s)))
-    rows = {
+    return {
         title: {**accuracy(found, true_points), "ms_per_second": 1e3 * best / seconds}
-        for title, (found, best) in _measure(ways, options.repetitions).items()
+        for title, (found, best) in _measure(ways, repetitions).items()
     }
-    ours, *others = rows
-    for title in others:
-        rows[title]["times_ours"] = rows[title]["ms_per_second"] / rows[ours]["ms_per_second"]
-    print(json.dumps(rows, indent=2) if options.json else _table(rows, len(events), seconds))
-    return 0 if rows[ours]["ms_per_second"] <= TARGET_MS_PER_SECOND else 1
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -77,22 +94,15 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--log", type=Path, help="detection log; default: simulate the paper's scene")
     parser.add_argument("--truth", type=Path, help="its truth.parquet")
     parser.add_argument("--cameras", type=Path, help="its cameras.yaml")
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated scene (default 1)")
-    parser.add_argument("--repetitions", type=int, default=5, help="of each way, the best counts (default 5)")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="of the simulated scenes (default 1)")
+    parser.add_argument("--repetitions", type=int, default=3, help="of each way, the best counts (default 3)")
     parser.add_argument("--json", action="store_true", help="one JSON document in place of the table")
     options = parser.parse_args(arguments)
     if len({options.log is None, options.truth is None, options.cameras is None}) > 1:
         parser.error("--log, --truth and --cameras go together")
+    if options.log is not None and len(options.seeds) > 1:
+        parser.error("--log takes one seed")
     return options
-
-
-def _scene(options: argparse.Namespace, folder: Path) -> tuple[LoadedConfig, Path, Path]:
-    """Return configuration, log and truth; simulated into `folder` if none were named."""
-    loaded = load_config(PAPER_CONFIG, ["filter.kind=pmb"], options.seed, options.cameras)
-    if options.log is not None:
-        return loaded, options.log, options.truth
-    simulate(loaded, folder / "scene")
-    return loaded, folder / "scene" / "detections.parquet", folder / "scene" / "truth.parquet"
 
 
 def to_scans(events: Sequence[Event]) -> list[Scan]:
@@ -151,16 +161,20 @@ def _measure(ways: dict[str, Callable[[], list[Array]]], repetitions: int) -> di
     for _ in range(repetitions):
         for title, way in ways.items():
             gc.collect()
-            start = time.process_time()
-            way()
-            best[title] = min(best[title], time.process_time() - start)
+            spent = 0.0
+            while spent < LEAST_S:
+                start = time.process_time()
+                way()
+                took = time.process_time() - start
+                best[title] = min(best[title], took)
+                spent += took
     gc.enable()
     return {title: (found[title], best[title]) for title in ways}
 
 
-def _table(rows: dict[str, dict[str, Any]], events: int, seconds: float) -> str:
+def _table(rows: dict[str, dict[str, float]], scenes: int) -> str:
     lines = [
-        f"{events} events, {seconds:g} s of scene, one thread",
+        f"mean over {scenes} scene{'s' if scenes > 1 else ''}, one thread",
         "| tracker | OSPA, last half | OSPA, all | scans with a wrong number | ms per second of scene | times ours |",
         "|---|---|---|---|---|---|",
     ]

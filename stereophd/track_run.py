@@ -92,16 +92,17 @@ class Attribution:
     """Whose detections were whose: counts by label until the label is reported as a track."""
 
     def __init__(self) -> None:
-        self._pending: dict[int, Counter[str]] = {}
+        self._pending: dict[int, dict[str, int]] = {}
 
     def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, Counter[str]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
         for label in detected.tolist():
-            self._pending.setdefault(label, Counter())[camera] += 1
+            counts = self._pending.setdefault(label, {})
+            counts[camera] = counts.get(camera, 0) + 1
         found: dict[int, Counter[str]] = {}
         for track_id, label in zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True):
             if label in self._pending:
-                found[track_id] = self._pending.pop(label)
+                found[track_id] = Counter(self._pending.pop(label))
         return found
 
     def keep(self, labels: NDArray[np.int64]) -> None:

@@ -178,6 +178,12 @@ def _buffered(values: NDArray[Any], kind: pa.DataType, nulls: NDArray[np.bool_] 
     return pa.Array.from_buffers(kind, len(values), [validity, pa.py_buffer(np.ascontiguousarray(values))])
 
 
+def _has_rows(value: Any) -> bool:
+    """Whether a value is an array or list, rather than one value for all rows."""
+    # the commonest single values by their types: np.ndim would make arrays of them
+    return not isinstance(value, (str, float, int)) and np.ndim(value) > 0
+
+
 class TableWriter:
     """Write a Parquet table piece by piece, in row groups of a fixed number of rows.
 
@@ -237,7 +243,7 @@ class TableWriter:
         """
         if set(columns) != set(self.schema.names):
             raise ValueError(f"expected the columns {self.schema.names}, found {sorted(columns)}")
-        lengths = {len(value) for value in columns.values() if not isinstance(value, str) and np.ndim(value) > 0}
+        lengths = {len(value) for value in columns.values() if _has_rows(value)}
         if len(lengths) != 1:
             raise ValueError(f"expected columns of one length, found {sorted(lengths)}")
         rows = lengths.pop()
@@ -248,8 +254,7 @@ class TableWriter:
                 piece = dict(columns)
             else:
                 piece = {
-                    name: value if isinstance(value, str) or np.ndim(value) == 0 else value[start : start + take]
-                    for name, value in columns.items()
+                    name: value[start : start + take] if _has_rows(value) else value for name, value in columns.items()
                 }
             self._buffer.append((piece, take))
             self._buffered += take
