@@ -45,8 +45,8 @@ from stereophd.track import track
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
 # In units of the bound on its root mean square: what counts as success.
 SUCCESS = 5.0
-# Steps in which the free scale is removed before tracking is compared.
-SCALE_STEPS = 2
+# Part of its median within which an estimate's range counts for the scale.
+SAME_RANGE = 0.1
 # Angle from the reference camera within which an estimate is of an object, rad.
 SAME_DIRECTION = 0.01
 
@@ -126,45 +126,46 @@ def compare_tracking(
     estimated = load_cameras(out / "cameras.yaml").cameras
     cameras = [camera.build(name) for name, camera in estimated.items()]
     origin = next(c.pose.center for c in cameras if c.name == section.reference)
-    tracks, folders = out / "tracks.parquet", {"true": folder / "tracked-true"}
-    # the scale of tracks whose scale is wrong is not found to the last per cent: priors of depth and speed bend them
-    for step in range(SCALE_STEPS):
-        scale = scene_scale(tracks, scene / "truth.parquet", origin)
-        cameras = [replace(c, pose=Pose(c.pose.rotation, origin + (c.pose.center - origin) * scale)) for c in cameras]
-        scaled = folder / f"scaled-{step}.yaml"
-        write_cameras(scaled, with_poses(estimated, cameras), loaded.config.units.length)
-        folders["calibrated"] = folder / f"tracked-{step}"
-        tracks = folders["calibrated"] / "tracks.parquet"
-        track(load_config(loaded.path, changes, truth.config.seed, scaled), scene / "detections.parquet", tracks.parent)
-    track(truth, scene / "detections.parquet", folders["true"])
-    return {
-        name: float(evaluate(place / "tracks.parquet", scene / "truth.parquet", plots=False)["ospa"]["mean"])
-        for name, place in folders.items()
-    }
+    scale = scene_scale(out / "tracks.parquet", scene / "truth.parquet", origin)
+    moved = [replace(c, pose=Pose(c.pose.rotation, origin + (c.pose.center - origin) * scale)) for c in cameras]
+    scaled = folder / "scaled.yaml"
+    write_cameras(scaled, with_poses(estimated, moved), loaded.config.units.length)
+    scores = {}
+    for name, path in (("calibrated", scaled), ("true", scene / "cameras.yaml")):
+        tracked = folder / f"tracked-{name}"
+        track(load_config(loaded.path, changes, truth.config.seed, path), scene / "detections.parquet", tracked)
+        result = evaluate(tracked / "tracks.parquet", scene / "truth.parquet", plots=False)
+        scores[name] = float(result["ospa"]["mean"])
+    return scores
 
 
 def scene_scale(tracks: Path, truth: Path, origin: Array) -> float:
     """Factor about the reference camera that fits estimated positions to the true ones best (least squares).
 
-    Estimates and objects are matched by their direction from the reference camera, which does not depend on scale.
+    Estimates and objects are matched by their direction from the reference camera, which does not depend on scale;
+    estimates whose range is far from that of most others (tracks that just began) do not count.
     """
     estimates, objects = pq.read_table(tracks), pq.read_table(truth)
     found = np.column_stack([estimates[axis].to_numpy() for axis in "xyz"]) - origin
     true = np.column_stack([objects[axis].to_numpy() for axis in "xyz"]) - origin
     times, true_times = estimates["time_s"].to_numpy(), objects["time_s"].to_numpy()
-    inner, square = 0.0, 0.0
+    pairs = []
     for time_s in np.unique(times):
         x, y = found[times == time_s], true[true_times == time_s]
         if not len(y):
             continue
         cosine = (x / np.linalg.norm(x, axis=1)[:, None]) @ (y / np.linalg.norm(y, axis=1)[:, None]).T
-        nearest = cosine.argmax(axis=1)
         near = cosine.max(axis=1) > np.cos(SAME_DIRECTION)
-        # relative errors: near and far objects count alike
-        weight = 1.0 / (y[nearest] ** 2).sum(axis=1)
-        inner += float((weight * (x * y[nearest]).sum(axis=1))[near].sum())
-        square += float((weight * (x**2).sum(axis=1))[near].sum())
-    return inner / square if square else 1.0
+        # in units of the true range: near and far objects count alike
+        pairs.append(
+            np.column_stack([np.linalg.norm(x, axis=1), np.linalg.norm(y[cosine.argmax(axis=1)], axis=1)])[near]
+        )
+    ranges = np.concatenate([*pairs, np.empty((0, 2))])
+    if not len(ranges):
+        return 1.0
+    ratios = ranges[:, 0] / ranges[:, 1]
+    ratios = ratios[np.abs(ratios / np.median(ratios) - 1.0) < SAME_RANGE]
+    return float(ratios.sum() / (ratios**2).sum())
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from stereophd.calibrate_outcome import Outcome
 from stereophd.calibrate_report import build_report
 from stereophd.calibrate_samplers import sequential_outcome
 from stereophd.calibration.posterior import DETERMINED, UNDETERMINED
+from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
 from stereophd.io.logs import LogReader
@@ -94,13 +95,19 @@ def calibrate(
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
     checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
+    if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
+        LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
         try:
             outcome = method(loaded, section, problem, checkpoint, jobs, progress)
-        except (KeyboardInterrupt, SystemExit):
-            checkpoint.save()
-            LOGGER.warning("interrupted: continue with --resume from %s", checkpoint.path)
+        except InputError:
+            raise
+        except BaseException:
+            # whatever it is called: compiled code may turn the exception of a signal into one of its own
+            if checkpoint.holds_anything:
+                checkpoint.save()
+                LOGGER.warning("stopped: continue with --resume from %s", checkpoint.path)
             raise
         report = build_report(section, problem, outcome, loaded.config.units.length)
         record = provenance("calibrate", loaded, inputs={"detections": log_path})

@@ -46,6 +46,11 @@ class Checkpoint:
             raise InputError(f"{self.path}: expected a checkpoint of this configuration and log, found another's")
         return dict(parts)
 
+    @property
+    def holds_anything(self) -> bool:
+        """Whether there is anything to continue from."""
+        return bool(self._parts)
+
     def get(self, name: str) -> Any:
         """What was kept under a name, or None."""
         return self._parts.get(name)

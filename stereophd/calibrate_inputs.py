@@ -13,6 +13,7 @@ import numpy as np
 from stereophd.calibration.association import Scans
 from stereophd.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
 from stereophd.calibration.scale import ScaleMeasurement
+from stereophd.calibration.task import AnnealedSettings, Task
 from stereophd.config import Config
 from stereophd.config_calibration import BaselineScale, CalibrationConfig, per_axis
 from stereophd.config_cameras import CameraConfig, PoseConfig
@@ -218,6 +219,26 @@ def phd_filter(
     built = build_filter(config.model_copy(update=update), cameras, loaded.path, threads)
     assert isinstance(built, PhdFilter)
     return built
+
+
+def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
+    """Return what every start of method annealed works on."""
+    settings = section.annealed
+    return Task.of(
+        problem.parameters,
+        problem.reference,
+        pmb_filter(loaded, problem.parameters.cameras),
+        problem.scans,
+        thinned(problem.scans, settings.max_events),
+        problem.scale,
+        AnnealedSettings(
+            settings.starts,
+            settings.agreeing_starts,
+            settings.inflation,
+            settings.min_detections,
+            settings.min_tracked,
+        ),
+    )
 
 
 def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:

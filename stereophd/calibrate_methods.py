@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.calibrate_checkpoint import Checkpoint
-from stereophd.calibrate_inputs import CalibrationProblem, pmb_filter, thinned
+from stereophd.calibrate_inputs import CalibrationProblem, annealed_task
 from stereophd.calibrate_outcome import (
     DRAWS_KEY,
     PAIRING_KEY,
@@ -36,7 +36,7 @@ from stereophd.calibration.fits import fit_until
 from stereophd.calibration.known_scale import measured_scale, rescaled
 from stereophd.calibration.posterior import laplace_draws
 from stereophd.calibration.scale import ScaleMeasurement
-from stereophd.calibration.task import AnnealedSettings, Fit, Start, Task
+from stereophd.calibration.task import Fit, Start, Task
 from stereophd.config_calibration import CalibrationConfig, LengthScale, SpeedScale
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def annealed_outcome(
     progress: Progress | None,
 ) -> Outcome:
     """Method annealed, with the posterior that the section names."""
-    task = _task(loaded, section, problem)
+    task = annealed_task(loaded, section, problem)
     starts = _all_starts(loaded, task, checkpoint, jobs, progress)
     best = best_of(starts)
     details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
@@ -91,26 +91,6 @@ def annealed_outcome(
     draws = laplace_draws(problem.parameters, problem.reference, mean, covariance, LAPLACE_DRAWS, rng)
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(mean, covariance, draws, weights, history, "", doubt, fit, details)
-
-
-def _task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
-    """What every start works on."""
-    settings = section.annealed
-    return Task.of(
-        problem.parameters,
-        problem.reference,
-        pmb_filter(loaded, problem.parameters.cameras),
-        problem.scans,
-        thinned(problem.scans, settings.max_events),
-        problem.scale,
-        AnnealedSettings(
-            settings.starts,
-            settings.agreeing_starts,
-            settings.inflation,
-            settings.min_detections,
-            settings.min_tracked,
-        ),
-    )
 
 
 def _all_starts(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.calibrate_checkpoint import Checkpoint
-from stereophd.calibrate_inputs import CalibrationProblem, phd_filter, pmb_filter, thinned
+from stereophd.calibrate_inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter, thinned
 from stereophd.calibrate_outcome import (
     SEQUENTIAL_KEY,
     SMC_KEY,
@@ -18,12 +18,11 @@ from stereophd.calibrate_outcome import (
     seed_for,
 )
 from stereophd.calibration import sequential, tempered
-from stereophd.calibration.annealed import real_detections
-from stereophd.calibration.association import shared, track_detections
+from stereophd.calibration.annealed import RIVAL_DISTANCE, disagreement, explained
 from stereophd.calibration.batch import FilterBatch
+from stereophd.calibration.fits import fit_from
 from stereophd.calibration.likelihood import Evidence
 from stereophd.calibration.modes import Modes
-from stereophd.calibration.pairing import one_camera_tracks
 from stereophd.calibration.resampling import effective_sample_size, weighted_mean_covariance
 from stereophd.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.calibration.task import Fit
@@ -76,7 +75,7 @@ def sequential_outcome(
         "resampled": sum(info.resampled for info in result.history),
     }
     history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
-    doubt = _doubt(loaded, section, problem, mean, details)
+    doubt = _doubt(loaded, section, problem, mean, covariance, details)
     return Outcome(mean, covariance, result.state.values, result.state.log_weights, history, "", doubt, None, details)
 
 
@@ -85,20 +84,27 @@ def _doubt(
     section: CalibrationConfig,
     problem: CalibrationProblem,
     values: Array,
+    covariance: Array,
     details: dict[str, Any],
 ) -> str:
-    """Track with the cameras found: a filter that settled on wrong ones has no tracks that two cameras share."""
-    settings = section.annealed
-    scans = thinned(problem.scans, settings.max_events)
-    found = track_detections(pmb_filter(loaded, problem.parameters.build(values)), scans, 1.0)
-    chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], settings.min_detections)
-    alone = one_camera_tracks(pmb_filter(loaded, problem.parameters.cameras), scans, settings.min_detections)
-    followed = sum(len(detections) for _, detections in alone) / max(len(scans.points), 1)
-    part = int(np.isin(found.tracks, chosen).sum()) / real_detections(problem.parameters, scans, followed)
-    details["explained"] = part
-    if part >= settings.min_tracked:
+    """Why particles are not to be trusted: tracks that two cameras share move the cameras far away, or are missing.
+
+    Particles that settled on wrong cameras are narrow, and still far from the optimum next to them.
+    """
+    task = annealed_task(loaded, section, problem)
+    fit = fit_from(task, values)
+    details["explained"] = 0.0 if fit is None else explained(task, fit)
+    if fit is None:
+        return "no tracks are shared by two cameras"
+    if (why := disagreement(task, fit)) is not None:
+        return why
+    difference = fit.adjustment.values - values
+    joint = np.linalg.inv(covariance + fit.adjustment.covariance)
+    moved = float(np.sqrt(difference @ joint @ difference / len(difference)))
+    details["standard_deviations_to_optimum"] = moved
+    if moved <= RIVAL_DISTANCE:
         return ""
-    return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
+    return f"the optimum next to the particles lies {moved:.0f} standard deviations away: they settled on wrong cameras"
 
 
 def smc_outcome(

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from stereophd.calibration import kernels
 from stereophd.calibration.association import Scans, track_detections, with_cameras
-from stereophd.calibration.fits import paired_fit, refitted, tracked_fit
+from stereophd.calibration.fits import FITTED_PASSES, paired_fit, refitted, tracked_fit
 from stereophd.calibration.modes import Modes
 from stereophd.calibration.parameters import ParameterSet
 from stereophd.calibration.task import SUCCEEDED, Fit, Start, Task
@@ -26,8 +26,6 @@ Array = NDArray[np.float64]
 
 # Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
 PAIRED_INFLATION = 3.5
-# Passes in which fitted trajectories choose their detections.
-FITTED_PASSES = 3
 # A start's values must be this probable under the prior, and the detections it explains this near to their noise:
 # mean squared residual of accepted detections, in squared sigmas per coordinate.
 LEAST_PRIOR_PROBABILITY = 1e-6
@@ -81,7 +79,7 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
         history.append(fit.adjustment.values)
     values = fit.adjustment.values
     part = explained(task, fit)
-    why = _disagreement(task, fit, part)
+    why = disagreement(task, fit)
     if why is not None:
         return failed(why, fit, part)
     evidence = track_detections(
@@ -118,8 +116,9 @@ def real_detections(parameters: ParameterSet, scans: Scans, followed: float) -> 
     return float(max(min(total - clutter, followed * total), 2.0 * np.sqrt(max(total, 1))))
 
 
-def _disagreement(task: Task, fit: Fit, part: float) -> str | None:
+def disagreement(task: Task, fit: Fit) -> str | None:
     """Why a fit does not agree with the data or the prior; None if it does."""
+    part = explained(task, fit)
     if part < task.settings.min_tracked:
         return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
     residual = float(np.minimum(fit.adjustment.distances, kernels.BEHIND).mean()) / 2.0

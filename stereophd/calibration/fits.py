@@ -27,6 +27,8 @@ Integers = NDArray[np.int64]
 # are rather false ones (at that distance a normal density is down to this part of its peak).
 ANNEALED_LOSS = Loss(kernels.CAUCHY, 2.0)
 FITTED_LOSS = Loss(kernels.FLOOR, 1e-3)
+# Passes in which fitted trajectories choose their detections.
+FITTED_PASSES = 3
 
 
 def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit | None:
@@ -92,6 +94,15 @@ def refitted(task: Task, fit: Fit, scans: Scans) -> Fit | None:
     rows, numbers = keep(trajectories, chosen)
     observations = scans.observations(numbers, detections[rows])
     return adjusted_to(task, fit, observations, trajectories[rows], detections[rows], task.scale)
+
+
+def fit_from(task: Task, values: Array) -> Fit | None:
+    """Fit cameras and trajectories to what is tracked with the cameras of `values`; None if nothing is shared."""
+    fit = tracked_fit(task, values, 1.0)
+    for _ in range(FITTED_PASSES):
+        if fit is not None:
+            fit = refitted(task, fit, task.scans)
+    return fit
 
 
 def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:

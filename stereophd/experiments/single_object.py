@@ -54,7 +54,7 @@ def series_of_errors(
         Covariance that the estimator states, and the errors of the mean that it is about.
     """
     lengths = np.linalg.norm(errors, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):  # particles that all sit in one place have no covariance
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # particles that (almost) sit in one place
         normalised = nees(consistent, covariances)
     return [
         Series(f"{name}_error", unit, lengths, times_s),

@@ -63,16 +63,27 @@ def mahalanobis_distances(x: FloatArray, y: FloatArray, covariance: FloatArray) 
 
 
 def is_positive_definite(covariance: FloatArray) -> NDArray[np.bool_]:
-    """Return which symmetric matrices (..., d, d) are finite and positive definite.
+    """Return which symmetric matrices (..., d, d) are finite and have a Cholesky factor.
 
-    Sylvester's criterion (all leading minors positive), because one matrix that is not must not hide
-    which one it is, as an exception of a batched Cholesky factorisation would.
+    The factor itself is asked for, because a matrix that is all but singular may pass any other criterion and then
+    have none.
     """
     good = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
-    safe = np.where(good[..., None, None], covariance, np.eye(covariance.shape[-1]))
-    for size in range(1, covariance.shape[-1] + 1):
-        good &= np.linalg.det(safe[..., :size, :size]) > 0.0
-    return good
+    flat = good.reshape(-1)
+    flat[flat] = _have_factors(covariance.reshape(-1, *covariance.shape[-2:])[flat])
+    return flat.reshape(good.shape)
+
+
+def _have_factors(matrices: FloatArray) -> NDArray[np.bool_]:
+    """Halve until the factorisation, which fails for all if it fails for one, says which it was."""
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        half = len(matrices) // 2
+        if half == 0:
+            return np.zeros(len(matrices), dtype=bool)
+        return np.concatenate([_have_factors(matrices[:half]), _have_factors(matrices[half:])])
+    return np.ones(len(matrices), dtype=bool)
 
 
 def optimal_assignment(costs: FloatArray) -> IntArray:

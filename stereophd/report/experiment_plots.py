@@ -55,6 +55,13 @@ class _Line:
     bound: Array
 
 
+class _PlainNumbers(LogFormatter):
+    """Labels the ticks that its base class chooses, without powers of ten."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
 def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
     """Draw the figure of an experiment.
 
@@ -158,8 +165,8 @@ def _panel(axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], o
     settings = results.config.figure
     if settings.log:
         axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(LogFormatter())
-        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=MINOR_LABELS))
+        axes.yaxis.set_major_formatter(_PlainNumbers())
+        axes.yaxis.set_minor_formatter(_PlainNumbers(minor_thresholds=MINOR_LABELS))
     elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for line in lines):
         axes.set_ylim(bottom=0)
     if settings.most is not None:

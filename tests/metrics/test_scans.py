@@ -183,3 +183,16 @@ def test_identity_switches():
         False,
     ]
     assert not identity_switches(scan[:0], object_id[:0], track_id[:0]).any()
+
+
+def test_nees_of_covariances_that_are_all_but_singular():
+    # particles that almost all sit in one place: some of these matrices have positive minors and no Cholesky factor
+    v, w = np.random.default_rng(0).standard_normal((2, 5000, 3))
+    covariance = np.einsum("ni,nj->nij", v, v)
+    covariance[2000:] += 1e-17 * np.einsum("ni,nj->nij", w[2000:], w[2000:])
+    covariance[::3] += np.eye(3)
+    covariance[1] = np.nan
+    found = nees(v, covariance)
+    assert np.isnan(found[1])
+    expected = np.einsum("ni,nij,nj->n", v[::3], np.linalg.inv(covariance[::3]), v[::3])
+    np.testing.assert_allclose(found[::3], expected, rtol=1e-9)
