@@ -35,7 +35,8 @@ SCENES = {
     "six objects (the paper's)": [],
     "detection probability 0.7": [f"{key}.p_detect=0.7" for key in DETECTORS],
     "clutter 50": [f"{key}.clutter_per_frame=50" for key in DETECTORS],
-    "twelve objects": ["simulate.objects.count=12"],
+    "twelve objects that cross": ["simulate.objects.count=12"],
+    "twelve objects, three cameras": ["simulate.objects.count=12", f"cameras.upper={UPPER}"],
     "10 and 7 Hz, phase 30 ms, 20 s": [
         "cameras.left.frame_rate_hz=10",
         "cameras.right.frame_rate_hz=7",

