@@ -23,6 +23,12 @@ def compiled(function: Function) -> Function:
 
 
 def compiled_fast(function: Function) -> Function:
-    """As `compiled`, with sums that the compiler may reorder, so that loops over samples vectorise."""
+    """As `compiled`, with sums that the compiler may reorder, so that loops over samples vectorise.
+
+    Only for a large function that is all sums, and is not inlined: its code is then the same wherever it is
+    called from. What is inlined is compiled anew with each caller, and where sums may be reordered its last bits
+    depend on the caller, and on which of the copies of it a process finds first: a run that compiles and one
+    that finds compiled code would differ.
+    """
     decorate = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
     return cast("Function", decorate(function))

@@ -216,10 +216,7 @@ def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any
     high = weighted_quantiles(posterior.particles, weights, 0.5 + CREDIBLE / 2)
     inside = (low <= truth) & (truth <= high)
     std = np.sqrt(np.diag(covariance))
-    try:
-        nees = normalised_error_squared(truth - mean, covariance)
-    except np.linalg.LinAlgError:
-        nees = math.inf
+    nees = normalised_error_squared(truth - mean, covariance)
     return {
         "nees": _finite(nees / parameters.size),
         "covered_90": float(inside.mean()),

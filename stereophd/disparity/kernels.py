@@ -23,7 +23,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.compilation import compiled, compiled_fast
+from stereophd.compilation import compiled
 from stereophd.disparity.space import BASELINE, VERTICAL
 from stereophd.geometry.kernels import pixel_in_view
 from stereophd.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE, LENS_NONE, ROTATION, WIDTH
@@ -77,7 +77,7 @@ def disparity_scale(space: Array) -> float:
     return float(focal * space[BASELINE])
 
 
-@compiled_fast
+@compiled
 def moving_trips(
     mean: Array,
     factor: Array,
@@ -174,7 +174,7 @@ def moving_trips(
         out[6, i] = z_b
 
 
-@compiled_fast
+@compiled
 def static_trips(mean: Array, factor: Array, samples: Array, source: Array, destination: Array, out: Array) -> None:
     """Carry the samples of one static object; as `moving_trips` with states (3,) and out (4, n)."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, t0, t1, t2 = relative_pose(source, destination)
@@ -220,23 +220,24 @@ def motion_noise(samples: Array, axes: Array) -> Array:
     return out
 
 
-@compiled_fast
+@compiled
 def view_mask(points: Array, destination: Array, mask: Array) -> int:
     """Mark the samples in view of the destination (in front, inside the distorted image); count them."""
     depth = points[points.shape[0] - 1]
     right, bottom = destination[WIDTH] - 0.5, destination[HEIGHT] - 0.5
-    count = 0.0
+    count = 0
     if destination[LENS_CODE] != LENS_NONE:
         for i in range(points.shape[1]):
-            mask[i] = 1.0 if depth[i] > 0.0 and pixel_in_view(destination, points[0, i], points[1, i]) else 0.0
-            count += mask[i]
+            seen = depth[i] > 0.0 and pixel_in_view(destination, points[0, i], points[1, i])
+            mask[i] = 1.0 if seen else 0.0
+            count += seen
     else:
         for i in range(points.shape[1]):
             u, v = points[0, i], points[1, i]
             seen = (depth[i] > 0.0) & (u >= -0.5) & (u <= right) & (v >= -0.5) & (v <= bottom)
             mask[i] = 1.0 if seen else 0.0
-            count += mask[i]
-    return int(count)
+            count += seen
+    return count
 
 
 @compiled

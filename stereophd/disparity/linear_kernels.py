@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.compilation import compiled, compiled_fast
+from stereophd.compilation import compiled
 from stereophd.disparity.kernels import (
     POSITION_ALONE,
     POSITION_WITH_VELOCITY,
@@ -157,7 +157,7 @@ def linear_components(
             out_covariances[k] = covariance[:size, :size]
 
 
-@compiled_fast
+@compiled
 def _moving_to_world(
     mean: Array,
     factor: Array,
@@ -185,13 +185,14 @@ def _moving_to_world(
     per_fx, per_fy, scale = 1.0 / home[FX], 1.0 / home[FY], disparity_scale(home)
     velocity_noise = math.sqrt(abs(dt))
     position_noise = velocity_noise * dt
-    total = 0.0
+    total = 0
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
         a3, a4, a5 = samples[3, i], samples[4, i], samples[5, i]
         disparity = m2 + l20 * a0 + l21 * a1 + l22 * a2
-        weights[i] = 1.0 if disparity * FARTHEST_SAMPLE >= m2 else 0.0
-        total += weights[i]
+        near = disparity * FARTHEST_SAMPLE >= m2
+        weights[i] = 1.0 if near else 0.0
+        total += near
         per_disparity = 1.0 / disparity
         depth = scale * per_disparity
         growth = (m5 + l50 * a0 + l51 * a1 + l52 * a2 + l53 * a3 + l54 * a4 + l55 * a5) * per_disparity
@@ -210,26 +211,27 @@ def _moving_to_world(
         points[3, i] = r00 * vx + r10 * vy + r20 * vz + velocity_noise * noise[3, i]
         points[4, i] = r01 * vx + r11 * vy + r21 * vz + velocity_noise * noise[4, i]
         points[5, i] = r02 * vx + r12 * vy + r22 * vz + velocity_noise * noise[5, i]
-    return total
+    return float(total)
 
 
-@compiled_fast
+@compiled
 def _static_to_world(mean: Array, factor: Array, samples: Array, home: Array, points: Array, weights: Array) -> float:
     """Samples of a static object in the world; as `_moving_to_world` with states (3,) and points (3, n)."""
     scale = disparity_scale(home)
-    total = 0.0
+    total = 0
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
         disparity = mean[2] + factor[2, 0] * a0 + factor[2, 1] * a1 + factor[2, 2] * a2
-        weights[i] = 1.0 if disparity * FARTHEST_SAMPLE >= mean[2] else 0.0
-        total += weights[i]
+        near = disparity * FARTHEST_SAMPLE >= mean[2]
+        weights[i] = 1.0 if near else 0.0
+        total += near
         depth = scale / disparity
         x = (mean[0] - home[CX] + factor[0, 0] * a0) / home[FX] * depth
         y = (mean[1] - home[CY] + factor[1, 0] * a0 + factor[1, 1] * a1) / home[FY] * depth
         for a in range(3):
             r0, r1, r2 = home[ROTATION + a], home[ROTATION + 3 + a], home[ROTATION + 6 + a]
             points[a, i] = home[CENTER + a] + r0 * x + r1 * y + r2 * depth
-    return total
+    return float(total)
 
 
 @compiled

@@ -92,7 +92,7 @@ def weighted_moments(points: Array, weights: Array, total: float, mean: Array, c
         _any_moments(points, weights, total, mean, covariance)
 
 
-@compiled_fast
+@compiled
 def _any_moments(points: Array, weights: Array, total: float, mean: Array, covariance: Array) -> None:
     """`weighted_moments` of states of any size."""
     size = mean.shape[0]

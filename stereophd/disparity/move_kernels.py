@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.compilation import compiled, compiled_fast
+from stereophd.compilation import compiled
 from stereophd.disparity.kernels import (
     IN_VIEW,
     OUT_OF_VIEW,
@@ -234,7 +234,7 @@ def missed_moments(
             missed_covariance[b, a] = value
 
 
-@compiled_fast
+@compiled
 def _weigh(mask: Array, weights: Array, seen_weights: Array) -> tuple[float, float, float, float]:
     """Fill the weights of the samples in view; sums of all weights, of these, of their squares, and of the others."""
     whole = seen = squares = unseen = 0.0

@@ -16,6 +16,9 @@ from stereophd.geometry.pose import Pose, rotation_to_vector
 
 Array = NDArray[np.float64]
 
+# Eigenvalues of correlations below this are rounding.
+LEAST_EIGENVALUE = 1e-12
+
 
 @dataclass(frozen=True)
 class PoseErrors:
@@ -78,9 +81,19 @@ def pose_errors(estimated: Sequence[Pose], true: Sequence[Pose], reference: int)
 
 
 def normalised_error_squared(error: ArrayLike, covariance: ArrayLike) -> float:
-    """NEES: error^T covariance^-1 error; its expectation is the number of errors if the covariance is right."""
-    e = np.asarray(error, dtype=np.float64)
-    return float(e @ np.linalg.solve(np.asarray(covariance, dtype=np.float64), e))
+    """NEES: error^T covariance^-1 error; its expectation is the number of errors if the covariance is right.
+
+    NaN where the covariance is singular, or all but so (`LEAST_EIGENVALUE` of the correlations): particles that are
+    fewer than the parameters, or sit in one place.
+    """
+    e, matrix = np.asarray(error, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    std = np.sqrt(np.diag(matrix))
+    if not (np.isfinite(matrix).all() and (std > 0.0).all()):
+        return float("nan")
+    correlation = matrix / np.outer(std, std)
+    if np.linalg.eigvalsh(correlation)[0] < LEAST_EIGENVALUE:
+        return float("nan")
+    return float((e / std) @ np.linalg.solve(correlation, e / std))
 
 
 def _relative(poses: Sequence[Pose], reference: int, others: Sequence[int]) -> tuple[Array, Array]:
