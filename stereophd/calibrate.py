@@ -70,7 +70,7 @@ def calibrate(
     force : bool
         Whether the outputs of an earlier run may be replaced.
     jobs : int
-        Processes (threads, of particles); the outputs do not depend on it.
+        Processes (threads, of particles; -1: as many as there are cores); the outputs do not depend on it.
     resume : bool
         Continue from the checkpoint of an interrupted run; the outputs are those of an uninterrupted one.
     plots : bool, optional
@@ -89,6 +89,11 @@ def calibrate(
     InputError
         Configuration, log, checkpoint or output folder are not usable.
     """
+    if jobs == 0:
+        raise InputError("jobs: expected a number of processes (-1: all cores), found 0")
+    from joblib import effective_n_jobs
+
+    jobs = effective_n_jobs(jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
     drawn = find_spec("matplotlib") is not None if plots is None else plots

@@ -328,3 +328,19 @@ def test_plots_are_made(scene: Path, tmp_path: Path) -> None:
     for name in ("history", "posterior", "residuals"):
         assert (tmp_path / "out" / f"{name}.png").stat().st_size > 5000
         assert (tmp_path / "out" / f"{name}.svg").stat().st_size > 5000
+
+
+def test_all_cores_are_used_by_default(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from stereophd.cli.app import run
+
+    words = ["calibrate", str(CONFIG), str(scene / "detections.parquet"), "--cameras", str(scene / "guess.yaml")]
+    words += ["--set", "calibration.method=sequential", "--set", "calibration.sequential={particles: 30, samples: 32}"]
+    run([*words, "--out", str(tmp_path / "out"), "--no-plots"])
+    assert "internal error" not in capsys.readouterr().err
+    one = calibrate(
+        loaded(scene, ("calibration.method=sequential", "calibration.sequential={particles: 30, samples: 32}")),
+        scene / "detections.parquet", tmp_path / "one", plots=False,
+    )  # fmt: skip
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["status"] == one["status"]
+    with pytest.raises(InputError, match="jobs"):
+        calibrate(loaded(scene), scene / "detections.parquet", tmp_path / "none", jobs=0)
