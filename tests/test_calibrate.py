@@ -92,16 +92,32 @@ def test_outputs_are_those_of_track_and_depend_on_nothing_else(scene: Path, resu
         assert (again / name).read_bytes() == (result / name).read_bytes(), name
 
 
-@pytest.mark.parametrize("method", ["annealed", "sequential"])
+# what each way needs beside QUICK, and the step after which it is interrupted
+WAYS = {
+    "annealed": (("calibration.method=annealed",), 1),
+    "sequential": (("calibration.method=sequential", "calibration.sequential.particles=12"), 30),
+    "smc": (
+        (
+            "calibration.posterior=smc",
+            "calibration.smc={particles: 16, moves: 1}",
+            "calibration.scale={kind: baseline, cameras: [left, right], distance: 40, std: 0.5}",
+        ),
+        4,
+    ),
+}
+
+
+@pytest.mark.parametrize("method", WAYS)
 def test_an_interrupted_run_continues_to_the_same_result(scene: Path, tmp_path: Path, method: str) -> None:
-    overrides = (*QUICK, f"calibration.method={method}", "calibration.sequential.particles=12")
+    chosen, stop_at = WAYS[method]
+    overrides = (*QUICK, *chosen)
     log = scene / "detections.parquet"
     calls = 0
 
     def interrupt(done: int, total: int) -> None:
         nonlocal calls
         calls += 1
-        if calls == (1 if method == "annealed" else 30):
+        if calls == stop_at:
             # what a signal may become in compiled code
             raise KeyboardInterrupt if method == "annealed" else SystemError
 
@@ -114,6 +130,11 @@ def test_an_interrupted_run_continues_to_the_same_result(scene: Path, tmp_path: 
     calibrate(loaded(scene, overrides), log, tmp_path / "whole", plots=False)
     for path in sorted((tmp_path / "whole").iterdir()):
         assert path.read_bytes() == (tmp_path / "out" / path.name).read_bytes(), path.name
+    if method == "smc":
+        report = json.loads((tmp_path / "whole" / "report.json").read_text())
+        # the particles know of the distance too
+        assert report["scale"]["posterior_over_prior_std"] < 0.3
+        assert report["smc"]["ancestors"] > 1
     if method == "sequential":
         # so few particles settle on wrong cameras, and do not get away with it
         report = json.loads((tmp_path / "whole" / "report.json").read_text())
