@@ -135,7 +135,7 @@ def test_ctrl_c_leaves_a_folder_that_can_be_resumed(
     assert process.returncode == 130, messages
     assert printed == ""
     assert "finished runs are kept in" in messages
-    assert "Traceback" not in messages
+    assert "Traceback" not in messages, messages
     assert [p.name[:8] for p in out.iterdir()] == ["partial-"]
     experiment(load(), out, resume=True)
     assert contents(out) == expected
