@@ -59,7 +59,7 @@ def build_report(
         report["scale"] = _scale(section, found)
         if status != UNDETERMINED:
             report["cameras"] = _cameras(problem, outcome)
-        report["parameters"] = _parameters(problem, outcome, found, status)
+        report["parameters"] = _parameters(problem, outcome, found, status, length_unit)
         report["observability"] = _observability(problem, found)
     return {**report, **outcome.details}
 
@@ -92,7 +92,7 @@ def _cameras(problem: CalibrationProblem, outcome: Outcome) -> dict[str, Any]:
 
 
 def _parameters(
-    problem: CalibrationProblem, outcome: Outcome, found: Observability, status: str
+    problem: CalibrationProblem, outcome: Outcome, found: Observability, status: str, length_unit: str
 ) -> list[dict[str, Any]]:
     rows = []
     for index, (name, parameter) in enumerate(
@@ -101,7 +101,7 @@ def _parameters(
         rows.append(
             {
                 "name": name,
-                "unit": parameter.unit,
+                "unit": length_unit if parameter.unit == "length" else parameter.unit,
                 "prior_std": parameter.std,
                 "mean": None if status == UNDETERMINED else float(outcome.values[index]),
                 "std": float(np.sqrt(outcome.covariance[index, index])),

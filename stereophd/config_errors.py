@@ -30,7 +30,6 @@ _EXPECTED = {
     "less_than_equal": "a number <= {le}",
     "finite_number": "a finite number",
     "literal_error": "{expected}",
-    "union_tag_invalid": "one of {expected_tags}",
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
@@ -161,6 +160,11 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
     if kind == "value_error":
         return re.sub(r"^Value error, ", "", str(error["msg"]))
     found = _value(data, path)
+    if kind == "union_tag_invalid":
+        tags = re.findall(r"'([^']*)'", error["ctx"]["expected_tags"])
+        close = difflib.get_close_matches(str(found), tags, n=1, cutoff=0.6)
+        meant = f"; did you mean {close[0]}?" if close else ""
+        return f"expected one of {', '.join(tags)}, found {show(found)}{meant}"
     if kind in ("too_long", "too_short") and isinstance(found, (list, dict)):
         return f"expected {_expected(error)}, found {len(found)}"
     return f"expected {_expected(error)}, found {show(found)}"
@@ -185,6 +189,9 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
         if _is_tag(error, path, data):
             path = path[:-1]
             tags = (*tags, "")
+        if error["type"] == "union_tag_invalid":
+            # the fault is the value of the key that says which kind, not the mapping that it is in
+            path = (*path, str(error["ctx"]["discriminator"]).strip("'"))
         if _is_misspelt(error, path, data, schema):
             continue
         by_path.setdefault(path, []).append({**error, "tagged": bool(tags)})

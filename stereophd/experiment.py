@@ -159,6 +159,12 @@ def cases_of(settings: ExperimentConfig) -> list[tuple[str, tuple[str, ...], lis
     return cases
 
 
+def check_experiment(loaded: LoadedConfig) -> None:
+    """Raise `InputError` unless every method in every case of the ``experiment`` section, if any, can be run."""
+    if loaded.config.experiment is not None:
+        _plan(loaded, loaded.config.experiment)
+
+
 def _plan(loaded: LoadedConfig, settings: ExperimentConfig) -> list[Part]:
     """Return all parts, and check their configurations: methods by cases, and the bounds of the cases."""
     parts = []

@@ -137,7 +137,7 @@ def _announce_compilation() -> None:
     """Say that the kernels are compiled first, where no compiled ones are found."""
     folder = Path(__file__).parent / "disparity" / "__pycache__"
     if not any(folder.glob("move_kernels.carry_components-*.nbi")):
-        LOGGER.info("first run: compiling the kernels, once, in about 20 s")
+        LOGGER.info("first run: compiling the kernels, once, in about a minute")
 
 
 def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Camera, ...], unusable: int) -> None:
@@ -152,7 +152,11 @@ def _warn_of_losses(reader: LogReader, log_path: Path | str, cameras: tuple[Came
         LOGGER.warning("%s: %d detections lie where the lens model cannot be inverted: left out", log_path, unusable)
     if counts.get("cameras_without_frames"):
         LOGGER.warning(
-            "%s: no frames of %d of the %d cameras", log_path, counts["cameras_without_frames"], len(cameras)
+            "%s: no frames of %d of the %d cameras: %s",
+            log_path,
+            len(reader.silent_cameras),
+            len(cameras),
+            ", ".join(reader.silent_cameras),
         )
 
 

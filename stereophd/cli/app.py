@@ -96,7 +96,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _interrupted(code: int = EXIT_INTERRUPTED) -> int:
-    print("interrupted; no unfinished output is left", file=sys.stderr)
+    print("interrupted; no output is left half written", file=sys.stderr)
     return code
 
 

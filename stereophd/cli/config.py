@@ -46,6 +46,10 @@ def check_command(
     """Check a configuration: says ok, or every fault with its file, line and key."""
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
+    if loaded.config.experiment is not None:
+        from stereophd.experiment import check_experiment
+
+        check_experiment(loaded)
     if session.json:
         print_data(to_json({"ok": True, "cameras": list(loaded.cameras), "config_sha256": loaded.sha256}))
     elif not session.quiet:

@@ -125,8 +125,8 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
         for relative in _files(folder):
             if not _matches(relative, names):
                 raise InputError(
-                    f"output folder {folder} exists and is not ours: it holds {relative}, which this command "
-                    "does not write; choose another folder"
+                    f"output folder {folder} exists and is not of this command, which does not write the {relative} "
+                    "in it; choose another folder"
                 )
             existing.append(relative)
     except OSError as error:

@@ -128,6 +128,12 @@ class LogReader:
         if ("sigma_u_px" in present) != ("sigma_v_px" in present):
             raise InputError(f"{self.path}: expected both of the columns sigma_u_px and sigma_v_px, found one")
         self._columns = [*REQUIRED, *present]
+        self._seen: set[int] = set()
+
+    @property
+    def silent_cameras(self) -> tuple[str, ...]:
+        """Names of the cameras without a frame so far."""
+        return tuple(camera.name for k, camera in enumerate(self._cameras) if k not in self._seen)
 
     @cached_property
     def sha256(self) -> str:
@@ -137,7 +143,7 @@ class LogReader:
     def __iter__(self) -> Iterator[Frame]:
         self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
         self.counts["cameras_without_frames"] = len(self._cameras)
-        seen: set[int] = set()
+        seen = self._seen = set()
         if all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras):
             frames = self._frames(None)
         else:
@@ -155,7 +161,8 @@ class LogReader:
                 counts["cameras_without_frames"] -= 1
             yield frame
         if not seen:
-            raise InputError(f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad")
+            why = ", ".join(f"{kind} {counts[kind]}" for kind in KINDS if counts.get(kind))
+            raise InputError(f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad ({why})")
 
     def _frames(self, only: int | None) -> Iterator[Frame]:
         """Yield the frames in log order; with `only`, those of that camera, on its true time."""

@@ -102,7 +102,7 @@ def test_limits_of_evaluate(call: Call, limit: str) -> None:
             "error: log: row 3: expected this, found that",
         ),
         (GateError("ospa.mean is 3, limit 2"), 1, "error: ospa.mean is 3, limit 2"),
-        (KeyboardInterrupt(), 130, "interrupted; no unfinished output is left"),
+        (KeyboardInterrupt(), 130, "interrupted; no output is left half written"),
         (SystemExit(143), 143, None),
         (PermissionError(errno.EACCES, "Permission denied", "a.txt"), 2, "error: a.txt: Permission denied"),
         (

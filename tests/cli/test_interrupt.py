@@ -43,7 +43,7 @@ def test_ctrl_c_in_the_middle_of_a_log(
     assert run(["track", str(config), str(log), "--out", str(tmp_path / "out")]) == 130
     assert len(seen) == 6
     assert not (tmp_path / "out").exists()
-    assert capsys.readouterr().err == "interrupted; no unfinished output is left\n"
+    assert capsys.readouterr().err == "interrupted; no output is left half written\n"
 
 
 def test_ctrl_c_keeps_the_earlier_run(config: Path, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
