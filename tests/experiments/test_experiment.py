@@ -182,7 +182,7 @@ class TestPlan:
             ("experiment.cases={b: {key: seed, values: [x]}}", "experiment.cases.b: seed: expected an integer"),
             ("experiment.cases={b: {key: seed}}", "expected key and values, or settings"),
             ("experiment.figure.over=b", "figure.over: expected the name of an axis"),
-            ("experiment.scenario.kind=multi", "experiment.scenario: expected one of"),
+            ("experiment.scenario.kind=multi", "experiment.scenario.kind: expected one of multi_object"),
             (
                 "simulate.acceleration_std=0.1",
                 "simulate.acceleration_std: expected 0 with the tracker known_association",
