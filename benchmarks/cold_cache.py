@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
-SHORT = ["--set", "simulate.duration_s=30"]
+SHORT = ["--set", "simulate.duration_s=60"]
 RUNS = {
     "track phd": ["track", *SHORT, "--set", "filter.kind=phd"],
     "track pmb": ["track", *SHORT],
