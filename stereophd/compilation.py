@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import TypeVar, cast
 
 import numba
@@ -12,6 +15,35 @@ Function = TypeVar("Function", bound=Callable[..., object])
 # Sums may be reordered and contracted, but NaN and infinity keep their meaning: samples behind a
 # camera produce them, and the test of the field of view relies on comparisons with them being false.
 FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
+
+
+STAMP_FILE = "kernels.stamp"
+
+
+def drop_outdated(package: Path) -> bool:
+    """Remove compiled kernels below a package if any of its sources is not as it was when they were compiled.
+
+    numba looks at the file of a kernel alone, and would go on using one that contains an older version of a
+    kernel of another file. Where the folders cannot be written nothing is done. Return whether sources had changed.
+    """
+    described = [
+        f"{path.relative_to(package)} {path.stat().st_size} {path.stat().st_mtime_ns}"
+        for path in sorted(package.rglob("*.py"))
+    ]
+    stamp = hashlib.sha256("\n".join(described).encode()).hexdigest()
+    file = package / "__pycache__" / STAMP_FILE
+    with suppress(OSError):
+        if file.read_text(encoding="utf-8") == stamp:
+            return False
+    with suppress(OSError):
+        for path in [*package.rglob("__pycache__/*.nbi"), *package.rglob("__pycache__/*.nbc")]:
+            path.unlink(missing_ok=True)
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(stamp, encoding="utf-8")
+    return True
+
+
+drop_outdated(Path(__file__).parent)
 
 
 def compiled(function: Function) -> Function:
