@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from stereophd.compilation import compiled
 from stereophd.disparity.kernels import MovedArrays
 from stereophd.disparity.move_kernels import Look
-from stereophd.multi.intensity import UNLABELLED, Parts
+from stereophd.multi.intensity import Parts
+from stereophd.multi.parts import allocate_parts, copy_parts, slice_parts
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -74,51 +75,6 @@ class Step(NamedTuple):
     recycle_below: float
     hypothesis_distance: float
     least_share: float
-
-
-@compiled
-def slice_parts(parts: Parts, first: int, last: int) -> Parts:
-    """Return views of consecutive components."""
-    return (
-        parts[0][first:last], parts[1][first:last], parts[2][first:last], parts[3][first:last],
-        parts[4][first:last], parts[5][first:last], parts[6][first:last], parts[7][first:last],
-    )  # fmt: skip
-
-
-@compiled
-def allocate_parts(count: int, size: int) -> Parts:
-    """Room for components; pages that are never written are never allocated."""
-    return (
-        np.empty(count), np.empty((count, size)), np.empty((count, size, size)), np.empty(count, dtype=np.int64),
-        np.empty(count), np.empty(count, dtype=np.int64), np.full(count, UNLABELLED),
-        np.zeros(count, dtype=np.bool_),
-    )  # fmt: skip
-
-
-@compiled
-def copy_parts(source: Parts, index: Integers, target: Parts, first: int) -> None:
-    """Copy the components with these indices to `target`, from place `first` on.
-
-    Identities and reports are left alone: a conditional filter reports nothing. Loops, because NumPy's
-    assignments would take three times as long to compile.
-    """
-    size = source[1].shape[1]
-    for i in range(len(index)):
-        k, to = index[i], first + i
-        target[0][to], target[4][to] = source[0][k], source[4][k]
-        target[3][to], target[5][to] = source[3][k], source[5][k]
-        for a in range(size):
-            target[1][to, a] = source[1][k, a]
-            for b in range(size):
-                target[2][to, a, b] = source[2][k, a, b]
-
-
-@compiled
-def take_parts(parts: Parts, index: Integers) -> Parts:
-    """Return the components with these indices."""
-    out = allocate_parts(len(index), parts[1].shape[1])
-    copy_parts(parts, index, out, 0)
-    return out
 
 
 @compiled

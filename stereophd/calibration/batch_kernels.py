@@ -16,12 +16,9 @@ from stereophd.calibration.batch_arrays import (
     EventArrays,
     SampleArrays,
     Step,
-    allocate_parts,
     append_parts,
     predicted_parts,
     slice_moved,
-    slice_parts,
-    take_parts,
 )
 from stereophd.compilation import compiled
 from stereophd.disparity.kernels import (
@@ -34,6 +31,7 @@ from stereophd.disparity.move_kernels import allocate_moved, carry_components
 from stereophd.disparity.space import PACKED_SIZE
 from stereophd.multi.association import kalman_updates, pair_likelihoods
 from stereophd.multi.intensity import Parts
+from stereophd.multi.parts import allocate_parts, slice_parts, take_parts
 from stereophd.multi.pmb_reduce import reduce_tracks
 from stereophd.multi.pmb_update import update_tracks
 from stereophd.multi.reduce import merge_sorted

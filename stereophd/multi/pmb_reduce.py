@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from stereophd.compilation import compiled
 from stereophd.disparity.moment_kernels import cholesky
 from stereophd.multi.intensity import UNLABELLED, Parts
-from stereophd.multi.pmb_update import allocate, copy_gaussian, fill, group
+from stereophd.multi.parts import allocate_parts, copy_gaussian, copy_parts, take_parts
+from stereophd.multi.pmb_update import group
 from stereophd.multi.reduce import merge_sorted, squared_distance
 
 Array = NDArray[np.float64]
@@ -54,10 +55,10 @@ def reduce_tracks(
     hypotheses = _merge_hypotheses(
         _drop_negligible(parts, member, existence, prune_weight, least_share), hypothesis_distance
     )
-    undetected = _take(parts, np.flatnonzero((labels == UNLABELLED) & (weights >= prune_weight)))
+    undetected = take_parts(parts, np.flatnonzero((labels == UNLABELLED) & (weights >= prune_weight)))
     held = existence[np.searchsorted(names, hypotheses[5])] >= recycle_below
-    tracks = _join_tracks(_take(hypotheses, np.flatnonzero(held)), merge_distance, hypothesis_distance)
-    recycled = _take(hypotheses, np.flatnonzero(~held & (hypotheses[0] >= prune_weight)))
+    tracks = _join_tracks(take_parts(hypotheses, np.flatnonzero(held)), merge_distance, hypothesis_distance)
+    recycled = take_parts(hypotheses, np.flatnonzero(~held & (hypotheses[0] >= prune_weight)))
     recycled[5][:] = UNLABELLED
     return _concatenate(tracks, undetected, recycled), tracks[0].sum()
 
@@ -88,7 +89,7 @@ def _drop_negligible(
             kept[k] = True
             remains[member[k]] += parts[0][k]
     index = np.flatnonzero(kept)
-    found = _take(parts, index)
+    found = take_parts(parts, index)
     for i in range(len(index)):
         g = member[index[i]]
         found[0][i] *= min(existence[g], MOST_EXISTENCE) / remains[g]
@@ -100,7 +101,7 @@ def _merge_hypotheses(parts: Parts, distance: float) -> Parts:
     """Merge hypotheses of one label that agree; ordered by label, then by falling weight."""
     order = np.argsort(-parts[0], kind="mergesort")
     order = order[np.argsort(parts[5][order], kind="mergesort")]
-    found = _take(parts, order)
+    found = take_parts(parts, order)
     weights, means, covariances, cameras, times, labels = found[0], found[1], found[2], found[3], found[4], found[5]
     leaders = np.empty(len(weights), dtype=np.int64)
     merged, start = 0, 0
@@ -145,7 +146,7 @@ def _join_tracks(tracks: Parts, distance: float, hypothesis_distance: float) -> 
     heads = heads[np.argsort(-weights[heads], kind="mergesort")]
     seniority = np.where(tracks[6][heads] >= 0, tracks[6][heads], np.iinfo(np.int64).max)
     heads = heads[np.argsort(seniority, kind="mergesort")]
-    senior = _seniors(_take(tracks, heads), distance)
+    senior = _seniors(take_parts(tracks, heads), distance)
     if (senior == np.arange(len(heads))).all():
         return tracks
     for h in range(len(heads)):
@@ -201,18 +202,10 @@ def _within(difference: Array, covariance: Array, distance: float) -> bool:
 
 
 @compiled
-def _take(parts: Parts, index: Integers) -> Parts:
-    """Return the components with these indices."""
-    out = allocate(len(index), parts[1].shape[1])
-    fill(parts, index, out, 0)
-    return out
-
-
-@compiled
 def _concatenate(first: Parts, second: Parts, third: Parts) -> Parts:
     a, b, c = len(first[0]), len(second[0]), len(third[0])
-    out = allocate(a + b + c, first[1].shape[1])
-    fill(first, np.arange(a), out, 0)
-    fill(second, np.arange(b), out, a)
-    fill(third, np.arange(c), out, a + b)
+    out = allocate_parts(a + b + c, first[1].shape[1])
+    copy_parts(first, np.arange(a), out, 0)
+    copy_parts(second, np.arange(b), out, a)
+    copy_parts(third, np.arange(c), out, a + b)
     return out

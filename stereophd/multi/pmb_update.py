@@ -22,6 +22,7 @@ from stereophd.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Mo
 from stereophd.multi.association import kalman_updates, pair_likelihoods
 from stereophd.multi.belief import association_marginals
 from stereophd.multi.intensity import UNLABELLED, Parts
+from stereophd.multi.parts import allocate_parts, copy_gaussian
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -157,57 +158,15 @@ def update_tracks(
 
 
 @compiled
-def allocate(count: int, size: int) -> Parts:
-    """Room for components, not filled in."""
-    return (
-        np.empty(count), np.empty((count, size)), np.empty((count, size, size)), np.empty(count, dtype=np.int64),
-        np.empty(count), np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64),
-        np.empty(count, dtype=np.bool_),
-    )  # fmt: skip
-
-
-@compiled
-def copy_gaussian(means: Array, covariances: Array, k: int, to_means: Array, to_covariances: Array, i: int) -> None:
-    """Copy mean and covariance k to place i (in loops: compiled, assigning slices takes five times as long)."""
-    size = means.shape[1]
-    for a in range(size):
-        to_means[i, a] = means[k, a]
-        for b in range(size):
-            to_covariances[i, a, b] = covariances[k, a, b]
-
-
-@compiled
-def fill(parts: Parts, index: Integers, out: Parts, start: int) -> None:
-    """Copy the components with these indices to `out`, from place `start` on.
-
-    In loops over unpacked arrays: each fetch of an array from a tuple, each row as an array of its own, counts a
-    reference up and down, which costs more than the row.
-    """
-    weights, means, covariances, cameras, times, labels, tracks, reported = parts
-    to_weights, to_means, to_covariances, to_cameras, to_times, to_labels, to_tracks, to_reported = out
-    size = means.shape[1]
-    for i in range(len(index)):
-        k, place = index[i], start + i
-        to_weights[place], to_cameras[place], to_times[place] = weights[k], cameras[k], times[k]
-        to_labels[place], to_tracks[place], to_reported[place] = labels[k], tracks[k], reported[k]
-        for a in range(size):
-            to_means[place, a] = means[k, a]
-            for b in range(size):
-                to_covariances[place, a, b] = covariances[k, a, b]
-
-
-@compiled
 def _allocate(parts: Parts, updated: Integers, n_new: int) -> Parts:
     """Room for all components missed, those `updated` and new ones, with labels and identities filled in."""
     known_labels, known_tracks, known_reported = parts[5], parts[6], parts[7]
     count, size = parts[1].shape
-    out = allocate(count + len(updated) + n_new, size)
+    out = allocate_parts(count + len(updated) + n_new, size)
     labels, tracks, reported = out[5], out[6], out[7]
     for k in range(count + len(updated)):
         origin = k if k < count else updated[k - count]
         labels[k], tracks[k], reported[k] = known_labels[origin], known_tracks[origin], known_reported[origin]
-    for k in range(count + len(updated), len(labels)):
-        labels[k], tracks[k], reported[k] = UNLABELLED, UNLABELLED, False
     return out
 
 
