@@ -31,18 +31,18 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.calibrate_inputs import phd_filter, read_problem
-from stereophd.calibration import sequential
-from stereophd.calibration.batch import CHUNK, BatchState, FilterBatch
-from stereophd.calibration.likelihood import hypothesis_spaces
-from stereophd.calibration.parameters import ParameterSet
-from stereophd.config_loading import load_config
-from stereophd.disparity.kernels import motion_noise, moving_trips, view_mask
-from stereophd.disparity.moment_kernels import cholesky, weighted_moments
-from stereophd.geometry.layout import ROTATION
-from stereophd.multi.events import Event
-from stereophd.multi.phd import PhdFilter
-from stereophd.simulate import simulate
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import load_config
+from stereophd.core.calibration import sequential
+from stereophd.core.calibration.batch import CHUNK, BatchState, FilterBatch
+from stereophd.core.calibration.likelihood import hypothesis_spaces
+from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.kernels import motion_noise, moving_trips, view_mask
+from stereophd.core.geometry.layout import ROTATION
+from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.numerics.moment_kernels import cholesky, weighted_moments
+from stereophd.pipeline.calibration.inputs import phd_filter, read_problem
 
 Array = NDArray[np.float64]
 

@@ -30,17 +30,17 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from stereophd.calibrate import calibrate
-from stereophd.calibrate_inputs import with_poses
-from stereophd.calibration.resampling import weighted_mean_covariance
-from stereophd.config_calibration import per_axis
-from stereophd.config_loading import LoadedConfig, load_cameras, load_config
-from stereophd.evaluate import evaluate
-from stereophd.evaluate_calibration import evaluate_calibration, read_posterior
-from stereophd.geometry.pose import Pose
+from stereophd.commands.calibrate import calibrate
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.evaluate_cameras import evaluate_calibration, read_posterior
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.calibration import per_axis
+from stereophd.config.loading import LoadedConfig, load_cameras, load_config
+from stereophd.core.geometry.pose import Pose
+from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.io.cameras import write_cameras
-from stereophd.simulate import simulate
-from stereophd.track import track
+from stereophd.pipeline.calibration.inputs import with_poses
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
 # In units of the bound on its root mean square: what counts as success.

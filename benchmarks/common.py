@@ -10,9 +10,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
 
 from pathlib import Path  # noqa: E402
 
-from stereophd.config_loading import LoadedConfig  # noqa: E402
+from stereophd.config.loading import LoadedConfig  # noqa: E402
+from stereophd.core.disparity.events import Event, make_event  # noqa: E402
 from stereophd.io.logs import LogReader  # noqa: E402
-from stereophd.multi.events import Event, make_event  # noqa: E402
 
 PAPER_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "multi_object.yaml"
 

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stereophd.config_loading import load_config
-from stereophd.evaluate import evaluate
-from stereophd.simulate import simulate
-from stereophd.track import track
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
 
 CONFIG = Path(__file__).parents[1] / "configs" / "paper" / "multi_object.yaml"
 DETECTORS = [f"cameras.{name}.detector" for name in ("left", "right")]

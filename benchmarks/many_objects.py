@@ -30,11 +30,11 @@ from common import read_events  # first: sets the number of threads
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config_loading import load_config
-from stereophd.multi.base import DisparityFilter
-from stereophd.multi.events import Event
-from stereophd.simulate import simulate
-from stereophd.track import build_filter
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import load_config
+from stereophd.core.disparity.events import Event
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.pipeline.build import build_filter
 
 Array = NDArray[np.float64]
 

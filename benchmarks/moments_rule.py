@@ -17,13 +17,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.disparity.moments import IN_VIEW, move
-from stereophd.disparity.samples import SampleSets, draw_sample_sets
-from stereophd.disparity.space import DisparitySpace
-from stereophd.geometry.camera import Camera, Detector
-from stereophd.geometry.lens import Lens
-from stereophd.geometry.pose import Pose, rotation_from_vector
-from stereophd.motion import ConstantVelocity
+from stereophd.core.disparity.moments import IN_VIEW, move
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.numerics.samples import SampleSets, draw_sample_sets
 
 Array = NDArray[np.float64]
 BINS = [0.0, 1e-3, 3e-3, 0.01, 0.03, 0.1, np.inf]

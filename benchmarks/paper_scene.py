@@ -22,11 +22,11 @@ import pyarrow.parquet as pq
 from filters import FILTERS
 from numpy.typing import NDArray
 
-from stereophd.config_loading import load_config
-from stereophd.evaluate import evaluate
-from stereophd.experiments.multi_object import KIND
-from stereophd.simulate import simulate
-from stereophd.track import track
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
+from stereophd.experiments.kinds.multi_object import KIND
 
 Array = NDArray[np.float64]
 

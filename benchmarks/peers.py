@@ -26,14 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 from peers_stonesoup import Knowledge, Scan, run_gnn, run_phd
 
-from stereophd.config_loading import LoadedConfig, load_config
-from stereophd.evaluate_inputs import read_truth
-from stereophd.evaluation.alignment import align_truth
-from stereophd.metrics.ospa import ospa
-from stereophd.multi.base import DisparityFilter
-from stereophd.multi.events import Event
-from stereophd.simulate import simulate
-from stereophd.track import build_filter
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.disparity.events import Event
+from stereophd.core.metrics.alignment import align_truth
+from stereophd.core.metrics.ospa import ospa
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.evaluation.inputs import read_truth
 
 Array = NDArray[np.float64]
 

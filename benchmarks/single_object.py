@@ -18,16 +18,16 @@ import time
 
 import numpy as np
 
-from stereophd.disparity.events import Event, make_event, make_rig
-from stereophd.disparity.initial import InitialPrior
-from stereophd.geometry.camera import Camera, Detector
-from stereophd.geometry.lens import Lens
-from stereophd.geometry.pose import Pose, rotation_from_vector
-from stereophd.motion import ConstantVelocity
-from stereophd.single.base import AnyEstimator
-from stereophd.single.build import build_estimator
-from stereophd.single.scenarios import TrackingScenario, draw_trajectory
-from stereophd.single.settings import DisparitySettings, EstimatorSettings, ParticleSettings
+from stereophd.core.disparity.events import Event, make_event, make_rig
+from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.single.base import AnyEstimator
+from stereophd.core.single.build import build_estimator
+from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, ParticleSettings
+from stereophd.experiments.single_object.runs import TrackingScenario, draw_trajectory
 
 STEPS = 300
 ESTIMATORS: dict[str, EstimatorSettings] = {

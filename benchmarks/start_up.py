@@ -33,7 +33,7 @@ LISTED_MS = 10.0
 IN_PROCESS = """
 import sys, time
 from stereophd.cli.app import run
-from stereophd.multi.base import DisparityFilter
+from stereophd.core.multi.base import DisparityFilter
 step, spent = DisparityFilter.step, [0.0]
 def timed(*arguments):
     start = time.perf_counter()

@@ -36,15 +36,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config_loading import LoadedConfig, load_config
-from stereophd.disparity.kernels import IN_VIEW, moving_trips, view_mask
-from stereophd.disparity.moment_kernels import weighted_moments
-from stereophd.disparity.moments import move
-from stereophd.disparity.space import DisparitySpace
-from stereophd.motion import ConstantVelocity
-from stereophd.multi.base import DisparityFilter
-from stereophd.multi.events import Event
-from stereophd.track import build_filter
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.kernels import IN_VIEW, moving_trips, view_mask
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.numerics.moment_kernels import weighted_moments
+from stereophd.pipeline.build import build_filter
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         log = options.log
         if log is None:
-            from stereophd.simulate import simulate
+            from stereophd.commands.simulate import simulate
 
             simulate(load_config(options.config, options.set, options.seed), Path(folder) / "simulated")
             log = Path(folder) / "simulated" / "detections.parquet"

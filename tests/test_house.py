@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import stereophd
-from stereophd.config_loading import load_config
+from stereophd.config.loading import load_config
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIGS = sorted(ROOT.glob("configs/**/*.yaml"))

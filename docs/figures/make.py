@@ -19,13 +19,13 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from stereophd.disparity.moments import PARTLY_IN_VIEW, Moved, move
-from stereophd.disparity.samples import Method, draw_sample_sets
-from stereophd.disparity.space import DisparitySpace
-from stereophd.geometry.camera import Camera, Detector
-from stereophd.geometry.lens import Lens
-from stereophd.geometry.pose import Pose, rotation_from_vector
-from stereophd.motion import ConstantVelocity
+from stereophd.core.disparity.moments import PARTLY_IN_VIEW, Moved, move
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.numerics.samples import Method, draw_sample_sets
 
 Array = NDArray[np.float64]
 

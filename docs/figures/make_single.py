@@ -18,11 +18,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from stereophd.disparity.space import DisparitySpace
-from stereophd.geometry.camera import Camera, Detector
-from stereophd.geometry.lens import Lens
-from stereophd.geometry.pose import Pose, rotation_from_vector
-from stereophd.metrics.bounds import detection_information, inverse_information, to_disparity
+from stereophd.core.bounds.cramer_rao import detection_information, inverse_information, to_disparity
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
 
 Array = NDArray[np.float64]
 

@@ -43,7 +43,7 @@ def calibrate_command(
     """Estimate camera poses from a detection log of moving objects: cameras.yaml, posterior and report."""
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
-    from stereophd.calibrate import calibrate
+    from stereophd.commands.calibrate import calibrate
 
     with progress_bar(session, "calibrate") as progress:
         report = calibrate(loaded, log, out, force=force, jobs=jobs, resume=resume, plots=plots, progress=progress)

@@ -47,7 +47,7 @@ def check_command(
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
     if loaded.config.experiment is not None:
-        from stereophd.experiment import check_experiment
+        from stereophd.experiments.engine.plan import check_experiment
 
         check_experiment(loaded)
     if session.json:
@@ -60,6 +60,6 @@ def check_command(
 @app.command("schema")
 def schema_command(json: options.Json = False, debug: options.Debug = False) -> None:
     """Print the JSON schema of a configuration, which editors use (with or without --json)."""
-    from stereophd.config_loading import schema_text
+    from stereophd.config.loading import schema_text
 
     print_data(schema_text().rstrip("\n"))

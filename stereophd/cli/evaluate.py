@@ -161,7 +161,7 @@ def evaluate_command(
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
     limits = _parse_limits(fail_above or [])
-    from stereophd.evaluate import evaluate
+    from stereophd.commands.evaluate import evaluate
 
     try:
         report = evaluate(
@@ -204,7 +204,7 @@ def _evaluate_cameras(
     force: bool,
 ) -> None:
     """Score calibrated cameras."""
-    from stereophd.evaluate_calibration import evaluate_calibration
+    from stereophd.commands.evaluate_cameras import evaluate_calibration
 
     loaded = None if config is None else load(config, None, seed, true_cameras)
     try:
@@ -251,7 +251,7 @@ def _show(session: Session, report: dict[str, Any]) -> None:
         return
     from rich.console import Console
 
-    from stereophd.report.tables import print_evaluation
+    from stereophd.cli.tables import print_evaluation
 
     with quiet_pipe():
         print_evaluation(report, Console())

@@ -43,7 +43,7 @@ def experiment_command(
     """Run a scenario many times with several methods: runs.parquet, summary.parquet and a figure."""
     session = begin(context)
     loaded = load(config, overrides, seed, None)
-    from stereophd.experiment import experiment, finished_runs
+    from stereophd.commands.experiment import experiment, finished_runs
 
     try:
         with progress_bar(session, "experiment") as progress:
@@ -53,7 +53,7 @@ def experiment_command(
         if count:
             print(f"{count} finished runs are kept in {out}: --resume goes on with the others", file=sys.stderr)
         raise
-    from stereophd.report.experiment_table import print_results, report_of
+    from stereophd.cli.experiment_table import print_results, report_of
 
     if session.json:
         print_data(to_json(report_of(results)))

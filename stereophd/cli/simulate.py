@@ -31,7 +31,7 @@ def simulate_command(
     """Make up a scene: detections.parquet, truth.parquet and cameras.yaml."""
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
-    from stereophd.simulate import simulate
+    from stereophd.commands.simulate import simulate
 
     with progress_bar(session, "simulate") as progress:
         summary = simulate(loaded, out, runs=runs, force=force, jobs=jobs, progress=progress)

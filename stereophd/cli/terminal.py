@@ -17,7 +17,7 @@ from stereophd.cli.options import Session
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from stereophd.config_loading import LoadedConfig
+    from stereophd.config.loading import LoadedConfig
 
 # 128 + SIGPIPE, as the shell reports a program that wrote into a closed pipe.
 EXIT_BROKEN_PIPE = 141
@@ -44,7 +44,7 @@ def begin(context: typer.Context) -> Session:
 
 def load(config: Path, overrides: list[str] | None, seed: int | None, cameras: Path | None) -> LoadedConfig:
     """Load the configuration of a command."""
-    from stereophd.config_loading import load_config
+    from stereophd.config.loading import load_config
 
     return load_config(config, overrides or [], seed, cameras)
 

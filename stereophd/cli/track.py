@@ -37,7 +37,7 @@ def track_command(
     loaded = load(config, overrides, seed, cameras)
     if smooth and loaded.config.report.smooth is None:
         loaded = load(config, [*(overrides or []), "report.smooth={}"], seed, cameras)
-    from stereophd.track import track
+    from stereophd.commands.track import track
 
     with progress_bar(session, "track") as progress:
         report = track(loaded, log, out, force=force, threads=threads, progress=progress)

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from stereophd.config_cameras import CameraConfig
+from stereophd.config.cameras import CameraConfig
 
 CONVENTIONS = (
     "# Pose: x_camera = rotation_matrix @ (x_world - center); x right, y down, z forward; "

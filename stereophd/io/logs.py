@@ -42,7 +42,7 @@ from stereophd.io.tables import (
 )
 
 if TYPE_CHECKING:
-    from stereophd.geometry.camera import Camera
+    from stereophd.core.geometry.camera import Camera
 
 
 @dataclass(frozen=True, slots=True)

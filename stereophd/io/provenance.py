@@ -9,17 +9,38 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import stereophd
 from stereophd.errors import InputError
 
-if TYPE_CHECKING:
-    from stereophd.config_loading import LoadedConfig
-
 METADATA_KEY = b"stereophd"
 LENGTH_UNIT_KEY = b"length_unit"
+
+
+@dataclass(frozen=True)
+class ConfigRecord:
+    """What the provenance keeps of a configuration.
+
+    Attributes
+    ----------
+    resolved : mapping
+        The resolved configuration as JSON-able values.
+    sha256 : str
+        Of its `canonical_json`.
+    inputs : mapping
+        Role -> SHA-256 of the files that the configuration names.
+    seed : int
+    length_unit : str
+    """
+
+    resolved: Mapping[str, Any]
+    sha256: str
+    inputs: Mapping[str, str]
+    seed: int
+    length_unit: str
 
 
 def file_sha256(path: Path | str) -> str:
@@ -54,7 +75,7 @@ def sha256_of(value: Any) -> str:
 
 def provenance(
     command: str,
-    configuration: LoadedConfig | Mapping[str, Any],
+    configuration: ConfigRecord | Mapping[str, Any],
     seed: int | None = None,
     inputs: Mapping[str, Path | str] | None = None,
     length_unit: str | None = None,
@@ -66,7 +87,7 @@ def provenance(
     command
         Name of the command, such as ``track``.
     configuration
-        The loaded configuration, or (of commands without one) their options as JSON-able values.
+        The record of the loaded configuration, or (of commands without one) their options as JSON-able values.
     seed
         Seed of the run; default that of the configuration.
     inputs
@@ -85,11 +106,11 @@ def provenance(
         resolved: dict[str, Any] = dict(configuration)
         digest = sha256_of(resolved)
     else:
-        resolved = configuration.resolved
+        resolved = dict(configuration.resolved)
         digest = configuration.sha256
         hashes = {**configuration.inputs, **hashes}
-        seed = configuration.config.seed if seed is None else seed
-        length_unit = length_unit or configuration.config.units.length
+        seed = configuration.seed if seed is None else seed
+        length_unit = length_unit or configuration.length_unit
     return {
         "version": stereophd.__version__,
         "command": command,

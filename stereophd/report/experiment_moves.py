@@ -11,11 +11,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from stereophd.experiments.base import Array
+from stereophd.experiments.engine.base import Array
 from stereophd.report.style import INK, TRACK_COLOURS, legend_right
 
 if TYPE_CHECKING:
-    from stereophd.experiment import Cell, Results
+    from stereophd.experiments.engine.results import Cell, Results
 
 # The planes of the paper's Figures 4 and 7.
 PLANES = (("u", "v"), ("v", "d"))

@@ -16,15 +16,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from stereophd.experiments.base import Array
+from stereophd.experiments.engine.base import Array
 from stereophd.report.experiment_moves import draw_moves
 from stereophd.report.style import INK, STYLE, TRACK_COLOURS, legend_right
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from stereophd.experiment import Cell, Results
-    from stereophd.experiments.summary import Summary
+    from stereophd.experiments.engine.results import Cell, Results
+    from stereophd.experiments.engine.summary import Summary
 
 BOUND_LABEL = "bound"
 DASHES = (0, (4, 3))

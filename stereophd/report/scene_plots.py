@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from stereophd.evaluation.alignment import in_window
-from stereophd.metrics.assignment import FloatArray, IntArray
-from stereophd.metrics.consistency import UNLABELLED
-from stereophd.metrics.scans import PointSets
+from stereophd.core.metrics.alignment import in_window
+from stereophd.core.metrics.assignment import FloatArray, IntArray
+from stereophd.core.metrics.consistency import UNLABELLED
+from stereophd.core.metrics.scans import PointSets
 from stereophd.report.style import (
     BLUE,
     CAMERA_COLOUR,
@@ -28,7 +28,7 @@ from stereophd.report.views import View, field_of_view, limits, viewing_depth, v
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from stereophd.geometry.camera import Camera
+    from stereophd.core.geometry.camera import Camera
 
 # More than this cannot be told apart on a page, and makes the files large.
 MOST_POINTS_DRAWN = 20_000

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from stereophd.evaluation.alignment import Truth
-from stereophd.metrics.scans import PointSets
+from stereophd.core.metrics.alignment import Truth
+from stereophd.core.metrics.scans import PointSets
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from stereophd.geometry.camera import Camera
+    from stereophd.core.geometry.camera import Camera
 
 INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
 # Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.

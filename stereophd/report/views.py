@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.metrics.assignment import FloatArray
+from stereophd.core.metrics.assignment import FloatArray
 
 if TYPE_CHECKING:
-    from stereophd.geometry.camera import Camera
+    from stereophd.core.geometry.camera import Camera
 
 AXIS_NAMES = ("x", "y", "z")
 

@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 import stereophd
-import stereophd.simulate
+import stereophd.commands.simulate
 from stereophd.errors import GateError, InputError
 
 from .conftest import CONFIG, Outcome, start
@@ -126,7 +126,7 @@ def test_exit_codes(
     def fail(*_: Any, **__: Any) -> None:
         raise error
 
-    monkeypatch.setattr(stereophd.simulate, "simulate", fail)
+    monkeypatch.setattr(stereophd.commands.simulate, "simulate", fail)
     outcome = call("simulate", config, "--out", tmp_path / "out")
     assert outcome.code == code
     assert outcome.out == ""

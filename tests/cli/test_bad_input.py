@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import stereophd.track  # noqa: F401 (imported before the tests that run without permissions)
+import stereophd.commands.track  # noqa: F401 (imported before the tests that run without permissions)
 from stereophd.io.tables import TableWriter
 
 from .conftest import CONFIG, Outcome, write_config, write_log

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-import stereophd.simulate
+import stereophd.commands.simulate
 from stereophd.cli import interrupts
 from stereophd.cli.app import run
 from stereophd.io.logs import Frame, LogReader
@@ -87,7 +87,7 @@ def test_a_signal_that_got_lost_counts_at_the_next_step(
         progress(1, 2)
         steps.append("never")
 
-    monkeypatch.setattr(stereophd.simulate, "simulate", lose)
+    monkeypatch.setattr(stereophd.commands.simulate, "simulate", lose)
     assert run(["simulate", str(config), "--out", str(tmp_path / "out")]) == 128 + number
     assert steps == ["after the signal"]
 
@@ -103,7 +103,7 @@ def test_a_signal_that_compiled_code_made_into_another_error(
         except BaseException as error:
             raise SystemError("returned a result with an exception set") from error
 
-    monkeypatch.setattr(stereophd.simulate, "simulate", disguise)
+    monkeypatch.setattr(stereophd.commands.simulate, "simulate", disguise)
     assert run(["simulate", str(config), "--out", str(tmp_path / "out")]) == 128 + number
 
 

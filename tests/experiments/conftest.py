@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from stereophd.config_loading import LoadedConfig, load_config
+from stereophd.config.loading import LoadedConfig, load_config
 
 CONFIG: dict[str, Any] = {
     "units": {"length": "cm"},
@@ -70,4 +70,4 @@ def load(path: Path) -> Load:
 @pytest.fixture
 def without_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     """Experiments in this process draw no figure, which takes longer than their runs."""
-    monkeypatch.setattr("stereophd.experiment.find_spec", lambda name: None)
+    monkeypatch.setattr("stereophd.commands.experiment.find_spec", lambda name: None)

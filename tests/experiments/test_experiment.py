@@ -12,11 +12,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from stereophd.commands.experiment import experiment, finished_runs
 from stereophd.errors import InputError, StereophdError
-from stereophd.experiment import cases_of, experiment, finished_runs
-from stereophd.experiments import multi_object, work
-from stereophd.experiments.base import Kind, Series, method_clock
-from stereophd.experiments.parts import experiment_hash
+from stereophd.experiments.engine import work
+from stereophd.experiments.engine.base import Kind, Series, method_clock
+from stereophd.experiments.engine.parts import experiment_hash
+from stereophd.experiments.engine.plan import cases_of
+from stereophd.experiments.kinds import multi_object
 from stereophd.io.provenance import METADATA_KEY
 
 from .conftest import Load

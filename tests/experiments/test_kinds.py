@@ -9,14 +9,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd.config_loading import LoadedConfig, load_config, variant
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.experiment import experiment
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import LoadedConfig, load_config, variant
 from stereophd.errors import InputError
-from stereophd.evaluate import evaluate
-from stereophd.experiment import experiment
-from stereophd.experiments import calibration, localisation, move, multi_object, tracking
-from stereophd.experiments.base import Array, Series
-from stereophd.simulate import simulate
-from stereophd.track import track
+from stereophd.experiments.engine.base import Array, Series
+from stereophd.experiments.kinds import calibration, localisation, move, multi_object, tracking
 
 from .conftest import Load
 

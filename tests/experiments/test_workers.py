@@ -13,9 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from stereophd.commands.experiment import experiment
 from stereophd.errors import InputError
-from stereophd.experiment import experiment
-from stereophd.experiments import workers
+from stereophd.experiments.engine import workers
 
 from .conftest import Load
 from .test_experiment import contents

@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd.config_cameras import CameraConfig
-from stereophd.geometry.camera import Camera
+from stereophd.config.cameras import CameraConfig
+from stereophd.core.geometry.camera import Camera
 
 WIDTH, HEIGHT = 640, 480
 TYPES = {

@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import stereophd.io.logs as logs
+from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
-from stereophd.geometry.camera import Camera
 from stereophd.io.log_checks import KINDS
 from stereophd.io.log_rows import decode
 from stereophd.io.logs import Frame, LogReader, LogWriter

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import stereophd
-from stereophd.config_loading import load_config
+from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.io.provenance import file_sha256, from_metadata, length_unit, provenance, to_metadata
 
@@ -20,7 +20,7 @@ def test_of_a_configuration(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(CONFIG)
     (tmp_path / "log").write_bytes(b"abc")
     loaded = load_config(tmp_path / "config.yaml")
-    record = provenance("track", loaded, inputs={"log": tmp_path / "log"})
+    record = provenance("track", loaded.record, inputs={"log": tmp_path / "log"})
     assert record["version"] == stereophd.__version__
     assert record["command"] == "track"
     assert record["seed"] == 7
@@ -39,7 +39,7 @@ def test_does_not_depend_on_where_files_are(tmp_path: Path) -> None:
     for name in ("here", "there"):
         (tmp_path / name).mkdir()
         (tmp_path / name / f"{name}.yaml").write_text(CONFIG)
-        records.append(provenance("track", load_config(tmp_path / name / f"{name}.yaml")))
+        records.append(provenance("track", load_config(tmp_path / name / f"{name}.yaml").record))
     assert to_metadata(records[0]) == to_metadata(records[1])
 
 

@@ -1,0 +1,108 @@
+"""Tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+# One row: what it is, its value, and what else there is to know.
+Row = tuple[str, str, str]
+
+
+def print_evaluation(report: Mapping[str, Any], console: Console) -> None:
+    """Print the report of `stereophd.commands.evaluate.evaluate` as a table.
+
+    Parameters
+    ----------
+    report : mapping
+        The report, as in ``report.json``.
+    console : Console
+        Where to print; it decides about colour and width.
+    """
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(justify="right", no_wrap=True)
+    table.add_column(style="dim")
+    unit = f" {report['length_unit']}" if report["length_unit"] else ""
+    for section in (_distance_rows, _error_rows, _number_rows, _identity_rows, _scan_rows):
+        for row in section(report, unit):
+            table.add_row(*row)
+    console.print(table)
+
+
+def _distance_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
+    ospa, ospa2, gospa = report["ospa"], report["ospa2"], report["gospa"]
+    unit = unit if ospa["base"] == "euclidean" else ""
+    kind = f"p {ospa['order']:g}, c {ospa['cutoff']:g}{unit}, {ospa['base']}"
+    yield "OSPA", _number(ospa["mean"], unit), f"mean over scans; {kind}"
+    yield "  localisation", _number(ospa["localisation"], unit), ""
+    yield "  cardinality", _number(ospa["cardinality"], unit), ""
+    windows = f"of tracks, mean over windows of {ospa2['window_scans']} scans"
+    yield "OSPA(2)", _number(ospa2["mean"], unit), windows
+    yield "GOSPA", _number(gospa["mean"], unit), "mean over scans; alpha 2"
+
+
+def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
+    rmse, error, nees = report["rmse"], report["position_error"], report["nees"]
+    yield "RMSE position", _number(rmse["position"], unit), f"{error['n']} matched pairs"
+    yield "RMSE velocity", _number(rmse["velocity"], f"{unit}/s" if unit else ""), ""
+    yield "position error, median", _number(error["median"], unit), ""
+    yield "position error, 90 %", _number(error["p90"], unit), ""
+    low, high = nees["interval_95"]
+    note = ""
+    if low is not None:
+        note = f"{nees['dimension']} if consistent; 95 % between {low:.3g} and {high:.3g}"
+    yield "NEES position", _number(nees["position"]), note
+
+
+def _number_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
+    cardinality, pairs = report["cardinality"], report["pairs"]
+    means = f"{_number(cardinality['mean_estimates'])} for {_number(cardinality['mean_truth'])} on average"
+    yield "cardinality bias", _number(cardinality["bias"]), means
+    yield "cardinality MAE", _number(cardinality["mae"]), ""
+    yield "missed / false", f"{pairs['missed']} / {pairs['false']}", "objects / estimates without a match"
+
+
+def _identity_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
+    switches, purity, completeness = (report[key] for key in ("identity_switches", "purity", "completeness"))
+    note = "the tracks carry no identities" if switches is None else f"{report['tracks']} tracks"
+    yield "identity switches", _number(switches), note
+    yield "track purity", _number(purity["mean"]), "mean share of estimates on one object"
+    dominant = f"mean share of scans; by one track {_number(completeness['mean_dominant'])}"
+    yield "object completeness", _number(completeness["mean"]), dominant
+    yield "fragmentation", _number(completeness["fragmentation"]), "mean number of tracks on an object"
+
+
+def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
+    scans, window = report["scans"], report["window"]
+    per = "time" if window["at"] == "times" else "event"
+    yield "scans scored", str(scans["scored"]), f"one for each {per}{_span(window)}"
+    reasons = {
+        "outside_truth": "outside the truth",
+        "truth_gap": "in a gap of the truth",
+        "unseen": "nothing seen by enough cameras",
+    }
+    why = ", ".join(f"{scans[key]} {text}" for key, text in reasons.items() if scans[key])
+    yield "  not scored", str(scans["not_scored"]), why
+    if report["seen_by"] is not None:
+        seen = report["seen_by"]
+        yield "  only objects", "", f"seen by {seen['cameras']} cameras within {seen['within_s']:g} s"
+
+
+def _span(window: Mapping[str, Any]) -> str:
+    text = ""
+    if window["from_s"] is not None:
+        text += f", from {window['from_s']:g} s"
+    if window["to_s"] is not None:
+        text += f", to {window['to_s']:g} s"
+    return text
+
+
+def _number(value: float | None, unit: str = "") -> str:
+    """Return a number with its unit, a dash where there is none."""
+    if value is None:
+        return "-"
+    return f"{value}{unit}" if isinstance(value, int) else f"{value:.4g}{unit}"

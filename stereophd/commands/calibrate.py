@@ -1,0 +1,212 @@
+"""Calibrate cameras from a detection log: poses with their posterior, history, tracks and a report."""
+
+from __future__ import annotations
+
+import json
+import logging
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED
+from stereophd.errors import InputError
+from stereophd.io.atomic import OutputFolder
+from stereophd.io.cameras import write_cameras
+from stereophd.io.logs import LogReader
+from stereophd.io.provenance import file_sha256, provenance, to_metadata
+from stereophd.io.tables import SCANS, TRACKS, TableWriter, history_schema, posterior_schema
+from stereophd.pipeline.build import report_times
+from stereophd.pipeline.calibration.checkpoint import Checkpoint
+from stereophd.pipeline.calibration.inputs import (
+    CalibrationProblem,
+    calibration_section,
+    pmb_filter,
+    read_problem,
+    with_poses,
+)
+from stereophd.pipeline.calibration.methods import annealed_outcome
+from stereophd.pipeline.calibration.outcome import Outcome
+from stereophd.pipeline.calibration.report import build_report
+from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.tracking.loop import run_filter
+from stereophd.pipeline.tracking.records import smoothed_records, write_records
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+    from stereophd.core.geometry.camera import Camera
+    from stereophd.pipeline.calibration.outcome import Progress
+
+PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
+CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
+FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, "tracks.parquet", "scans.parquet", "report.json", *PLOTS)
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def checkpoint_path(out_dir: Path | str) -> Path:
+    """Where the checkpoint of a run into a folder lies: beside the folder."""
+    folder = Path(out_dir)
+    return folder.with_name(f"{folder.name}.checkpoint")
+
+
+def calibrate(
+    loaded: LoadedConfig,
+    log_path: Path | str,
+    out_dir: Path | str,
+    force: bool = False,
+    jobs: int = 1,
+    resume: bool = False,
+    plots: bool | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Calibrate cameras from a detection log (paper section VII).
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a ``calibration`` and a ``filter`` section, and cameras at the prior mean.
+    log_path : path
+        Detection log.
+    out_dir : path
+        Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
+        cameras ``cameras.yaml``, and the ``tracks.parquet`` and ``scans.parquet`` made with them.
+    force : bool
+        Whether the outputs of an earlier run may be replaced.
+    jobs : int
+        Processes (threads, of particles; -1: as many as there are cores); the outputs do not depend on it.
+    resume : bool
+        Continue from the checkpoint of an interrupted run; the outputs are those of an uninterrupted one.
+    plots : bool, optional
+        Whether to draw plots; default if matplotlib is installed.
+    progress : callable, optional
+        Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
+
+    Returns
+    -------
+    dict
+        The report, as in ``report.json``; its ``status`` is ``undetermined`` where the data do not say where the
+        cameras are.
+
+    Raises
+    ------
+    InputError
+        Configuration, log, checkpoint or output folder are not usable.
+    """
+    if jobs == 0:
+        raise InputError("jobs: expected a number of processes (-1: all cores), found 0")
+    from joblib import effective_n_jobs
+
+    jobs = effective_n_jobs(jobs)
+    section = calibration_section(loaded)
+    problem = read_problem(loaded, log_path)
+    drawn = find_spec("matplotlib") is not None if plots is None else plots
+    identity = f"{loaded.sha256} {file_sha256(log_path)}"
+    checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
+    LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
+    if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
+        LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
+    method = annealed_outcome if section.method == "annealed" else sequential_outcome
+    with OutputFolder(out_dir, FILES, force) as out:
+        try:
+            outcome = method(loaded, section, problem, checkpoint, jobs, progress)
+        except InputError:
+            raise
+        except BaseException:
+            # whatever it is called: compiled code may turn the exception of a signal into one of its own
+            if checkpoint.holds_anything:
+                checkpoint.save()
+                LOGGER.warning("stopped: continue with --resume from %s", checkpoint.path)
+            raise
+        report = build_report(section, problem, outcome, loaded.config.units.length)
+        record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
+        _write_posterior(out, problem, outcome, to_metadata(record))
+        if report["status"] != UNDETERMINED:
+            cameras = problem.parameters.build(outcome.values)
+            write_cameras(
+                out.path(CAMERAS_FILE), with_poses(loaded.cameras, cameras), loaded.config.units.length, record
+            )
+            report["tracking"] = _write_tracks(loaded, cameras, log_path, out, to_metadata(record))
+        report["provenance"] = record
+        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+        out.path("report.json").write_text(text, encoding="utf-8")
+        if drawn and not outcome.reason:
+            _draw(problem, outcome, out, loaded.config.units.length)
+    checkpoint.remove()
+    if report["status"] != DETERMINED:
+        LOGGER.warning("%s: %s: %s", log_path, report["status"], report["reason"])
+    return report
+
+
+def _write_posterior(
+    out: OutputFolder, problem: CalibrationProblem, outcome: Outcome, metadata: dict[bytes, bytes]
+) -> None:
+    """Write particles and history; nothing where nothing was found."""
+    if outcome.reason:
+        return
+    names = problem.parameters.names
+    with TableWriter(out.path(POSTERIOR_FILE), posterior_schema(names), metadata) as table:
+        weights = np.exp(outcome.log_weights - outcome.log_weights.max())
+        columns: dict[str, NDArray[np.float64]] = {"weight": weights / weights.sum()}
+        table.append({**columns, **{name: outcome.particles[:, i] for i, name in enumerate(names)}})
+    with TableWriter(out.path(HISTORY_FILE), history_schema(names), metadata) as table:
+        if outcome.history:
+            means = np.stack([row.mean for row in outcome.history])
+            table.append(
+                {
+                    "time_s": np.array([row.time_s for row in outcome.history]),
+                    **{name: means[:, i] for i, name in enumerate(names)},
+                    "covariance": np.stack([row.covariance for row in outcome.history]),
+                }
+            )
+
+
+def _write_tracks(
+    loaded: LoadedConfig,
+    cameras: tuple[Camera, ...],
+    log_path: Path | str,
+    out: OutputFolder,
+    metadata: dict[bytes, bytes],
+) -> dict[str, Any]:
+    """Track with the calibrated cameras, as `stereophd.commands.track` does; return the figures of the run."""
+    config = loaded.config
+    reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
+    with (
+        TableWriter(out.path("tracks.parquet"), TRACKS, metadata) as tracks,
+        TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
+    ):
+        multi_filter = pmb_filter(loaded, cameras)
+        records = run_filter(multi_filter, reader, report_times(config.report))
+        if config.report.smooth is not None:
+            records = smoothed_records(
+                records, multi_filter.rig.cameras, multi_filter.motion, config.report.smooth.max_gap_s
+            )
+        names = [camera.name for camera in cameras]
+        return write_records(records, tracks, scans, names, config.report.max_position_std)
+
+
+def _draw(problem: CalibrationProblem, outcome: Outcome, out: OutputFolder, length_unit: str) -> None:
+    from stereophd.report.calibration_plots import CalibrationPictures, write_calibration_plots
+
+    fit = outcome.fit
+    pictures = CalibrationPictures(
+        names=problem.parameters.names,
+        units=tuple(p.unit for p in problem.parameters.parameters),
+        length_unit=length_unit,
+        prior_std=problem.parameters.prior_std,
+        times=np.array([row.time_s for row in outcome.history]),
+        means=np.array([row.mean for row in outcome.history]).reshape(-1, problem.parameters.size),
+        stds=np.array([np.sqrt(np.diag(row.covariance)) for row in outcome.history]).reshape(
+            -1, problem.parameters.size
+        ),
+        particles=outcome.particles,
+        weights=np.exp(outcome.log_weights),
+        residual_times=np.empty(0) if fit is None else fit.observations.times,
+        residual_cameras=np.empty(0, dtype=np.int64) if fit is None else fit.observations.cameras,
+        residuals=np.empty(0) if fit is None else np.sqrt(fit.adjustment.distances),
+        cameras=tuple(camera.name for camera in problem.parameters.cameras),
+    )
+    paths = {name: out.path(name) for name in PLOTS if fit is not None or not name.startswith("residuals")}
+    write_calibration_plots(pictures, paths)

@@ -1,0 +1,239 @@
+"""Score calibrated cameras against true ones: errors, NEES and coverage of the posterior, Cramer-Rao bounds."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from stereophd.config.loading import LoadedConfig, load_cameras
+from stereophd.config.model import Config
+from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet, pose_offsets
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
+from stereophd.core.numerics.weights import weighted_mean_covariance
+from stereophd.errors import InputError
+from stereophd.io.atomic import OutputFolder
+from stereophd.io.provenance import from_metadata, provenance
+from stereophd.io.tables import open_parquet
+from stereophd.pipeline.calibration.inputs import build_parameters
+from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
+from stereophd.pipeline.evaluation.report import raise_if_above
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+POSTERIOR_NAME, REPORT_NAME = "posterior.parquet", "report.json"
+# Credible interval whose coverage is told.
+CREDIBLE = 0.9
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Posterior of a calibration, and the parameters about whose prior mean it is stated."""
+
+    parameters: ParameterSet
+    reference: int
+    particles: Array
+    log_weights: Array
+
+
+def evaluate_calibration(
+    cameras_path: Path | str,
+    true_path: Path | str,
+    out_dir: Path | str | None = None,
+    loaded: LoadedConfig | None = None,
+    reference: str | None = None,
+    fail_above: Mapping[str, float] | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Compare two camera files, and write ``report.json``.
+
+    Parameters
+    ----------
+    cameras_path, true_path : path
+        Estimated and true ``cameras.yaml``. With the ``posterior.parquet`` of `calibrate` beside the estimate,
+        NEES and coverage of the posterior are told too.
+    out_dir : path, optional
+        Where to write; nothing is written without it.
+    loaded : LoadedConfig, optional
+        Scenario (``simulate``) and priors (``calibration``) whose Cramer-Rao bound is told, its cameras the true
+        ones.
+    reference : str, optional
+        Camera that fixes the frame; default that of the posterior, else the first whose poses agree, else the first.
+    fail_above : mapping, optional
+        Limits of figures, such as ``{"joint.rotation_deg": 0.5}``.
+    force : bool
+        Replace an earlier evaluation in `out_dir`.
+
+    Returns
+    -------
+    dict
+        The report.
+
+    Raises
+    ------
+    InputError
+        A file is not usable, or the two have not the same cameras.
+    GateError
+        A figure is above its limit.
+    """
+    estimated, true, unit = _read_pair(cameras_path, true_path)
+    posterior = read_posterior(Path(cameras_path).with_name(POSTERIOR_NAME))
+    chosen = _reference(estimated, true, posterior, reference, true_path)
+    report: dict[str, Any] = {
+        "report_version": 1,
+        "length_unit": unit,
+        "reference": true[chosen].name,
+        **error_figures(estimated, true, chosen),
+    }
+    if posterior is not None:
+        report["posterior"] = posterior_figures(posterior, true)
+    if loaded is not None:
+        report["bounds"] = bound_figures(loaded, true)
+    limits = fail_above or {}
+    for key in limits:
+        if key.partition(".")[0] != "joint" or key.partition(".")[2] not in report["joint"]:
+            known = ", ".join(f"joint.{name}" for name in report["joint"])
+            raise InputError(f"--fail-above: expected one of {known}, found {key}")
+    if out_dir is not None:
+        inputs = {"cameras": cameras_path, "true_cameras": true_path}
+        options = {"reference": report["reference"]}
+        record = provenance("evaluate", options if loaded is None else loaded.record, inputs=inputs, length_unit=unit)
+        with OutputFolder(out_dir, [REPORT_NAME], force) as out:
+            text = json.dumps({**report, "provenance": record}, indent=2, allow_nan=False) + "\n"
+            out.path(REPORT_NAME).write_text(text, encoding="utf-8")
+    raise_if_above(limits, {**report, "scans": {}})
+    return report
+
+
+def _read_pair(cameras_path: Path | str, true_path: Path | str) -> tuple[list[Camera], list[Camera], str]:
+    """Read both files; the estimated cameras come in the order of the true ones."""
+    estimated, true = load_cameras(cameras_path), load_cameras(true_path)
+    if set(estimated.cameras) != set(true.cameras) or len(true.cameras) < 2:
+        raise InputError(
+            f"{cameras_path}: expected two or more cameras, those of {true_path} ({', '.join(true.cameras)}), "
+            f"found {', '.join(estimated.cameras)}"
+        )
+    if estimated.units.length != true.units.length:
+        raise InputError(
+            f"{cameras_path}: units.length: expected {true.units.length} as in {true_path}, "
+            f"found {estimated.units.length}"
+        )
+    names = list(true.cameras)
+    return (
+        [estimated.cameras[name].build(name) for name in names],
+        [true.cameras[name].build(name) for name in names],
+        true.units.length,
+    )
+
+
+def _reference(
+    estimated: list[Camera], true: list[Camera], posterior: Posterior | None, name: str | None, path: Path | str
+) -> int:
+    names = [camera.name for camera in true]
+    if name is not None and name not in names:
+        raise InputError(f"{path}: expected one of the cameras {', '.join(names)} as reference, found {name}")
+    if name is None and posterior is not None:
+        name = posterior.parameters.cameras[posterior.reference].name
+    if name is not None:
+        return names.index(name)
+    same = [i for i, (a, b) in enumerate(zip(estimated, true, strict=True)) if a.pose == b.pose]
+    return same[0] if same else 0
+
+
+def error_figures(estimated: list[Camera], true: list[Camera], reference: int) -> dict[str, Any]:
+    """Errors of every camera and of all together (root mean squares), angles in degrees."""
+    errors = pose_errors([c.pose for c in estimated], [c.pose for c in true], reference)
+    others = [camera.name for k, camera in enumerate(true) if k != reference]
+    columns = {
+        "rotation_deg": np.degrees(errors.rotation),
+        "direction_deg": np.degrees(errors.direction),
+        "scale_ratio": errors.scale_ratio,
+        "center": errors.center,
+        "center_after_scale": errors.center_after_scale,
+    }
+    cameras = {name: {key: _finite(column[k]) for key, column in columns.items()} for k, name in enumerate(others)}
+    joint: dict[str, Any] = {
+        key: _finite(np.sqrt((column**2).mean())) for key, column in columns.items() if key != "scale_ratio"
+    }
+    joint["scale_ratio"] = _finite(errors.common_scale)
+    return {"cameras": cameras, "joint": joint}
+
+
+def read_posterior(path: Path) -> Posterior | None:
+    """Read a ``posterior.parquet`` with the parameters of its provenance; None if there is none."""
+    if not path.exists():
+        return None
+    with open_parquet(path, "posterior") as parquet:
+        table: pa.Table = parquet.read()
+        record = from_metadata(parquet.schema_arrow.metadata)
+    if record is None:
+        raise InputError(f"{path}: expected a posterior of stereophd calibrate, found one without its configuration")
+    try:
+        config = Config.model_validate(record["config"])
+    except (KeyError, ValidationError) as error:
+        raise InputError(
+            f"{path}: expected the configuration of a calibration in its metadata, found {error}"
+        ) from None
+    cameras = config.cameras if isinstance(config.cameras, dict) else {}
+    loaded = LoadedConfig(config, cameras, record["config"], record["config_sha256"], path, {})
+    parameters, reference = build_parameters(loaded)
+    columns = [table[name].to_numpy() for name in parameters.names]
+    weights = table["weight"].to_numpy()
+    with np.errstate(divide="ignore"):
+        return Posterior(parameters, reference, np.column_stack(columns), np.log(weights))
+
+
+def true_values(parameters: ParameterSet, true: list[Camera]) -> Array:
+    """Values (m,) that lead from the prior mean to the true cameras; what is not a parameter is left out."""
+    offsets = {
+        f"{mean.name}.{name}": float(value)
+        for mean in parameters.cameras
+        for camera in true
+        if camera.name == mean.name
+        for name, value in zip(CENTER + ROTATION, pose_offsets(mean, camera), strict=True)
+    }
+    return np.array([offsets[name] for name in parameters.names])
+
+
+def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any]:
+    """NEES of the mean, and which parameters' 90 % intervals hold the truth."""
+    parameters = posterior.parameters
+    truth = true_values(parameters, true)
+    mean, covariance = weighted_mean_covariance(posterior.particles, posterior.log_weights)
+    weights = np.exp(posterior.log_weights)
+    low = weighted_quantiles(posterior.particles, weights, 0.5 - CREDIBLE / 2)
+    high = weighted_quantiles(posterior.particles, weights, 0.5 + CREDIBLE / 2)
+    inside = (low <= truth) & (truth <= high)
+    std = np.sqrt(np.diag(covariance))
+    nees = normalised_error_squared(truth - mean, covariance)
+    return {
+        "nees": _finite(nees / parameters.size),
+        "covered_90": float(inside.mean()),
+        "parameters": {
+            name: {"error": float(mean[i] - truth[i]), "std": float(std[i]), "covered_90": bool(inside[i])}
+            for i, name in enumerate(parameters.names)
+        },
+    }
+
+
+def weighted_quantiles(particles: Array, weights: Array, level: float) -> Array:
+    """Quantiles (m,) of weighted particles (k, m)."""
+    order = np.argsort(particles, axis=0)
+    cumulative = np.cumsum(weights[order], axis=0) / weights.sum()
+    rows = (cumulative < level).sum(axis=0).clip(0, len(particles) - 1)
+    return np.asarray(particles[order[rows, np.arange(particles.shape[1])], np.arange(particles.shape[1])])
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None

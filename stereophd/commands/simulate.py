@@ -1,0 +1,178 @@
+"""Make up a scene from a configuration: the truth, the cameras, and the log of their detections.
+
+Every run has random numbers of its own, and in it the objects and each camera have theirs
+(`numpy.random.SeedSequence`): run k is the same whatever the number of runs or of workers, and a
+single run is run 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
+from stereophd.core.simulation.timing import FloatArray
+from stereophd.errors import InputError
+from stereophd.io.atomic import OutputFolder
+from stereophd.io.cameras import write_cameras
+from stereophd.io.logs import LogWriter
+from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.tables import TRUTH, TableWriter
+from stereophd.pipeline.simulation import GUESS_KEY, build_scene
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Called with (done, total): frames of a single run, runs of several.
+Progress = Callable[[int, int], None]
+
+DETECTIONS_FILE = "detections.parquet"
+TRUTH_FILE = "truth.parquet"
+CAMERAS_FILE = "cameras.yaml"
+# Of a scenario with a calibration section: cameras about which the true ones are a draw from the prior.
+GUESS_FILE = "guess.yaml"
+FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
+
+# Frames between two calls of `progress`.
+PROGRESS_EVERY = 500
+
+
+def simulate(
+    loaded: LoadedConfig,
+    out_dir: Path | str,
+    runs: int | None = None,
+    force: bool = False,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Simulate the scene of a configuration and write ``detections.parquet truth.parquet cameras.yaml``.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a ``simulate`` section and cameras.
+    out_dir : path
+        Folder of the files, or of the folders ``run-0000``, ``run-0001``, ... of several runs; all
+        appear together or not at all.
+    runs : int, optional
+        Number of runs; None: one, in `out_dir` itself, equal to run 0 of several.
+    force : bool
+        Whether the outputs of an earlier run may be replaced.
+    jobs : int
+        Processes for several runs; the files do not depend on it.
+    progress : callable, optional
+        Called with ``(done, total)``: frames of one run, runs of several.
+
+    Returns
+    -------
+    dict
+        ``runs``, ``seed``, ``duration_s``, ``cameras`` (names), and sums over the runs: ``frames``,
+        ``detections`` (rows with a pixel), ``clutter`` (false ones among them), ``objects``.
+
+    Raises
+    ------
+    InputError
+        No ``simulate`` section, no object fits into the view, a bad number of runs or jobs, or an
+        output folder that cannot be used.
+    """
+    config = loaded.config
+    if config.simulate is None:
+        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    loaded.build_cameras()  # before anything is written: there must be some
+    if runs is not None and runs < 1:
+        raise InputError(f"runs: expected at least 1, found {runs}")
+    if jobs == 0:
+        raise InputError("jobs: expected a number of processes (-1: all cores), found 0")
+    if runs is None:
+        with OutputFolder(out_dir, FILES, force) as out:
+            counts = [_simulate_run(loaded, 0, {name: out.path(name) for name in FILES}, progress)]
+    else:
+        with OutputFolder(out_dir, [f"run-*/{name}" for name in FILES], force) as out:
+            paths = [{name: out.path(f"run-{run:04d}/{name}") for name in FILES} for run in range(runs)]
+            counts = _simulate_runs(loaded, paths, jobs, progress)
+    return {
+        "runs": runs or 1,
+        "seed": config.seed,
+        "duration_s": config.simulate.duration_s,
+        "cameras": list(loaded.cameras),
+        **{key: sum(count[key] for count in counts) for key in counts[0]},
+    }
+
+
+def _simulate_runs(
+    loaded: LoadedConfig, paths: list[dict[str, Path]], jobs: int, progress: Progress | None
+) -> list[dict[str, int]]:
+    from joblib import Parallel, delayed  # only here: a single run starts without it
+
+    tasks = (delayed(_simulate_run)(loaded, run, files, None) for run, files in enumerate(paths))
+    counts = []
+    for count in Parallel(n_jobs=jobs, return_as="generator")(tasks):
+        counts.append(count)
+        if progress is not None:
+            progress(len(counts), len(paths))
+    return counts
+
+
+def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None) -> dict[str, int]:
+    """Write the three files of one run, and return what they hold."""
+    config = loaded.config
+    settings = config.simulate
+    assert settings is not None  # checked in simulate
+    # As SeedSequence(seed).spawn(runs)[run], for any number of runs.
+    object_seed, frame_seed = np.random.SeedSequence(config.seed, spawn_key=(run,)).spawn(2)
+    scene = build_scene(config, loaded.build_cameras(), object_seed)
+    record = {**provenance("simulate", loaded.record), "run": run}
+    metadata = to_metadata(record)
+    described = {  # what the cameras did: with the rate that the scenario gave them
+        name: camera.model_copy(update={"frame_rate_hz": camera.frame_rate_hz or settings.frame_rate_hz})
+        for name, camera in loaded.cameras.items()
+    }
+    write_cameras(paths[CAMERAS_FILE], described, config.units.length, record)
+    if config.calibration is not None:
+        from stereophd.pipeline.calibration.inputs import draw_guess  # only here: most scenarios have no calibration
+
+        guess = draw_guess(loaded, np.random.SeedSequence(config.seed, spawn_key=(run, GUESS_KEY)))
+        write_cameras(paths[GUESS_FILE], {n: guess[n] for n in described}, config.units.length, record)
+    _write_truth(paths[TRUTH_FILE], scene, metadata)
+    report = None if progress is None else partial(_every, progress, scene.grid.frame_count())
+    return _write_log(paths[DETECTIONS_FILE], scene, frame_seed, metadata, settings.object_id, report)
+
+
+def _write_truth(path: Path, scene: Scene, metadata: dict[bytes, bytes]) -> None:
+    names = ("x", "y", "z", "vx", "vy", "vz")
+    with TableWriter(path, TRUTH, metadata) as writer:
+        for times_s, identifiers, states in truth_rows(scene):
+            columns: dict[str, FloatArray] = {name: states[:, index] for index, name in enumerate(names)}
+            writer.append({"time_s": times_s, "object_id": identifiers, **columns})
+
+
+def _write_log(
+    path: Path,
+    scene: Scene,
+    seed: np.random.SeedSequence,
+    metadata: dict[bytes, bytes],
+    object_id: bool,
+    report: Callable[[int], None] | None,
+) -> dict[str, int]:
+    counts = {"frames": 0, "detections": 0, "clutter": 0, "objects": len(scene.objects)}
+    names = [camera.name for camera in scene.cameras]
+    with LogWriter(path, metadata, object_id) as writer:
+        for frame in simulate_frames(scene, seed):
+            labels = frame.object_id if object_id else None
+            writer.write(frame.log_time_s, names[frame.camera], frame.frame, frame.pixels, labels)
+            counts["frames"] += 1
+            counts["detections"] += len(frame.pixels)
+            counts["clutter"] += int(np.count_nonzero(frame.object_id == CLUTTER_ID))
+            if report is not None:
+                report(counts["frames"])
+    return counts
+
+
+def _every(progress: Progress, total: int, done: int) -> None:
+    """Pass on only some of the frames, and the last: a display needs no more."""
+    if done % PROGRESS_EVERY == 0 or done == total:
+        progress(done, total)

@@ -1,0 +1,1 @@
+"""Configuration: YAML files to validated models to domain objects, with messages that name the place."""

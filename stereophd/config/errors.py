@@ -1,0 +1,217 @@
+"""What pydantic found wrong, said in sentences: place, key path, expected, found, nearest key."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from stereophd.config.yaml import KeyPath, Tree
+
+# What each kind of pydantic error expects; the braces are filled from the error's context.
+_EXPECTED = {
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "int_type": "an integer",
+    "int_parsing": "an integer",
+    "int_from_float": "an integer",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "greater_than": "a number > {gt}",
+    "greater_than_equal": "a number >= {ge}",
+    "less_than": "a number < {lt}",
+    "less_than_equal": "a number <= {le}",
+    "finite_number": "a finite number",
+    "literal_error": "{expected}",
+    "too_short": "at least {min_length} values",
+    "too_long": "at most {max_length} values",
+}
+_MAX_SHOWN = 60
+
+
+def show(value: Any) -> str:
+    """Return a value as YAML would write it on one line, shortened."""
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
+
+
+def nearest(key: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean KEY?``, or ``; expected one of ...`` where no known key is near."""
+    names = list(known)
+    close = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean {close[0]}?"
+    return f"; expected one of {', '.join(names)}" if names else ""
+
+
+def _branches(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield the alternatives of a JSON schema node, references followed."""
+    if "$ref" in schema:
+        yield from _branches(root["$defs"][schema["$ref"].rsplit("/", 1)[1]], root)
+        return
+    yield schema
+    for kind in ("anyOf", "oneOf", "allOf"):
+        for branch in schema.get(kind, ()):
+            yield from _branches(branch, root)
+
+
+def _of_this_kind(node: Mapping[str, Any], data: Any) -> bool:
+    """Whether a branch is the one that the data choose, by a key constant in it (`model: fisheye`)."""
+    if not isinstance(data, dict):
+        return True
+    return all(
+        data[key] == rule["const"]
+        for key, rule in node.get("properties", {}).items()
+        if key in data and isinstance(rule, Mapping) and "const" in rule
+    )
+
+
+def known_keys(schema: Mapping[str, Any], path: KeyPath, data: Any = None) -> list[str]:
+    """Return the keys that a JSON schema knows in the mapping `data` at a key path."""
+    nodes: list[Mapping[str, Any]] = list(_branches(schema, schema))
+    for part in path:
+        below: list[Mapping[str, Any]] = []
+        for node in nodes:
+            child = node.get("properties", {}).get(part)
+            if child is None and isinstance(part, int):
+                child = node.get("items")
+            if child is None and isinstance(node.get("additionalProperties"), Mapping):
+                child = node["additionalProperties"]
+            if isinstance(child, Mapping):
+                below.extend(_branches(child, schema))
+        nodes = below
+    nodes = [node for node in nodes if _of_this_kind(node, data)]
+    return list(dict.fromkeys(key for node in nodes for key in node.get("properties", {})))
+
+
+def _split_location(location: tuple[str | int, ...], data: Any) -> tuple[KeyPath, KeyPath]:
+    """Split pydantic's location into the key path in the data and the tags of unions along it."""
+    path: list[str | int] = []
+    tags: list[str | int] = []
+    for i, part in enumerate(location):
+        if _has(data, (part,)):
+            path.append(part)
+            data = data[part]
+        elif i == len(location) - 1 and isinstance(data, (dict, list)):
+            # The last part may be a key that is missing (or the name of a union's branch).
+            path.append(part)
+        else:
+            tags.append(part)
+    return tuple(path), tuple(tags)
+
+
+def _value(data: Any, path: KeyPath) -> Any:
+    for part in path:
+        data = data[part]
+    return data
+
+
+def _has(data: Any, path: KeyPath) -> bool:
+    try:
+        _value(data, path)
+    except (KeyError, IndexError, TypeError):
+        return False
+    return True
+
+
+def _expected(error: Mapping[str, Any]) -> str:
+    """Return what an error expected; a validator's own sentence is returned whole."""
+    template = _EXPECTED.get(error["type"])
+    if template is None:
+        return str(error["msg"])
+    context = {k: (f"{v:g}" if isinstance(v, float) else v) for k, v in error.get("ctx", {}).items()}
+    return template.format(**context)
+
+
+def _is_tag(error: Mapping[str, Any], path: KeyPath, data: Any) -> bool:
+    """Whether the last part of a path is the branch of a union, not a key."""
+    return error["type"] not in ("missing", "extra_forbidden") and bool(path) and not _has(data, path)
+
+
+def _is_misspelt(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mapping[str, Any]) -> bool:
+    """Whether a key is missing only because it is there under a misspelt name (an error of its own)."""
+    if error["type"] != "missing" or not path or isinstance(_value(data, path[:-1]), list):
+        return False
+    parent = _value(data, path[:-1])
+    known = known_keys(schema, path[:-1], parent)
+    unknown = [key for key in parent if key not in known]
+    return any(difflib.get_close_matches(key, known, n=1, cutoff=0.6) == [path[-1]] for key in unknown)
+
+
+def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mapping[str, Any]) -> str:
+    kind = error["type"]
+    if kind == "missing" and path:
+        parent = _value(data, path[:-1])
+        if isinstance(parent, list):
+            return f"expected more values, found {show(parent)}"
+        return "expected this key, found none"
+    if kind == "extra_forbidden":
+        known = known_keys(schema, path[:-1], _value(data, path[:-1]))
+        return f"unknown key{nearest(str(path[-1]), known)}"
+    if kind == "union_tag_not_found":
+        return f"expected a key {error['ctx']['discriminator']} that says which kind, found none"
+    if kind == "value_error":
+        return re.sub(r"^Value error, ", "", str(error["msg"]))
+    found = _value(data, path)
+    if kind == "union_tag_invalid":
+        tags = re.findall(r"'([^']*)'", error["ctx"]["expected_tags"])
+        close = difflib.get_close_matches(str(found), tags, n=1, cutoff=0.6)
+        meant = f"; did you mean {close[0]}?" if close else ""
+        return f"expected one of {', '.join(tags)}, found {show(found)}{meant}"
+    if kind in ("too_long", "too_short") and isinstance(found, (list, dict)):
+        return f"expected {_expected(error)}, found {len(found)}"
+    return f"expected {_expected(error)}, found {show(found)}"
+
+
+def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[str, Any]) -> str:
+    """Return one line for each error: ``FILE:LINE: key.path: expected ..., found ...``.
+
+    Parameters
+    ----------
+    errors
+        As `pydantic.ValidationError.errors` returns them.
+    tree
+        The data that were validated, with their places.
+    schema
+        JSON schema of the model, for the known keys.
+    """
+    data = tree.data
+    by_path: dict[KeyPath, list[Mapping[str, Any]]] = {}
+    for error in errors:
+        path, tags = _split_location(tuple(error["loc"]), data)
+        if _is_tag(error, path, data):
+            path = path[:-1]
+            tags = (*tags, "")
+        if error["type"] == "union_tag_invalid":
+            # the fault is the value of the key that says which kind, not the mapping that it is in
+            path = (*path, str(error["ctx"]["discriminator"]).strip("'"))
+        if _is_misspelt(error, path, data, schema):
+            continue
+        by_path.setdefault(path, []).append({**error, "tagged": bool(tags)})
+    # Branches of a union that fail at the union itself say nothing where another branch got deeper.
+    for path in [p for p, found in by_path.items() if all(e["tagged"] for e in found)]:
+        if any(len(other) > len(path) and other[: len(path)] == path for other in by_path):
+            del by_path[path]
+    lines: list[tuple[int, str]] = []
+    for path, found in by_path.items():
+        place = tree.place(path)
+        sentences = dict.fromkeys(_sentence(error, path, data, schema) for error in found)
+        key = f"{'.'.join(map(str, path))}: " if path else ""
+        lines.append((place.line or 0, f"{place}: {key}{_join(list(sentences))}"))
+    return "\n".join(line for _, line in sorted(lines, key=lambda item: item[0]))
+
+
+def _join(sentences: list[str]) -> str:
+    """Join the expectations of the branches of a union: expected A or B, found C."""
+    pattern = re.compile(r"^expected (.*), found (.*)$", re.DOTALL)
+    matches = [pattern.match(sentence) for sentence in sentences]
+    if len(sentences) > 1 and all(matches):
+        return f"expected {' or '.join(m[1] for m in matches if m)}, found {matches[0][2]}"  # type: ignore[index]
+    return "; ".join(sentences)

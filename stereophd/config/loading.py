@@ -1,0 +1,246 @@
+"""Load a configuration: defaults < file < ``--set`` < ``--seed``, with errors that name the place."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from stereophd.config.cameras import CameraConfig, CamerasFile
+from stereophd.config.errors import describe, nearest
+from stereophd.config.model import Config
+from stereophd.config.report import CameraTimes
+from stereophd.config.yaml import KeyPath, Place, Tree, parse_yaml, read_yaml
+from stereophd.errors import InputError
+from stereophd.io.provenance import ConfigRecord, sha256_of
+
+if TYPE_CHECKING:
+    from stereophd.core.geometry.camera import Camera
+
+AnyModel = TypeVar("AnyModel", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class LoadedConfig:
+    """A configuration that is complete and valid.
+
+    Attributes
+    ----------
+    config
+        The models; ``config.cameras`` is inline (or None where the configuration names none).
+    cameras
+        Name -> camera, in the order that decides ties; empty where the configuration names none.
+    resolved
+        All values including defaults, cameras inline, as JSON-able data; loading it gives the same.
+    sha256
+        Hash of the canonical JSON of `resolved`.
+    path
+        The configuration file.
+    inputs
+        Role (``config``, ``cameras``) -> SHA-256 of the files that were read.
+    tree
+        What the file and the overrides say, cameras inline, without defaults.
+    """
+
+    config: Config
+    cameras: dict[str, CameraConfig]
+    resolved: dict[str, Any]
+    sha256: str
+    path: Path
+    inputs: dict[str, str]
+    tree: Tree = field(default_factory=lambda: Tree({}), repr=False, compare=False)
+
+    @property
+    def record(self) -> ConfigRecord:
+        """What the provenance of an output keeps of this configuration."""
+        return ConfigRecord(self.resolved, self.sha256, self.inputs, self.config.seed, self.config.units.length)
+
+    def build_cameras(self) -> tuple[Camera, ...]:
+        """Return the geometric cameras in order.
+
+        Raises
+        ------
+        InputError
+            The configuration names no cameras.
+        """
+        if not self.cameras:
+            raise InputError(f"{self.path}: cameras: expected cameras (here or by --cameras), found none")
+        return tuple(camera.build(name) for name, camera in self.cameras.items())
+
+
+def load_config(
+    path: Path | str,
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    cameras_path: Path | str | None = None,
+) -> LoadedConfig:
+    """Load a configuration file.
+
+    Parameters
+    ----------
+    path
+        The YAML file; a path of cameras in it is relative to its folder.
+    overrides
+        ``key.path=value`` with a YAML value each, later ones win.
+    seed
+        Replaces ``seed``.
+    cameras_path
+        A ``cameras.yaml`` that replaces the configuration's cameras. Overrides of single values of a
+        camera apply to it.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or what it says is not valid: one line for each fault, with file, line,
+        key path, what was expected and found, and the nearest key for an unknown one.
+    """
+    source = Path(path)
+    tree, content = read_yaml(source)
+    inputs = {"config": hashlib.sha256(content).hexdigest()}
+    _require_mapping(tree)
+    changes = [_parse_override(text) for text in overrides]
+    # `--set cameras=FILE` decides which cameras are read; all other overrides may reach into them.
+    for key, change in changes:
+        if key == ("cameras",):
+            _apply(tree, key, change)
+    if cameras_path is not None:
+        if any(key == ("cameras",) for key, _ in changes):
+            raise InputError("expected one of --cameras and --set cameras=..., found both")
+        cameras_file: Path | None = Path(cameras_path)
+    elif isinstance(tree.data.get("cameras"), str):
+        cameras_file = source.parent / tree.data["cameras"]
+    else:
+        cameras_file = None
+    unit: str | None = None
+    if cameras_file is not None:
+        unit, inputs["cameras"] = _inline_cameras(tree, cameras_file)
+    for key, change in changes:
+        if key != ("cameras",):
+            _apply(tree, key, change)
+    if seed is not None:
+        _apply(tree, ("seed",), Tree(seed, {(): Place("--seed")}))
+    config = _validate(Config, tree)
+    _check_camera_of_reports(config, tree)
+    if unit is not None and unit != config.units.length:
+        raise InputError(f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}")
+    return _loaded(config, source, inputs, tree)
+
+
+def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any]]]) -> LoadedConfig:
+    """Return a configuration with some values changed.
+
+    Parameters
+    ----------
+    loaded
+        The configuration.
+    settings
+        Where a change is written (for messages), and dotted key path -> value; later ones win.
+
+    Raises
+    ------
+    InputError
+        As `load_config`.
+    """
+    tree = copy.deepcopy(loaded.tree)
+    for where, changes in settings:
+        for key, value in changes.items():
+            change = Tree(copy.deepcopy(value), {(): Place(f"{loaded.path}: {where}")})
+            _apply(tree, _key_path(key), change)
+    return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
+
+
+def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> LoadedConfig:
+    resolved = config.model_dump(mode="json")
+    cameras = config.cameras if isinstance(config.cameras, dict) else {}
+    return LoadedConfig(config, cameras, resolved, sha256_of(resolved), path, inputs, tree)
+
+
+def load_cameras(path: Path | str) -> CamerasFile:
+    """Load a ``cameras.yaml`` by itself.
+
+    Raises
+    ------
+    InputError
+        As `load_config`.
+    """
+    return _validate(CamerasFile, read_yaml(Path(path))[0])
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of a configuration, as editors use it."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_schema(Config)}
+
+
+def schema_text() -> str:
+    """Return the text of ``configs/schema.json``."""
+    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+@lru_cache
+def _schema(model: type[BaseModel]) -> Mapping[str, Any]:
+    return model.model_json_schema()
+
+
+def _require_mapping(tree: Tree) -> None:
+    if not isinstance(tree.data, dict):
+        found = "an empty file" if tree.data is None else "a list" if isinstance(tree.data, list) else "a value"
+        raise InputError(f"{tree.place(())}: expected a mapping of keys to values, found {found}")
+
+
+def _validate(model: type[AnyModel], tree: Tree) -> AnyModel:
+    """Validate strictly: a text is not a number, true is not 1."""
+    _require_mapping(tree)
+    try:
+        # Through JSON, because only there lists count as tuples in strict validation.
+        return model.model_validate_json(json.dumps(tree.data), strict=True)
+    except ValidationError as error:
+        details = error.errors(include_url=False, include_input=False)
+        message = describe([dict(detail) for detail in details], tree, _schema(model))
+        raise InputError(message) from None
+
+
+def _check_camera_of_reports(config: Config, tree: Tree) -> None:
+    """Refuse estimates after the frames of a camera that does not exist."""
+    times, cameras = config.report.times, config.cameras
+    if isinstance(times, CameraTimes) and isinstance(cameras, dict) and times.camera not in cameras:
+        path = ("report", "times")
+        close = nearest(times.camera, cameras)
+        where = f"{tree.place(path)}: report.times"
+        raise InputError(f"{where}: expected the name of a camera, found {times.camera}{close}")
+
+
+def _inline_cameras(tree: Tree, path: Path) -> tuple[str, str]:
+    """Put the cameras of a file into the tree; return their unit of length and the file's hash."""
+    cameras, content = read_yaml(path)
+    checked = _validate(CamerasFile, cameras)
+    _apply(tree, ("cameras",), cameras, ("cameras",))
+    return checked.units.length, hashlib.sha256(content).hexdigest()
+
+
+def _parse_override(text: str) -> tuple[KeyPath, Tree]:
+    key, separator, value = text.partition("=")
+    source = f"--set {text}"
+    if not separator or not all(key.strip().split(".")):
+        raise InputError(f"{source}: expected KEY.PATH=VALUE")
+    return _key_path(key), parse_yaml(value, source, numbered=False)
+
+
+def _key_path(key: str) -> KeyPath:
+    return tuple(int(part) if part.isdecimal() else part for part in key.strip().split("."))
+
+
+def _apply(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:
+    try:
+        tree.graft(path, value, key)
+    except TypeError as error:
+        where = ".".join(map(str, path))
+        raise InputError(
+            f"{value.place(())}: {where}: expected the path of a key, found no mapping or list that has {error}"
+        ) from None

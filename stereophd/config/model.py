@@ -1,0 +1,45 @@
+"""Configuration models: what a YAML file may say, with units, limits and defaults.
+
+Lengths are in the unit that ``units.length`` names, times in seconds, pixels as floats with (0, 0)
+at the centre of the top-left pixel; angles are in degrees where the key ends in ``_deg``. Unknown
+keys are errors. Reading files, overrides and error messages live in `stereophd.config.loading`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from stereophd.config.base import Model, Units
+from stereophd.config.calibration import CalibrationConfig
+from stereophd.config.cameras import CameraConfig
+from stereophd.config.experiment import ExperimentConfig
+from stereophd.config.filter import DisparityConfig, FilterConfig, MomentsConfig, MotionConfig, RegionConfig
+from stereophd.config.report import InputConfig, ReportConfig
+from stereophd.config.simulate import SimulateConfig
+
+
+class Config(Model):
+    """A stereophd configuration."""
+
+    units: Units = Field(default_factory=Units, description="of all files of a run")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="of all random numbers of a run")
+    cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)] | str | None = Field(
+        None, description="the cameras, or the path of a cameras.yaml beside this file"
+    )
+    detector: Literal["given", "estimate"] = Field(
+        "given",
+        description="estimate: noise, probability of detection and clutter of every camera are estimated from the log, "
+        "starting from the cameras' own values (track)",
+    )
+    disparity: DisparityConfig = Field(default_factory=DisparityConfig, description="disparity space of the cameras")
+    motion: MotionConfig = Field(default_factory=MotionConfig, description="how objects move (track)")
+    moments: MomentsConfig = Field(default_factory=MomentsConfig, description="how Gaussians are carried over (track)")
+    region: RegionConfig | None = Field(None, description="where objects can be (track)")
+    filter: FilterConfig | None = Field(None, description="the filter (track)")
+    input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
+    report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
+    simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
+    calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
+    experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")

@@ -1,0 +1,1 @@
+"""Arrays and frozen dataclasses: the mathematics, in the order of the paper; no files, no configuration."""

@@ -1,0 +1,1 @@
+"""Cramer-Rao bounds, and least squares with known association."""

@@ -1,0 +1,76 @@
+"""Cramer-Rao bound of a calibration: what no unbiased estimator of the cameras can beat.
+
+The posterior bound (H. L. Van Trees, "Detection, Estimation, and Modulation Theory", 1968, section 2.4): the inverse of
+the expected information of all detections about camera parameters and trajectories, plus the information of the
+priors, the trajectories eliminated. Which detection belongs to which object is taken as known, and a detection
+that is expected with probability p_detect counts by that part; so the bound is optimistic.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment import SQUARED, Linearisation, Observations, Problem, posterior_covariance
+from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.scale import ScaleMeasurement
+from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots
+from stereophd.core.motion.models import Motion
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def calibration_bound(
+    parameters: ParameterSet,
+    values: Array,
+    reference: int,
+    motion: Motion,
+    objects: Integers,
+    cameras: Integers,
+    times: Array,
+    positions: Array,
+    scale: ScaleMeasurement | None = None,
+) -> Array:
+    """Return the bound on the covariance (m, m) of the parameter values.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        With the priors.
+    values : array (m,)
+        True values.
+    reference : int
+        Index of the reference camera.
+    motion : Motion
+        How the objects move.
+    objects, cameras, times, positions : arrays (n,), (n,), (n,), (n, 3)
+        True position of every object (0, 1, ...) at every frame of every camera; those in view count.
+    scale : ScaleMeasurement, optional
+        What is known of the scale.
+    """
+    built = parameters.build(values)
+    seen = np.zeros(len(times), dtype=bool)
+    precisions = np.zeros((len(times), 2, 2))
+    noise = np.inf
+    for number, camera in enumerate(built):
+        here = np.flatnonzero(cameras == number)
+        pixels = camera.project(positions[here])
+        inside = camera.contains(pixels)
+        seen[here] = inside
+        rows = here[inside]
+        _, jacobian = camera.undistort_pixels(pixels[inside])
+        covariance = jacobian @ np.diag(camera.detector.sigma**2) @ np.swapaxes(jacobian, 1, 2)
+        precisions[rows] = camera.detector.p_detect * np.linalg.inv(covariance)
+        if len(rows):
+            depth = (positions[rows] - camera.pose.center) @ camera.pose.rotation[2]
+            noise = min(noise, float(np.median(depth)) * float(camera.detector.sigma.min()) / camera.fx)
+    _, numbers = np.unique(objects[seen], return_inverse=True)
+    count = int(numbers.max()) + 1 if len(numbers) else 0
+    spans = [(float(times[seen][numbers == j].min()), float(times[seen][numbers == j].max())) for j in range(count)]
+    knots = place_knots(spans, knot_spacing(motion.acceleration_std, noise), motion)
+    observations = Observations(numbers, cameras[seen], times[seen], np.zeros((int(seen.sum()), 2)), precisions[seen])
+    knot, weights = interpolation(knots, numbers, times[seen])
+    states = fit_states(knots, knot, weights, positions[seen], np.full(int(seen.sum()), noise**-2))
+    problem = Problem(parameters, reference, knots, observations, SQUARED, scale)
+    return posterior_covariance(Linearisation.of(problem).at(values, states), parameters.prior_std)

@@ -1,0 +1,223 @@
+"""Cramer-Rao bounds: how well any unbiased estimator can locate or track an object.
+
+Localisation. With detections z_i ~ N(h_i(x), R_i) the information of a static object is
+
+    J = sum_i G_i^T R_i^-1 G_i,  G_i = d h_i / d x,
+
+here in the coordinates of the world, and in those of a camera's disparity space by J_y = A^T J A with A = dx / dy
+(reparametrisation; D. Clark and S. Ivekovic, FUSION 2010, the paper's [8]). A Gaussian prior on disparity adds
+1 / sigma_d^2 to J_y; the bound on the covariance is the inverse, and back in the world A J_y^-1 A^T.
+
+Tracking. For x_{k+1} = F x_k + w, w ~ N(0, Q), the posterior information follows the recursion
+
+    J_{k+1} = (Q + F J_k^-1 F^T)^-1 + E[G^T R^-1 G]
+
+(P. Tichavsky, C. Muravchik and A. Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear
+filtering", IEEE Trans. Signal Processing 46 (5), 1998), the expectation over trajectories.
+
+Information matrices are (d, d), covariances their inverses; lengths and pixels as everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+# An information matrix of worse condition leaves a direction undetermined: the bound is infinite.
+WORST_CONDITION = 1e15
+
+
+def pixel_jacobian(camera: Camera, points: Array) -> Array:
+    """Jacobian (n, 2, 3) of the undistorted pixel by the position (n, 3) in the world, px per length."""
+    local = camera.pose.to_camera(points)
+    slopes = local[:, :2] / local[:, 2:]
+    in_camera = np.zeros((len(local), 2, 3))
+    in_camera[:, 0, 0] = camera.fx
+    in_camera[:, 1, 1] = camera.fy
+    in_camera[:, 0, 2] = -camera.fx * slopes[:, 0]
+    in_camera[:, 1, 2] = -camera.fy * slopes[:, 1]
+    return np.asarray(in_camera / local[:, 2, None, None] @ camera.pose.rotation)
+
+
+def detection_noise(camera: Camera, points: Array) -> Array:
+    """Covariance (n, 2, 2) of the undistorted pixels of points (n, 3) in the world, px^2.
+
+    The detector's noise, which is that of the distorted pixel, carried through the lens.
+    """
+    sigma = np.diag(camera.detector.sigma)
+    if camera.lens.model == "none":
+        return np.tile(sigma**2, (len(points), 1, 1))
+    _, jacobian = camera.undistort_pixels(camera.project(points))
+    scaled = jacobian @ sigma
+    return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
+
+
+def detection_information(camera: Camera, points: Array) -> Array:
+    """Information (n, 3, 3) on a position in one detection by a camera, of points (n, 3) in view of it.
+
+    The camera is taken as it stands; one that moves is first put to its time (`Camera.at`).
+    """
+    jacobian = pixel_jacobian(camera, points)
+    weighted = np.linalg.solve(detection_noise(camera, points), jacobian)
+    return np.asarray(np.swapaxes(jacobian, 1, 2) @ weighted)
+
+
+def world_jacobian(space: DisparitySpace, point: Array) -> Array:
+    """Jacobian A (3, 3) of the position in the world by (u, v, d), at a point (3,) of the world."""
+    homogeneous = space.projective_matrix @ np.append(point, 1.0)
+    # y = h / s: dy/dx = (P - y p_4) / s
+    to_disparity = (
+        space.projective_matrix[:3, :3] - np.outer(homogeneous[:3] / homogeneous[3], space.projective_matrix[3, :3])
+    ) / homogeneous[3]
+    return np.asarray(np.linalg.inv(to_disparity))
+
+
+def state_jacobian(space: DisparitySpace, state: Array) -> Array:
+    """Jacobian (6, 6) of (u, v, d, du, dv, dd) by (x, y, z, vx, vy, vz), at a world state (6,).
+
+    With y = h / s and the rows P, p of P_d, ``D = dy/dx = (P - y p) / s`` and the velocity is D v, of which the
+    derivative by x is ``-(D (p v) + (D v) p) / s``.
+    """
+    position = np.linalg.inv(world_jacobian(space, state[:3]))
+    divisor = space.projective_matrix[3]
+    scale = divisor[:3] @ state[:3] + divisor[3]
+    velocity = position @ state[3:]
+    jacobian = np.kron(np.eye(2), position)
+    jacobian[3:, :3] = -(position * (divisor[:3] @ state[3:]) + np.outer(velocity, divisor[:3])) / scale
+    return np.asarray(jacobian)
+
+
+def prior_information(space: DisparitySpace, point: Array, disparity_std: float) -> Array:
+    """Information (3, 3) on a position in the world in a Gaussian prior on its disparity."""
+    to_disparity = np.linalg.inv(world_jacobian(space, point))
+    return np.outer(to_disparity[2], to_disparity[2]) / disparity_std**2
+
+
+def localisation_bounds(information: Iterable[Array], prior: Array | None = None) -> Array:
+    """Bounds on the covariance of the position after each of several detections.
+
+    Parameters
+    ----------
+    information : iterable of arrays (3, 3)
+        Of each detection, in order: in the world, or all in one disparity space.
+    prior : array (3, 3), optional
+        Information before the first.
+
+    Returns
+    -------
+    array (k, 3, 3)
+        Infinite where the position is not determined.
+    """
+    total = np.zeros((3, 3)) if prior is None else np.array(prior, dtype=float)
+    out = []
+    for value in information:
+        total = total + value
+        out.append(inverse_information(total))
+    return np.array(out)
+
+
+def inverse_information(information: Array) -> Array:
+    """Bounds on the covariance: inverses of information matrices (..., d, d), infinite where singular."""
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    out = np.full(information.shape, np.inf)
+    usable = np.asarray((np.isfinite(diagonal) & (diagonal > 0.0)).all(axis=-1))
+    scale = np.sqrt(np.where(usable[..., None], diagonal, 1.0))
+    scale = scale[..., :, None] * scale[..., None, :]
+    scaled = np.where(usable[..., None, None], information, np.eye(information.shape[-1])) / scale
+    values = np.linalg.eigvalsh(scaled)
+    usable &= values[..., 0] * WORST_CONDITION > values[..., -1]
+    covariance = np.linalg.inv(scaled[usable]) / scale[usable]
+    out[usable] = (covariance + np.swapaxes(covariance, -1, -2)) / 2.0
+    return out
+
+
+def to_disparity(covariance: Array, space: DisparitySpace, point: Array) -> Array:
+    """Carry a bound (3, 3) on the position at a point of the world over to disparity space, px^2."""
+    jacobian = np.linalg.inv(world_jacobian(space, point))
+    return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
+def to_world(covariance: Array, space: DisparitySpace, point: Array) -> Array:
+    """Carry a bound (3, 3) on (u, v, d) at a point of the world over to the world, length^2."""
+    jacobian = world_jacobian(space, point)
+    return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
+def posterior_bounds(first: Array, transitions: Array, noises: Array, information: Array) -> Array:
+    """Posterior bounds on the covariance of a state over time (Tichavsky, Muravchik and Nehorai 1998).
+
+    With the information expected over all trajectories this is their bound. With that of the detections along
+    one trajectory it is the covariance that a Kalman filter linearised at the truth would have; averaged over
+    trajectories it is the larger, hence sharper, of the two: far away the direction of the weakest
+    information turns with the bearing, and an average over bearings knows more than any one of them.
+
+    Parameters
+    ----------
+    first : array (..., d, d)
+        Information on the state at the first event, its detection included; of several trajectories at once
+        with leading axes.
+    transitions, noises : arrays (k, d, d)
+        F and Q of the steps to the following events; for events at one time the identity and 0.
+    information : array (k, ..., d, d)
+        Information of the detections of these events.
+
+    Returns
+    -------
+    array (k + 1, ..., d, d)
+        After each event; infinite while the state is not determined.
+
+    Notes
+    -----
+    Q may be singular. While the information is singular it has no inverse: F is then applied to the
+    information itself, and Q is left out. A bound without process noise is lower, and still a bound.
+    """
+    current = np.array(first, dtype=float)
+    out = [inverse_information(current)]
+    for transition, noise, gained in zip(transitions, noises, information, strict=True):
+        known = np.isfinite(out[-1]).all(axis=(-2, -1))
+        predicted = np.empty_like(current)
+        predicted[known] = np.linalg.inv(transition @ out[-1][known] @ transition.T + noise)
+        back = np.linalg.inv(transition)
+        predicted[~known] = back.T @ current[~known] @ back
+        current = (predicted + np.swapaxes(predicted, -1, -2)) / 2.0 + gained
+        out.append(inverse_information(current))
+    return np.array(out)
+
+
+def root_mean_square(covariances: Array) -> Array:
+    """Root of the trace of covariances (..., d, d): the RMSE at the bound."""
+    return np.asarray(np.sqrt(np.trace(covariances, axis1=-2, axis2=-1)))
+
+
+def mean_error_norm(covariance: Array) -> float:
+    """Mean length of an error e ~ N(0, C), infinite if C (d, d) is.
+
+    With the eigenvalues c_i of C, e^T e has the Laplace transform M(t) = prod_i (1 + 2 c_i t)^-1/2, and for any
+    positive variable E[sqrt(q)] = 1 / (2 sqrt(pi)) int_0^inf (1 - M(t)) t^-3/2 dt. With t = s^2 / (2 c_max) the
+    integrand is smooth and falls as 1 / s^2.
+    """
+    if not np.isfinite(covariance).all():
+        return math.inf
+    from scipy.integrate import quad
+
+    values = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
+    largest = float(values[-1])
+    if largest == 0.0:
+        return 0.0
+    ratios = values / largest
+
+    def integrand(s: float) -> float:
+        # 1 - M without the cancellation at small s
+        return -math.expm1(-0.5 * float(np.log1p(ratios * s * s).sum())) / (s * s)
+
+    near, _ = quad(integrand, 0.0, 1.0)
+    far, _ = quad(integrand, 1.0, math.inf)
+    return float(math.sqrt(2.0 * largest / math.pi) * (near + far))

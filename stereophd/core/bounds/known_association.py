@@ -1,0 +1,219 @@
+"""The limit of multi-object tracking: least squares on all data so far, the true associations known.
+
+An object moves on a straight line. Its parameters are (u, v, d) in the disparity space of the camera that saw
+it first, at that time, and its velocity in the world: there the first observation and the prior of its depth
+are linear. The most probable parameters given all detections so far minimise
+
+    sum_k (z_k - h_k(theta))^T R_k^-1 (z_k - h_k(theta)) + (d - mean)^2 / std^2 + |v|^2 / velocity_std^2,
+
+found by the method of Levenberg and Marquardt for all objects at once, anew after each time, from the
+parameters of the time before. The covariance is the inverse of the information there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.birth import BirthPrior
+
+Array = NDArray[np.float64]
+
+# Steps until none would lower the cost of its object by this much, relative to one plus itself.
+TOLERANCE = 1e-9
+MOST_STEPS = 50
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e12
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Detections of objects, in order of time.
+
+    Attributes
+    ----------
+    row : array (m,) of int
+        The object, as a row of the results.
+    time_s : array (m,)
+    projection : array (m, 3, 4)
+        World to undistorted pixels, of the camera at that time.
+    points : array (m, 2)
+        Undistorted pixels.
+    whitening : array (m, 2, 2)
+        W with W^T W the inverse of the noise covariance.
+    """
+
+    row: NDArray[np.int64]
+    time_s: Array
+    projection: Array
+    points: Array
+    whitening: Array
+
+    def until(self, time_s: float) -> Sightings:
+        """Return the detections up to a time."""
+        end = int(np.searchsorted(self.time_s, time_s, side="right"))
+        return Sightings(
+            self.row[:end], self.time_s[:end], self.projection[:end], self.points[:end], self.whitening[:end]
+        )
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """What is known of the n objects before all other data: where and when each was first seen."""
+
+    start_s: Array
+    to_world: Array
+    prior_disparity: Array
+    prior_std: Array
+    velocity_std: float
+
+
+def sight(
+    camera: Camera, time_s: float, pixels: Array, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
+    """Return the fields of `Sightings` for the detections (m, 2) of one frame, distorted pixels."""
+    frozen = camera.at(time_s)
+    count = len(pixels)
+    covariances = np.broadcast_to(np.diag(np.asarray(camera.detector.sigma) ** 2), (count, 2, 2))
+    points = pixels
+    if camera.lens.code != 0:
+        points, jacobian = camera.undistort_pixels(pixels)
+        covariances = jacobian @ covariances @ np.swapaxes(jacobian, 1, 2)
+    whitening = np.linalg.inv(np.linalg.cholesky(covariances)) if count else np.zeros((0, 2, 2))
+    projection = np.broadcast_to(frozen.projection_matrix, (count, 3, 4))
+    return rows, np.full(count, time_s), projection, points, whitening
+
+
+def straight_lines(
+    sightings: Sightings,
+    first: Sequence[tuple[DisparitySpace, float, Array] | None],
+    prior: BirthPrior,
+    times_s: Array,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Estimate all objects after each time.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        Of n objects.
+    first : sequence of n tuples
+        Of each object's first detection: the disparity space, the time, and the undistorted pixel (2,);
+        None of an object that is never seen.
+    prior : BirthPrior
+        Of depth and velocity.
+    times_s : array (t,)
+        Times, increasing.
+
+    Returns
+    -------
+    states : array (t, n, 6)
+        World states at the times; NaN before the first detection.
+    covariances : array (t, n, 6, 6)
+    seen : array (t, n) of bool
+        Whether the object was seen up to that time.
+    """
+    count = len(first)
+    lines, parameters = _begin(first, prior)
+    states = np.full((len(times_s), count, 6), np.nan)
+    covariances = np.full((len(times_s), count, 6, 6), np.nan)
+    seen = lines.start_s[None, :] <= times_s[:, None]
+    for k, time_s in enumerate(times_s):
+        data = sightings.until(float(time_s))
+        here = seen[k]
+        if not here.any():
+            continue
+        parameters, information = _fit(lines, data, parameters)
+        points, jacobian = _world(lines, parameters)
+        elapsed = time_s - lines.start_s[here]
+        states[k, here, 3:] = parameters[here, 3:]
+        states[k, here, :3] = points[here] + elapsed[:, None] * parameters[here, 3:]
+        to_state = np.zeros((int(here.sum()), 6, 6))
+        to_state[:, :3, :3] = jacobian[here]
+        to_state[:, :3, 3:] = elapsed[:, None, None] * np.eye(3)
+        to_state[:, 3:, 3:] = np.eye(3)
+        covariances[k, here] = to_state @ np.linalg.inv(information[here]) @ np.swapaxes(to_state, 1, 2)
+    return states, covariances, seen
+
+
+def _begin(first: Sequence[tuple[DisparitySpace, float, Array] | None], prior: BirthPrior) -> tuple[_Lines, Array]:
+    count = len(first)
+    start_s = np.full(count, np.inf)
+    to_world = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
+    disparity, std = np.ones(count), np.ones(count)
+    parameters = np.zeros((count, 6))
+    for row, seen in enumerate(first):
+        if seen is None:
+            continue
+        space, start_s[row], parameters[row, :2] = seen
+        to_world[row] = space.inverse_projective_matrix
+        disparity[row], std[row] = prior.disparity_moments(space.packed())
+    parameters[:, 2] = disparity
+    return _Lines(start_s, to_world, disparity, std, prior.velocity_std), parameters
+
+
+def _world(lines: _Lines, parameters: Array) -> tuple[Array, Array]:
+    """World position (n, 3) at the first detection, and its Jacobian (n, 3, 3) in (u, v, d)."""
+    matrix, points = lines.to_world, parameters[:, :3]
+    homogeneous = np.einsum("nij,nj->ni", matrix[:, :3, :3], points) + matrix[:, :3, 3]
+    scale = np.einsum("nj,nj->n", matrix[:, 3, :3], points) + matrix[:, 3, 3]
+    world = homogeneous / scale[:, None]
+    jacobian = (matrix[:, :3, :3] - world[:, :, None] * matrix[:, 3, None, :3]) / scale[:, None, None]
+    return world, jacobian
+
+
+def _fit(lines: _Lines, data: Sightings, parameters: Array) -> tuple[Array, Array]:
+    """Minimise the cost of every object; return the parameters (n, 6) and the information (n, 6, 6) there."""
+    damping = np.full(len(parameters), FIRST_DAMPING)
+    cost, gradient, information = _normal_equations(lines, data, parameters)
+    for _ in range(MOST_STEPS):
+        diagonal = np.einsum("nii->ni", information)
+        damped = information + damping[:, None, None] * diagonal[:, :, None] * np.eye(6)
+        step = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
+        proposed = parameters + step
+        new_cost, new_gradient, new_information = _normal_equations(lines, data, proposed)
+        better = (new_cost <= cost) & (proposed[:, 2] > 0.0)
+        damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), LEAST_DAMPING, MOST_DAMPING)
+        settled = (step * gradient).sum(axis=1) <= TOLERANCE * (1.0 + cost)
+        parameters = np.where(better[:, None], proposed, parameters)
+        cost = np.where(better, new_cost, cost)
+        gradient = np.where(better[:, None], new_gradient, gradient)
+        information = np.where(better[:, None, None], new_information, information)
+        if settled.all():
+            break
+    return parameters, information
+
+
+def _normal_equations(lines: _Lines, data: Sightings, parameters: Array) -> tuple[Array, Array, Array]:
+    """Cost (n,), descent direction (n, 6) and information (n, 6, 6) at these parameters."""
+    count = len(parameters)
+    world, to_world = _world(lines, parameters)
+    elapsed = data.time_s - lines.start_s[data.row]
+    points = world[data.row] + elapsed[:, None] * parameters[data.row, 3:]
+    homogeneous = np.einsum("mij,mj->mi", data.projection[:, :, :3], points) + data.projection[:, :, 3]
+    pixels = homogeneous[:, :2] / homogeneous[:, 2:]
+    slope = (data.projection[:, :2, :3] - pixels[:, :, None] * data.projection[:, 2, None, :3]) / homogeneous[
+        :, 2, None, None
+    ]
+    slope = data.whitening @ slope
+    residual = np.einsum("mij,mj->mi", data.whitening, data.points - pixels)
+    jacobian = np.concatenate([slope @ to_world[data.row], elapsed[:, None, None] * slope], axis=2)
+    cost: Array = np.bincount(data.row, (residual**2).sum(axis=1), minlength=count).astype(np.float64)
+    gradient = np.zeros((count, 6))
+    np.add.at(gradient, data.row, np.einsum("mij,mi->mj", jacobian, residual))
+    information = np.zeros((count, 6, 6))
+    np.add.at(information, data.row, np.swapaxes(jacobian, 1, 2) @ jacobian)
+    offset = (parameters[:, 2] - lines.prior_disparity) / lines.prior_std
+    cost += offset**2 + ((parameters[:, 3:] / lines.velocity_std) ** 2).sum(axis=1)
+    gradient[:, 2] -= offset / lines.prior_std
+    gradient[:, 3:] -= parameters[:, 3:] / lines.velocity_std**2
+    information[:, 2, 2] += 1.0 / lines.prior_std**2
+    information[:, range(3, 6), range(3, 6)] += 1.0 / lines.velocity_std**2
+    # an object that is not seen yet has the information of the prior alone, and a pixel that nothing tells
+    unseen = np.bincount(data.row, minlength=count) == 0
+    information[unseen] = np.eye(6)
+    gradient[unseen] = 0.0
+    return cost, gradient, information

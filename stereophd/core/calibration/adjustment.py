@@ -1,0 +1,295 @@
+"""Bundle adjustment: maximum a posteriori over camera parameters and all trajectories at once.
+
+Minimised is half of
+
+    sum_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + x^T M x / s^2 + ((scale measured - h) / std)^2,
+
+with the reprojection error e_n of every detection and its precision P_n (undistorted pixels), the priors of the
+camera parameters, the motion model M of the trajectories' knots x (positions and velocities have no prior), and the
+scale s of the scene (`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
+
+    [ A   C ] [dx]   [a]
+    [ C^T B ] [dv] = [b],     A banded (knots), B small (cameras),
+
+solved by the Schur complement B - C^T A^-1 C (W. Triggs et al., "Bundle adjustment - a modern synthesis", 2000),
+whose inverse at the optimum is the covariance of the camera parameters, the trajectories integrated out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+
+from stereophd.core.calibration import kernels
+from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet
+from stereophd.core.calibration.scale import ScaleMeasurement, log_scale, predicted
+from stereophd.core.calibration.trajectories import Knots, banded_product, interpolation, motion_bands
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Marquardt's damping: where it starts, its factor, and where it gives up.
+FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
+# Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
+ROUNDING = 1e-13
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Detections that belong to trajectories.
+
+    Attributes
+    ----------
+    trajectories, cameras : arrays (n,) of int
+    times : array (n,)
+        s.
+    points, precisions : arrays (n, 2), (n, 2, 2)
+        Undistorted pixels and their inverse covariances.
+    """
+
+    trajectories: Integers
+    cameras: Integers
+    times: Array
+    points: Array
+    precisions: Array
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Robust loss: ``squared``, ``cauchy`` (scale in sigmas) or ``floor`` (height beside a peak of 1)."""
+
+    kind: int
+    scale: float
+
+
+SQUARED = Loss(kernels.SQUARED, 1.0)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is adjusted.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+    reference : int
+        Index of the reference camera.
+    knots : Knots
+    observations : Observations
+    loss : Loss
+    scale : ScaleMeasurement or None
+    """
+
+    parameters: ParameterSet
+    reference: int
+    knots: Knots
+    observations: Observations
+    loss: Loss
+    scale: ScaleMeasurement | None = None
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Linearisation of a problem; see the head of this file."""
+
+    cost: float
+    bands: Array
+    coupling: Array
+    matrix: Array
+    state_vector: Array
+    value_vector: Array
+    distances: Array
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """Outcome of `adjust`.
+
+    Attributes
+    ----------
+    values : array (m,)
+    states : array (k, 2, 3)
+        Knots.
+    covariance : array (m, m)
+        Of the values, trajectories integrated out.
+    cost : float
+        Twice the negative logarithm of the posterior density, without its constant.
+    distances : array (n,)
+        Squared Mahalanobis distances of the detections.
+    iterations : int
+    converged : bool
+    """
+
+    values: Array
+    states: Array
+    covariance: Array
+    cost: float
+    distances: Array
+    iterations: int
+    converged: bool
+
+
+def left_jacobian(vector: Array) -> Array:
+    """Left Jacobian (3, 3) of a rotation vector: exp(v + dv) = exp(J dv) exp(v) to first order."""
+    angle = float(np.linalg.norm(vector))
+    cross = np.array([[0.0, -vector[2], vector[1]], [vector[2], 0.0, -vector[0]], [-vector[1], vector[0], 0.0]])
+    if angle < 1e-4:
+        return np.asarray(np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
+    first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """What of a problem does not change from step to step."""
+
+    problem: Problem
+    knot: Integers
+    weights: Array
+    motion: Array
+    focal: Array
+    columns: Integers
+
+    @staticmethod
+    def of(problem: Problem) -> Linearisation:
+        """Prepare a problem."""
+        observations, parameters = problem.observations, problem.parameters
+        knot, weights = interpolation(problem.knots, observations.trajectories, observations.times)
+        focal = np.array([[c.fx, c.fy, c.cx, c.cy] for c in parameters.cameras])
+        columns = np.stack([parameters.index(c.name, CENTER + ROTATION) for c in parameters.cameras])
+        return Linearisation(problem, knot, weights, motion_bands(problem.knots), focal, columns)
+
+    def at(self, values: Array, states: Array) -> NormalEquations:
+        """Return the normal equations at values (m,) and knots (k, 2, 3)."""
+        problem, parameters = self.problem, self.problem.parameters
+        size, count = problem.knots.size, parameters.size
+        cameras = parameters.build(values)
+        rotations = np.stack([c.pose.rotation for c in cameras])
+        centers = np.stack([c.pose.center for c in cameras])
+        vectors = np.where(self.columns[:, 3:] >= 0, values[self.columns[:, 3:]] if count else 0.0, 0.0)
+        jacobians = np.stack([left_jacobian(vector) for vector in vectors])
+        bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
+        state_vector, value_vector = np.zeros(size), np.zeros(count)
+        distances = np.zeros(len(problem.observations))
+        observations = problem.observations
+        cost = kernels.accumulate(
+            observations.cameras, observations.points, observations.precisions, self.knot, self.weights, states,
+            self.focal, rotations, centers, jacobians, self.columns, problem.loss.kind, problem.loss.scale,
+            bands, coupling, matrix, state_vector, value_vector, distances,
+        )  # fmt: skip
+        # motion model, in units of the scene's scale
+        logarithm, gradient = log_scale(parameters, problem.reference, values)
+        density = np.exp(-2.0 * logarithm)
+        pull = density * banded_product(self.motion, states.ravel())
+        energy = float(states.ravel() @ pull)
+        bands += density * self.motion
+        state_vector -= pull
+        coupling -= np.outer(pull, gradient)
+        matrix += energy * np.outer(gradient, gradient)
+        value_vector += energy * gradient
+        # priors
+        scaled = (values - parameters.prior_mean) / parameters.prior_std
+        matrix += np.diag(parameters.prior_std**-2)
+        value_vector -= scaled / parameters.prior_std
+        cost += energy + float(scaled @ scaled)
+        if problem.scale is not None:
+            expected, slope = predicted(parameters, problem.reference, problem.scale, values)
+            residual = (problem.scale.value - expected) / problem.scale.std
+            matrix += np.outer(slope, slope) / problem.scale.std**2
+            value_vector += slope * residual / problem.scale.std
+            cost += residual**2
+        return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
+
+
+def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+    """Eliminate the knots: A^-1 [C, a] (6 k, m + 1) and the Schur complement B - C^T A^-1 C (m, m).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The damped matrix of the knots is not positive definite.
+    """
+    bands = equations.bands.copy()
+    diagonal = bands[0]
+    bands[0] = np.where(diagonal > 0.0, diagonal * (1.0 + damping + ROUNDING), 1.0)
+    factor = (cholesky_banded(bands, lower=True, check_finite=False), True)
+    both = np.column_stack([equations.coupling, equations.state_vector])
+    eliminated = cho_solve_banded(factor, both, check_finite=False)
+    return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
+
+
+def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+    """Solve damped normal equations: steps of values (m,) and knots (6 k,).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The damped matrix is not positive definite.
+    """
+    eliminated, schur = eliminate(equations, damping)
+    damped = schur + damping * np.diag(np.diag(equations.matrix))
+    right = equations.value_vector - equations.coupling.T @ eliminated[:, -1]
+    values = cho_solve(cho_factor(damped), right)
+    return values, eliminated[:, -1] - eliminated[:, :-1] @ values
+
+
+def adjust(
+    problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7
+) -> Adjustment:
+    """Minimise from values (m,) and knots (k, 2, 3).
+
+    Parameters
+    ----------
+    problem : Problem
+    values, states : arrays
+        Where to start.
+    max_iterations : int
+        Steps tried.
+    tolerance : float
+        Converged when a step lowers the cost by less than this part of it.
+
+    Returns
+    -------
+    Adjustment
+        Its covariance is that of the undamped equations.
+    """
+    linearisation = Linearisation.of(problem)
+    current = linearisation.at(values, states)
+    damping, converged, iteration = FIRST_DAMPING, False, 0
+    while iteration < max_iterations and not converged and damping < MOST_DAMPING:
+        iteration += 1
+        try:
+            value_step, state_step = solve(current, damping)
+        except LinAlgError:
+            damping *= DAMPING_FACTOR
+            continue
+        new_values, new_states = values + value_step, states + state_step.reshape(states.shape)
+        new = linearisation.at(new_values, new_states)
+        if np.isfinite(new.cost) and new.cost <= current.cost:
+            converged = current.cost - new.cost <= tolerance * max(current.cost, 1.0)
+            values, states, current = new_values, new_states, new
+            damping = max(damping / DAMPING_FACTOR, 1e-12)
+        else:
+            converged = damping > 1e4 and abs(new.cost - current.cost) <= tolerance * max(current.cost, 1.0)
+            damping *= DAMPING_FACTOR
+    covariance = posterior_covariance(current, problem.parameters.prior_std)
+    return Adjustment(values, states, covariance, current.cost, current.distances, iteration, bool(converged))
+
+
+def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
+    """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement.
+
+    Whatever the data say, the posterior is no wider than the prior: in units of `prior_std` (m,) the eigenvalues of
+    the Schur complement are at least 1. Where rounding says otherwise (objects far away), 1 is taken.
+    """
+    _, schur = eliminate(equations, 0.0)
+    whitened = schur * np.outer(prior_std, prior_std)
+    eigenvalues, vectors = np.linalg.eigh((whitened + whitened.T) / 2.0)
+    covariance = (vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T * np.outer(prior_std, prior_std)
+    return np.asarray((covariance + covariance.T) / 2.0)

@@ -1,0 +1,189 @@
+"""Annealed calibration: tracking and bundle adjustment in turn, from several starts.
+
+A start is a draw of the camera parameters from their prior. Tracking (PMB filter) with the detector's noise
+inflated tells which detections may belong together although the cameras are still wrong; the adjustment of cameras
+and trajectories to those detections improves the cameras; the inflation falls from pass to pass, and in the last
+passes the fitted trajectories choose their detections themselves. See docs/calibration.md.
+
+A start succeeds only where the trajectories that two cameras share explain what was detected; the best of those is
+the one of the greatest evidence (PMB filter at the true noise) plus log-prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from stereophd.core.calibration import kernels
+from stereophd.core.calibration.association import Scans, track_detections, with_cameras
+from stereophd.core.calibration.fits import FITTED_PASSES, paired_fit, refitted, tracked_fit
+from stereophd.core.calibration.modes import Modes
+from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.task import SUCCEEDED, Fit, Start, Task
+
+Array = NDArray[np.float64]
+
+# Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
+PAIRED_INFLATION = 3.5
+# A start's values must be this probable under the prior, and the detections it explains this near to their noise:
+# mean squared residual of accepted detections, in squared sigmas per coordinate.
+LEAST_PRIOR_PROBABILITY = 1e-6
+MOST_RESIDUAL = 2.0
+# Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
+AGREEMENT = 1.0
+# Another start is a rival of the best if it is this near in evidence plus log-prior, and this far in the same measure.
+RIVAL_SCORE, RIVAL_DISTANCE = 5.0, 5.0
+# Least share of the particles of a full posterior that a mode gets.
+LEAST_SHARE = 0.05
+
+
+def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> Start:
+    """Follow one start through all passes.
+
+    Parameters
+    ----------
+    task : Task
+    number : int
+        Which start, for the record.
+    values : array (m,)
+        Where it begins.
+    seed : SeedSequence
+        Of the further draws among which one-camera tracks are paired.
+    """
+    history: list[Array] = []
+
+    def failed(why: str, fit: Fit | None = None, part: float = 0.0) -> Start:
+        return Start(number, why, start, np.array(history).reshape(-1, len(start)), fit, np.nan, np.nan, part)
+
+    start = values
+    inflations = task.settings.inflation
+    fit = paired_fit(task, values, seed)
+    if fit is not None:
+        values = fit.adjustment.values
+        history.append(values)
+        inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
+    for inflation in inflations:
+        fit = tracked_fit(task, values, inflation)
+        if fit is None:
+            return failed(f"no track is shared by two cameras at {inflation:g} times the noise")
+        values = fit.adjustment.values
+        history.append(values)
+    assert fit is not None
+    for number_of_pass in range(FITTED_PASSES):
+        scans = task.tracking if number_of_pass == 0 else task.scans
+        again = refitted(task, fit, scans)
+        if again is None:
+            return failed("the fitted trajectories are not shared by two cameras", fit)
+        fit = again
+        history.append(fit.adjustment.values)
+    values = fit.adjustment.values
+    part = explained(task, fit)
+    why = disagreement(task, fit)
+    if why is not None:
+        return failed(why, fit, part)
+    evidence = track_detections(
+        with_cameras(task.filter, task.parameters.build(values)), task.tracking, 1.0
+    ).log_likelihood
+    prior = float(task.parameters.log_prior(values))
+    return Start(number, SUCCEEDED, start, np.array(history), fit, evidence, prior, part)
+
+
+def explained(task: Task, fit: Fit) -> float:
+    """Detections of shared trajectories, in parts of those that are not expected to be false."""
+    return len(fit.detections) / real_detections(task.parameters, task.scans, task.followed)
+
+
+def real_detections(parameters: ParameterSet, scans: Scans, followed: float) -> float:
+    """How many detections are not expected to be false.
+
+    Those beyond the clutter that the detectors state, but no more than tracks of one camera alone follow: there may
+    be more clutter than stated. At least two standard deviations of the number of detections, were all of them
+    false.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    scans : Scans
+    followed : float
+        Share of the detections that tracks of one camera alone follow.
+    """
+    frames = np.bincount(scans.cameras, minlength=len(parameters.cameras))
+    clutter = sum(
+        camera.detector.clutter_per_frame * count for camera, count in zip(parameters.cameras, frames, strict=True)
+    )
+    total = len(scans.points)
+    return float(max(min(total - clutter, followed * total), 2.0 * np.sqrt(max(total, 1))))
+
+
+def disagreement(task: Task, fit: Fit) -> str | None:
+    """Why a fit does not agree with the data or the prior; None if it does."""
+    part = explained(task, fit)
+    if part < task.settings.min_tracked:
+        return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
+    residual = float(np.minimum(fit.adjustment.distances, kernels.BEHIND).mean()) / 2.0
+    if residual > MOST_RESIDUAL:
+        return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
+    return prior_disagreement(task.parameters, fit.adjustment.values)
+
+
+def prior_disagreement(parameters: ParameterSet, values: Array) -> str | None:
+    """Why values (m,) do not agree with the prior; None if they do."""
+    distance = float((((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum())
+    if chi2.sf(distance, parameters.size) < LEAST_PRIOR_PROBABILITY:
+        return f"the cameras lie {np.sqrt(distance):.1f} standard deviations from the prior"
+    return None
+
+
+def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
+    """Whether two starts found the same cameras, to so many standard deviations (root mean square)."""
+    assert one.fit is not None
+    assert other.fit is not None
+    difference = one.fit.adjustment.values - other.fit.adjustment.values
+    precision = np.linalg.inv(one.fit.adjustment.covariance)
+    return float(difference @ precision @ difference) <= within**2 * len(difference)
+
+
+def best_of(starts: list[Start]) -> Start | None:
+    """The successful start of the greatest evidence plus log-prior, if any; the earlier of equal ones."""
+    return max((s for s in starts if s.succeeded), key=lambda s: s.score, default=None)
+
+
+def enough(starts: list[Start], agreeing: int) -> bool:
+    """Whether so many starts agree on the best that no more are needed."""
+    best = best_of(starts)
+    return best is not None and sum(s.succeeded and agree(best, s) for s in starts) >= agreeing
+
+
+def start_values(parameters: ParameterSet, seed: np.random.SeedSequence, count: int) -> Array:
+    """Values (count, m) to start from: the prior mean, and draws from the prior."""
+    draws = parameters.sample(np.random.default_rng(seed), count)
+    draws[0] = parameters.prior_mean
+    return draws
+
+
+def distinct(starts: list[Start]) -> list[Start]:
+    """Successful starts that do not agree with one another, the best of each kind, best first."""
+    found: list[Start] = []
+    for start in sorted((s for s in starts if s.succeeded), key=lambda s: -s.score):
+        if not any(agree(other, start) for other in found):
+            found.append(start)
+    return found
+
+
+def modes_of(fits: list[Fit], scores: list[float]) -> Modes:
+    """Modes of the posterior: optima, Laplace covariances, shares by evidence plus log-prior."""
+    # a mode that the evidence hardly supports still gets a twentieth: the sampler decides
+    share = np.exp(np.array(scores) - max(scores))
+    share = np.maximum(share / share.sum(), LEAST_SHARE)
+    means = np.stack([fit.adjustment.values for fit in fits])
+    return Modes(means, np.stack([fit.adjustment.covariance for fit in fits]), share / share.sum())
+
+
+def rival_of(starts: list[Start]) -> Start | None:
+    """A start that agrees with the data about as well as the best, at other cameras; None if there is none."""
+    best, *others = distinct(starts)
+    for start in others:
+        if start.score >= best.score - RIVAL_SCORE and not agree(best, start, RIVAL_DISTANCE):
+            return start
+    return None

@@ -1,0 +1,169 @@
+"""Adjustments of cameras and trajectories to detections: to paired tracks, to the tracks of a filter, to fits."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration import kernels
+from stereophd.core.calibration.adjustment import Loss, Observations, Problem, adjust
+from stereophd.core.calibration.association import (
+    Scans,
+    fitted_detections,
+    keep,
+    shared,
+    track_detections,
+    with_cameras,
+)
+from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
+from stereophd.core.calibration.scale import ScaleMeasurement
+from stereophd.core.calibration.task import Fit, Task
+from stereophd.core.calibration.trajectories import (
+    Knots,
+    fit_states,
+    interpolation,
+    knot_spacing,
+    place_knots,
+    positions,
+)
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
+# are rather false ones (at that distance a normal density is down to this part of its peak).
+ANNEALED_LOSS = Loss(kernels.CAUCHY, 2.0)
+FITTED_LOSS = Loss(kernels.FLOOR, 1e-3)
+# Passes in which fitted trajectories choose their detections.
+FITTED_PASSES = 3
+
+
+def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit | None:
+    """Pair one-camera tracks, and adjust to the pairs; None if there are none. See `calibration.pairing`."""
+    if not len(task.pairs.cameras):
+        return None
+    draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
+    draws[0] = values
+    pairing = best_pairing(task.parameters, task.pairs, draws)
+    if pairing is None:
+        return None
+    objects = paired_objects(task.pairs, pairing, len(task.tracks))
+    detections = np.concatenate([rows for (_, rows), o in zip(task.tracks, objects, strict=True) if o >= 0])
+    of_object = np.concatenate([np.full(len(rows), o) for (_, rows), o in zip(task.tracks, objects, strict=True)])
+    of_object = of_object[of_object >= 0]
+    order = np.lexsort((detections, of_object))
+    trajectories, detections = of_object[order], detections[order]
+    rows, points = meeting_points(task.parameters, task.pairs, pairing)
+    met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
+    observations = task.tracking.observations(trajectories, detections)
+    nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
+    knots = _knots(task, observations, nearest[trajectories], pairing.values)
+    knot, weights = interpolation(knots, met, task.pairs.times[rows])
+    states = fit_states(knots, knot, weights, points, np.full(len(rows), 1.0))
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
+    return Fit(adjust(problem, pairing.values, states), knots, observations, detections)
+
+
+def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
+    """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any."""
+    cameras = task.parameters.build(values)
+    scans = task.tracking
+    found = track_detections(with_cameras(task.filter, cameras), scans, inflation)
+    if not len(found):
+        return None
+    chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], task.settings.min_detections)
+    if not len(chosen):
+        return None
+    rows, tracks = keep(found.tracks, chosen)
+    observations = scans.observations(tracks, found.detections[rows], inflation)
+    knots = _knots(task, observations, found.positions[rows], values)
+    knot, weights = interpolation(knots, tracks, observations.times)
+    precision = 1.0 / np.maximum(found.variances[rows], 1e-12)
+    states = fit_states(knots, knot, weights, found.positions[rows], precision)
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
+    return Fit(adjust(problem, values, states), knots, observations, found.detections[rows])
+
+
+def refitted(task: Task, fit: Fit, scans: Scans) -> Fit | None:
+    """Let fitted trajectories choose their detections anew, and adjust again."""
+    counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
+    cameras = task.parameters.build(fit.adjustment.values)
+    states = fit.adjustment.states
+    noise = _noise(task, fit)
+    std = float(task.filter.motion.acceleration_std.max())
+    # over this time a random acceleration moves an object by its detection's noise
+    padding = np.inf if std == 0.0 else (np.sqrt(3.0) * noise / std) ** (2.0 / 3.0)
+    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
+    of_camera = scans.cameras[scans.event_of[detections]]
+    chosen = shared(trajectories, of_camera, task.settings.min_detections)
+    if not len(chosen):
+        return None
+    rows, numbers = keep(trajectories, chosen)
+    observations = scans.observations(numbers, detections[rows])
+    return adjusted_to(task, fit, observations, trajectories[rows], detections[rows], task.scale)
+
+
+def fit_from(task: Task, values: Array) -> Fit | None:
+    """Fit cameras and trajectories to what is tracked with the cameras of `values`; None if nothing is shared."""
+    fit = tracked_fit(task, values, 1.0)
+    for _ in range(FITTED_PASSES):
+        if fit is not None:
+            fit = refitted(task, fit, task.scans)
+    return fit
+
+
+def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
+    """Adjust to the detections until a time only, with the association of the whole run; None without any."""
+    rows = np.flatnonzero(fit.observations.times <= time_s)
+    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
+    if not len(trajectories):
+        return None
+    observations = task.scans.observations(numbers.astype(np.int64), fit.detections[rows])
+    return adjusted_to(task, fit, observations, fit.observations.trajectories[rows], fit.detections[rows], task.scale)
+
+
+def adjusted_to(
+    task: Task,
+    fit: Fit,
+    observations: Observations,
+    of_fit: Integers,
+    detections: Integers,
+    scale: ScaleMeasurement | None,
+) -> Fit:
+    """Adjust to observations, starting from a fit; `of_fit` are their trajectories there."""
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
+    knots = _knots(task, observations, points, fit.adjustment.values)
+    knot, weights = interpolation(knots, observations.trajectories, observations.times)
+    noise = _length_of_noise(task, observations, points, fit.adjustment.values)
+    states = fit_states(knots, knot, weights, points, np.full(len(points), noise**-2))
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
+    return Fit(adjust(problem, fit.adjustment.values, states), knots, observations, detections)
+
+
+def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:
+    """Knots of trajectories with the given detections, near the given positions."""
+    spans = []
+    for j in range(int(observations.trajectories.max()) + 1):
+        times = observations.times[observations.trajectories == j]
+        spans.append((float(times.min()), float(times.max())))
+    noise = _length_of_noise(task, observations, points, values)
+    spacing = knot_spacing(task.filter.motion.acceleration_std, noise)
+    return place_knots(spans, spacing, task.filter.motion)
+
+
+def _length_of_noise(task: Task, observations: Observations, points: Array, values: Array) -> float:
+    """Median over detections of their noise at the depth of the object, length."""
+    depth = np.empty(len(points))
+    focal = np.empty(len(points))
+    for number, camera in enumerate(task.parameters.build(values)):
+        here = observations.cameras == number
+        depth[here] = np.abs((points[here] - camera.pose.center) @ camera.pose.rotation[2])
+        focal[here] = camera.fx
+    sigma = 1.0 / np.sqrt(observations.precisions[:, 0, 0])
+    return float(np.median(sigma * depth / focal))
+
+
+def _noise(task: Task, fit: Fit) -> float:
+    knot, weights = interpolation(fit.knots, fit.observations.trajectories, fit.observations.times)
+    points = positions(fit.adjustment.states, knot, weights)
+    return _length_of_noise(task, fit.observations, points, fit.adjustment.values)

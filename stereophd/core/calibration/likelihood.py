@@ -1,0 +1,141 @@
+"""Multi-object log-likelihood of a detection log given camera hypotheses (paper VII-B): the evidence.
+
+The log-likelihoods of the events, which the filter conditional on a hypothesis returns, add up to that of the
+log. With the PHD filter it is the paper's; with the PMB filter it is the Bethe value of the association problems,
+which is much smoother in the cameras.
+
+Scale. Larger cameras, distances and speeds give the same images, so that detections say nothing of scale; the priors
+of the objects' depth and speed do, and strongly: each of n objects multiplies the evidence of cameras s times as far
+apart by a power of s if its prior is too broad. `Evidence` can therefore compare all hypotheses at one scale, that of
+the prior mean, which leaves the scale to the prior of the cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.batch import FilterBatch
+from stereophd.core.calibration.parameters import CENTER as CENTER_NAMES
+from stereophd.core.calibration.parameters import ROTATION as ROTATION_NAMES
+from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.scale import ScaleMeasurement, predicted
+from stereophd.core.disparity.events import Event, Rig, make_rig
+from stereophd.core.geometry.layout import CENTER, ROTATION
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Log-likelihood of a log as a function of parameter values.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+    events : sequence of Event
+        The log, in order of time.
+    batch : FilterBatch
+        The conditional filters.
+    scale_reference : int, optional
+        Number of the reference camera. Given, the cameras of a hypothesis are brought to the nominal scale
+        (`at_nominal_scale`): for problems whose scale is free (`core.calibration.scale.scale_is_free`), if the
+        objects' priors shall not decide on it.
+    scale : ScaleMeasurement, optional
+        What else is known of the scale; its normal density is one more factor.
+    """
+
+    parameters: ParameterSet
+    events: Sequence[Event]
+    batch: FilterBatch
+    scale_reference: int | None = None
+    scale: ScaleMeasurement | None = None
+
+    def __call__(self, values: Array) -> Array:
+        """Return the log-likelihoods (k,) of values (k, m)."""
+        total = self._log_scale(values)
+        spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
+        if self.scale_reference is not None:
+            nominal = hypothesis_spaces(self.parameters, self.parameters.prior_mean[None], self.batch.template.rig)
+            spaces = at_nominal_scale(spaces, nominal[0], self.scale_reference)
+        state = self.batch.init(len(values))
+        for event in self.events:
+            state, log_likelihoods = self.batch.step(state, event, spaces)
+            total += log_likelihoods
+        return total
+
+    def _log_scale(self, values: Array) -> Array:
+        """Log-density (k,) of what was measured of the scale; 0 where nothing was."""
+        scale = self.scale
+        if scale is None:
+            return np.zeros(len(values))
+        reference = 0 if self.scale_reference is None else self.scale_reference
+        found = np.array([predicted(self.parameters, reference, scale, row)[0] for row in values])
+        return np.asarray(-0.5 * ((found - scale.value) / scale.std) ** 2 - np.log(scale.std * np.sqrt(2.0 * np.pi)))
+
+
+def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Array:
+    """Packed disparity spaces (k, c, 30) of the cameras of parameter values (k, m).
+
+    The same as packing the cameras of `ParameterSet.build` row by row, for all rows at once where the parameters
+    are poses: thousands of hypotheses that move after an event would spend more time on that than on the event.
+    """
+    if {parameter.name for parameter in parameters.parameters} - {*CENTER_NAMES, *ROTATION_NAMES}:
+        return np.stack([make_rig(parameters.build(row), rig.baseline, rig.rectification).packed for row in values])
+    packed = make_rig(parameters.cameras, rig.baseline, rig.rectification).packed
+    spaces = np.repeat(packed[None], len(values), axis=0)
+    # a column of zeros stands for the quantities that are known
+    padded = np.concatenate([values, np.zeros((len(values), 1))], axis=1)
+    for number, camera in enumerate(parameters.cameras):
+        center = padded[:, parameters.index(camera.name, CENTER_NAMES)]
+        turn = _rotations(padded[:, parameters.index(camera.name, ROTATION_NAMES)])
+        spaces[:, number, CENTER : CENTER + 3] += center
+        spaces[:, number, ROTATION : ROTATION + 9] = (turn @ camera.pose.rotation).reshape(-1, 9)
+    return spaces
+
+
+def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
+    """Bring the cameras of hypotheses to one scale, about the reference camera.
+
+    The scale is the root of the sum of squared distances to the reference; with two cameras, their distance.
+
+    Parameters
+    ----------
+    spaces : array (k, c, 30)
+        Packed disparity spaces.
+    nominal : array (c, 30)
+        Cameras whose scale the others get.
+    reference : int
+        Number of the camera that stays where it is.
+
+    Returns
+    -------
+    array (k, c, 30)
+    """
+
+    def size(centers: Array) -> Array:
+        return np.asarray(np.sqrt(((centers - centers[:, reference, None]) ** 2).sum(axis=(1, 2))))
+
+    centers = spaces[:, :, CENTER : CENTER + 3]
+    whole, found = size(nominal[None, :, CENTER : CENTER + 3]), size(centers)
+    # cameras in one place have no scale
+    ratio = whole / np.where(found > 0.0, found, whole)
+    scaled = spaces.copy()
+    pivot = centers[:, reference, None]
+    scaled[:, :, CENTER : CENTER + 3] = pivot + ratio[:, None, None] * (centers - pivot)
+    return scaled
+
+
+def _rotations(vectors: Array) -> Array:
+    """Rotation matrices (k, 3, 3) of rotation vectors (k, 3), rad (`stereophd.core.geometry.pose`)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
+    # sin(a) / a and (1 - cos a) / a^2, to full precision at a = 0
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * cross @ cross
+    )

@@ -1,0 +1,168 @@
+"""What a calibration knows: spreads of poses, and which directions of the parameter space the data determine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet
+from stereophd.core.calibration.scale import log_scale
+
+Array = NDArray[np.float64]
+
+# A direction whose posterior standard deviation is above this part of the prior's is not determined by the data.
+UNDETERMINED_RATIO = 0.7
+# Draws of the posterior have at least this part of the optimum's scale.
+LEAST_SCALE = 0.05
+DETERMINED, PARTLY, UNDETERMINED = "determined", "partly determined", "undetermined"
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Directions of the parameter space, best determined first.
+
+    The posterior covariance is compared with the prior's: with P = D^-1 S D^-1 and D the prior standard
+    deviations, the eigenvectors of P are the directions, and the roots of its eigenvalues the ratios of
+    posterior to prior standard deviation along them.
+
+    Attributes
+    ----------
+    ratios : array (m,)
+        Posterior over prior standard deviation, increasing.
+    directions : array (m, m)
+        Unit vectors in units of prior standard deviations, one a row.
+    parameter_ratios : array (m,)
+        The same of each parameter by itself.
+    scale_ratio : float
+        The same of the logarithm of the scene's scale; NaN where the scale is not free.
+    information_bits : float
+        What the data added to the prior: half the logarithm (base 2) of the ratio of determinants.
+    status : str
+        `DETERMINED` if nothing but the scale keeps a ratio above `UNDETERMINED_RATIO`; `PARTLY` if at least half
+        of the directions do not; else `UNDETERMINED`.
+    """
+
+    ratios: Array
+    directions: Array
+    parameter_ratios: Array
+    scale_ratio: float
+    information_bits: float
+    status: str
+
+
+def observability(parameters: ParameterSet, reference: int, values: Array, covariance: Array) -> Observability:
+    """Compare a posterior (values (m,), covariance (m, m)) with the prior."""
+    std = parameters.prior_std
+    whitened = covariance / np.outer(std, std)
+    eigenvalues, vectors = np.linalg.eigh((whitened + whitened.T) / 2.0)
+    ratios = np.sqrt(np.maximum(eigenvalues, 0.0))
+    directions = vectors.T * np.sign(vectors.T[np.arange(len(std)), np.abs(vectors.T).argmax(axis=1)])[:, None]
+    scale_ratio = np.nan
+    allowed = 0
+    _, gradient = log_scale(parameters, reference, values)
+    if gradient.any():
+        prior = float((gradient**2 * std**2).sum())
+        scale_ratio = float(np.sqrt(gradient @ covariance @ gradient / prior))
+        allowed = int(scale_ratio > UNDETERMINED_RATIO)
+    open_directions = int((ratios > UNDETERMINED_RATIO).sum())
+    status = PARTLY if open_directions <= len(std) // 2 else UNDETERMINED
+    if open_directions <= allowed:
+        status = DETERMINED
+    bits = -0.5 * float(np.log2(np.maximum(eigenvalues, 1e-300)).sum())
+    own = np.sqrt(np.diag(covariance)) / std
+    return Observability(ratios, directions, own, scale_ratio, bits, status)
+
+
+def laplace_draws(
+    parameters: ParameterSet, reference: int, values: Array, covariance: Array, count: int, rng: np.random.Generator
+) -> Array:
+    """Draw from the posterior that an optimum and its covariance mean: normal, but for what the scale does.
+
+    Where the scale is free the data know the directions of the cameras, and the centres lie in a cone: at a larger
+    scale they are spread as much wider. A step z ~ N(0, S) is split, with the gradient g of log s, into what goes with
+    the scale and what does not,
+
+        z = a S g / (g^T S g) + w,    a = g^T z,    g^T w = 0,
+
+    and the part of w that moves centres is multiplied by the factor 1 + a on the scale.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    reference : int
+        Index of the reference camera.
+    values, covariance : arrays (m,), (m, m)
+    count : int
+    rng : Generator
+
+    Returns
+    -------
+    array (count, m)
+    """
+    steps = rng.standard_normal((count, parameters.size)) @ np.linalg.cholesky(covariance).T
+    _, gradient = log_scale(parameters, reference, values)
+    if not gradient.any():
+        return np.asarray(values + steps)
+    amount = steps @ gradient
+    along = covariance @ gradient / (gradient @ covariance @ gradient)
+    rest = steps - amount[:, None] * along
+    # a scene turned inside out does not go with the data
+    amount = np.maximum(amount, LEAST_SCALE - 1.0)
+    centers = np.array([parameter.name in CENTER for parameter in parameters.parameters])
+    rest[:, centers] *= 1.0 + amount[:, None]
+    return np.asarray(values + amount[:, None] * along + rest)
+
+
+@dataclass(frozen=True)
+class PoseSpread:
+    """Root mean square errors that a covariance of parameters means for a camera.
+
+    Attributes
+    ----------
+    rotation : float
+        rad.
+    direction : float
+        Of the translation from the reference, rad.
+    scale : float
+        Of the logarithm of its length.
+    center : float
+        Length.
+    """
+
+    rotation: float
+    direction: float
+    scale: float
+    center: float
+
+
+def pose_spread(parameters: ParameterSet, reference: int, values: Array, covariance: Array, camera: str) -> PoseSpread:
+    """Spread of the pose of a camera under values (m,) with covariance (m, m)."""
+    cameras = {c.name: c for c in parameters.build(values)}
+    offset = cameras[camera].pose.center - parameters.cameras[reference].pose.center
+    distance = float(np.linalg.norm(offset))
+    center = _block(parameters.index(camera, CENTER), covariance)
+    rotation = _block(parameters.index(camera, ROTATION), covariance)
+    if distance == 0.0:
+        return PoseSpread(_root_trace(rotation), np.nan, np.nan, _root_trace(center))
+    unit = offset / distance
+    across = (np.eye(3) - np.outer(unit, unit)) / distance
+    return PoseSpread(
+        _root_trace(rotation),
+        _root_trace(across @ center @ across),
+        float(np.sqrt(unit @ center @ unit)) / distance,
+        _root_trace(center),
+    )
+
+
+def _block(columns: NDArray[np.int64], covariance: Array) -> Array:
+    """Covariance (3, 3) of three quantities, zero where one is known."""
+    used = columns >= 0
+    block = np.zeros((3, 3))
+    block[np.ix_(used, used)] = covariance[np.ix_(columns[used], columns[used])]
+    return block
+
+
+def _root_trace(matrix: Array) -> float:
+    return float(np.sqrt(max(np.trace(matrix), 0.0)))

@@ -1,0 +1,140 @@
+"""What a filter is fed with: the cameras, and events of one camera at one time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
+from stereophd.core.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Event:
+    """The detections of one camera at one time, undistorted.
+
+    Attributes
+    ----------
+    time_s : float
+        Time, s.
+    camera : int
+        Index of the camera in the rig.
+    points : array (m, 2)
+        Undistorted pixels, ordered by u, so that results do not depend on the order in the log.
+    covariances : array (m, 2, 2)
+        Noise of the undistorted pixels, px^2.
+    areas : array (m,)
+        Area of an undistorted pixel per distorted pixel: turns densities over the undistorted plane
+        into densities over the image, where clutter and births are uniform.
+    delays : array (m,), optional
+        Time of each detection after `time_s`, s, of a rolling shutter; None: all are of that time.
+    """
+
+    time_s: float
+    camera: int
+    points: Array
+    covariances: Array
+    areas: Array
+    delays: Array | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The cameras, each with its disparity space.
+
+    Attributes
+    ----------
+    cameras : tuple of Camera
+        In the order of the configuration.
+    baseline : float
+        Of the abstract rectified companions, length.
+    rectification : {"horizontal", "vertical"}
+        Of the companions.
+    packed : array (c, 30)
+        Packed spaces at time 0; valid at any time if no camera moves.
+    moving : bool
+        Whether any camera moves.
+    region : array (8,), optional
+        Where objects can be: x, y, z from and to in the world, nearest and farthest depth before the
+        camera that saw them last.
+    """
+
+    cameras: tuple[Camera, ...]
+    baseline: float
+    rectification: Literal["horizontal", "vertical"]
+    packed: Array
+    moving: bool
+    region: Array | None = None
+
+    def space(self, camera: int, time_s: float) -> Array:
+        """Packed space (30,) of a camera at a time."""
+        if not self.moving:
+            return np.asarray(self.packed[camera])
+        frozen = self.cameras[camera].at(time_s)
+        return DisparitySpace(frozen, self.baseline, self.rectification).packed()
+
+    def spaces(self, cameras: NDArray[np.int64], times: Array) -> Array:
+        """Packed spaces (n, 30) of components, each at home in a camera at a time."""
+        if not self.moving:
+            return self.packed.take(cameras, axis=0)
+        out = np.empty((len(cameras), PACKED_SIZE))
+        for camera, time_s in set(zip(cameras.tolist(), times.tolist(), strict=True)):
+            out[(cameras == camera) & (times == time_s)] = self.space(camera, time_s)
+        return out
+
+
+def make_rig(
+    cameras: Sequence[Camera],
+    baseline: float,
+    rectification: Literal["horizontal", "vertical"],
+    region: Array | None = None,
+) -> Rig:
+    """Build the rig of these cameras."""
+    packed = np.stack([DisparitySpace(c.at(0.0), baseline, rectification).packed() for c in cameras])
+    moving = any(not camera.pose.is_static for camera in cameras)
+    return Rig(tuple(cameras), baseline, rectification, packed, moving, region)
+
+
+def make_event(camera: Camera, index: int, time_s: float, pixels: Array, sigma: Array | None = None) -> Event:
+    """Undistort the detections of a frame, carrying their noise through the Jacobian.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera that made them.
+    index : int
+        Its index in the rig.
+    time_s : float
+        Time of the frame, s.
+    pixels : array (m, 2)
+        Distorted pixels, as in the log.
+    sigma : array (m, 2), optional
+        Standard deviations of the detections, px; by default the detector's.
+
+    Returns
+    -------
+    Event
+        Without the detections at which the lens model cannot be inverted.
+    """
+    std = np.broadcast_to(np.asarray(camera.detector.sigma, dtype=float) if sigma is None else sigma, pixels.shape)
+    if camera.lens.code == 0:
+        order = np.lexsort((pixels[:, 1], pixels[:, 0]))
+        covariances = np.zeros((len(pixels), 2, 2))
+        covariances[:, 0, 0] = std[order, 0] ** 2
+        covariances[:, 1, 1] = std[order, 1] ** 2
+        delays = camera.row_delays(pixels[order, 1])
+        return Event(time_s, index, pixels[order], covariances, np.ones(len(pixels)), delays)
+    points, jacobian = camera.undistort_pixels(pixels)
+    scaled = jacobian * std[:, None, :]
+    covariances = scaled @ np.swapaxes(scaled, 1, 2)
+    areas = np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])
+    order = np.lexsort((points[:, 1], points[:, 0]))
+    order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
+    delays = camera.row_delays(pixels[order, 1])
+    return Event(time_s, index, points[order], covariances[order], areas[order], delays)

@@ -1,0 +1,151 @@
+"""The Gaussian of an object that one camera has just seen for the first time (paper V-A).
+
+The pixel is observed; the depth comes from a prior on disparity, the velocity from N(0, sigma^2 I) in the
+world. Mapped to disparity space the velocity is
+
+    du = d a_u . v,  dv = d a_v . v,  dd = d^2 a_d . v,      (v in the camera's axes)
+
+with a_u = (fx, 0, cx - u) / s, a_v = (0, fy, cy - v) / s, a_d = (0, 0, -1) / s and s = f b: a polynomial
+in the disparity. Its moments under the prior are therefore known in closed form, and the Gaussian
+given here is the one that infinitely many samples would give. (A diagonal prior in px/s would lose
+near, fast objects and make far ones fly; the paper's experiments use one, so it can be had.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.space import BASELINE, VERTICAL
+from stereophd.core.geometry.layout import CX, CY, FX, FY
+from stereophd.core.numerics.compilation import compiled
+
+Array = NDArray[np.float64]
+
+# Distance in standard deviations of disparity at which a depth range ends.
+DEPTH_RANGE_SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class InitialPrior:
+    """Prior of what the first detection of an object does not tell.
+
+    Attributes
+    ----------
+    disparity : tuple of float or None
+        Mean and standard deviation of the disparity, px.
+    depth_range : tuple of float or None
+        Instead of `disparity`, near and far depth: two standard deviations either side of the mean.
+    velocity_std : float
+        Standard deviation of each component of velocity in the world, length/s.
+    disparity_velocity_std : tuple of float or None
+        Instead of `velocity_std`, standard deviations of du, dv and dd, px/s, about 0.
+
+    Raises
+    ------
+    ValueError
+        Unless exactly one of `disparity` and `depth_range` is given.
+    """
+
+    disparity: tuple[float, float] | None = None
+    depth_range: tuple[float, float] | None = None
+    velocity_std: float = 0.0
+    disparity_velocity_std: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.disparity is None) == (self.depth_range is None):
+            raise ValueError("prior: expected exactly one of disparity and depth_range")
+
+    def disparity_moments(self, space: Array) -> tuple[float, float]:
+        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
+        return disparity_moments(self.disparity, self.depth_range, space)
+
+    def moments(self, points: Array, noises: Array, space: Array, size: int) -> tuple[Array, Array]:
+        """Means (m, d) and covariances (m, d, d) of objects first seen at `points`: see `initial_moments`."""
+        mean, std = self.disparity_moments(space)
+        means, covariances = initial_moments(points, noises, space, mean, std, self.velocity_std, size)
+        if size == 6 and self.disparity_velocity_std is not None:
+            covariances[:, 3:, 3:] = np.diag(np.square(self.disparity_velocity_std))
+        return means, covariances
+
+
+def disparity_moments(
+    disparity: tuple[float, float] | None, depth_range: tuple[float, float] | None, space: Array
+) -> tuple[float, float]:
+    """Mean and standard deviation of the disparity (px) in a packed space (30,), given either prior."""
+    if disparity is not None:
+        return disparity
+    assert depth_range is not None
+    scale = float((space[FY] if space[VERTICAL] == 1.0 else space[FX]) * space[BASELINE])
+    near, far = scale / depth_range[0], scale / depth_range[1]
+    return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)
+
+
+@compiled
+def initial_moments(
+    points: Array,
+    noises: Array,
+    space: Array,
+    mean: float,
+    std: float,
+    velocity_std: float,
+    size: int,
+    delays: Array | None = None,
+) -> tuple[Array, Array]:
+    """Gaussians of objects of which nothing but one detection each is known.
+
+    Parameters
+    ----------
+    points, noises : arrays (m, 2), (m, 2, 2)
+        Undistorted pixels, and their covariances, px^2.
+    space : array (30,)
+        Packed space of the camera that saw them.
+    mean, std : float
+        Prior of the disparity, px.
+    velocity_std : float
+        Standard deviation of each component of velocity in the world, length/s.
+    size : int
+        6, or 3 for static objects.
+    delays : array (m,), optional
+        Time of each detection after that of the Gaussian, s.
+
+    Returns
+    -------
+    means, covariances : arrays (m, d), (m, d, d)
+        In the camera's disparity space, given the detection.
+    """
+    count = len(points)
+    means = np.zeros((count, size))
+    covariances = np.zeros((count, size, size))
+    focal = space[FY] if space[VERTICAL] == 1.0 else space[FX]
+    scale = focal * space[BASELINE]
+    # rows of the map from camera velocity to (du / d, dv / d, dd / d^2)
+    rows = np.zeros((3, 3))
+    rows[0, 0], rows[1, 1], rows[2, 2] = space[FX] / scale, space[FY] / scale, -1.0 / scale
+    # E[d^2], E[d^3], E[d^4] of the prior, by the powers of d that each pair of components carries
+    second = mean**2 + std**2
+    third = mean**3 + 3.0 * mean * std**2
+    fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
+    for j in range(count):
+        means[j, :2] = points[j]
+        means[j, 2] = mean
+        covariances[j, :2, :2] = noises[j]
+        covariances[j, 2, 2] = std**2
+        if size == 3:
+            continue
+        rows[0, 2] = (space[CX] - points[j, 0]) / scale
+        rows[1, 2] = (space[CY] - points[j, 1]) / scale
+        for a in range(3):
+            for b in range(3):
+                power = second if a < 2 and b < 2 else (fourth if a == 2 and b == 2 else third)
+                product = rows[a, 0] * rows[b, 0] + rows[a, 1] * rows[b, 1] + rows[a, 2] * rows[b, 2]
+                variance = product * velocity_std**2 * power
+                covariances[j, 3 + a, 3 + b] = variance
+                if delays is not None:
+                    # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
+                    covariances[j, a, b] += delays[j] ** 2 * variance
+                    covariances[j, a, 3 + b] = -delays[j] * variance
+                    covariances[j, 3 + a, b] = -delays[j] * variance
+    return means, covariances

@@ -1,0 +1,229 @@
+"""Gaussians carried between disparity spaces: particle, quasi-Monte Carlo, unscented and linear moves.
+
+`move` is the paper's particle prediction and particle move (IV-B a-e, V-B, Algorithm 2) with the split
+of a component into a detected and a missed part by the field of view (VI-C, Fig. 8). The part in view
+is a Gaussian in the destination's space; the part that is not seen keeps a Gaussian in the space and at
+the time that it came from, because beyond the field of view (and behind the camera) the destination's
+space describes it badly. No covariance that leaves this module is rank-deficient.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity import kernels, linear_kernels
+from stereophd.core.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
+from stereophd.core.disparity.move_kernels import Look, allocate_moved, carry_components, noise_axes
+from stereophd.core.disparity.rule_kernels import rule_components
+from stereophd.core.motion.models import ConstantVelocity, Motion
+from stereophd.core.numerics.samples import SampleSets, cubature_points
+
+__all__ = ["IN_VIEW", "OUT_OF_VIEW", "PARTLY_IN_VIEW", "Moved", "minimum_in_view", "move", "world_moments"]
+
+Array = NDArray[np.float64]
+
+# A Gaussian refitted from fewer samples than this is rank-deficient or soon overconfident.
+FEWEST_SAMPLES = 24
+# Components whose disparity is known no better than to this fraction are not worth a try with a low-order rule.
+WIDEST_RULE = 0.5
+NO_REGION = np.empty(0)
+NO_ACCELERATION = np.zeros(3)
+# Below this many sample trips a step is over before a second thread has started.
+TRIPS_PER_THREAD = 20_000
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Components carried into the disparity space of one camera at one time.
+
+    Attributes
+    ----------
+    means, covariances : arrays (n, d), (n, d, d)
+        The part in view, in the destination's space; only where `status` is not `OUT_OF_VIEW`.
+    fraction : array (n,)
+        Part of the component that is in view, 0 to 1.
+    status : array (n,) of int
+        `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`.
+    missed_means, missed_covariances : arrays (n, d), (n, d, d)
+        The part that was not detected, in the space and at the time of origin; only where `status` is
+        `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1 (of a component wholly in view the missed
+        part has the shape of the whole).
+    inside : array (n,)
+        Part of the component inside the region; what lies outside is left out of all of the above.
+    """
+
+    means: Array
+    covariances: Array
+    fraction: Array
+    status: NDArray[np.int64]
+    missed_means: Array
+    missed_covariances: Array
+    inside: Array
+
+    @property
+    def arrays(self) -> kernels.MovedArrays:
+        """The fields, in order: what compiled code takes."""
+        return (
+            self.means, self.covariances, self.fraction, self.status, self.missed_means, self.missed_covariances,
+            self.inside,
+        )  # fmt: skip
+
+
+def minimum_in_view(samples: int) -> int:
+    """Fewest samples in view from which a Gaussian is fitted: 24, or an eighth, of at least 48."""
+    return max(min(FEWEST_SAMPLES, samples // 2), samples // 8)
+
+
+def move(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    destination: Array,
+    motion: Motion,
+    sets: SampleSets,
+    turn: int,
+    p_detect: float = 1.0,
+    important: NDArray[np.bool_] | None = None,
+    threads: int = 1,
+    region: Array | None = None,
+) -> Moved:
+    """Carry Gaussians into the disparity space of a camera, over an interval of time.
+
+    Parameters
+    ----------
+    means, covariances : arrays (n, d), (n, d, d)
+        Gaussians in the disparity spaces of their home cameras; d is 6, or 3 for static objects.
+    homes : array (n, 30)
+        Packed home space of each component (`DisparitySpace.packed`), at the component's time.
+    dts : array (n,)
+        Time from each component to the destination, s; any sign.
+    destination : array (30,)
+        Packed space to go to.
+    motion : Motion
+        How objects move in the world.
+    sets : SampleSets
+        Samples, and with them the method.
+    turn : int
+        Number of the event: picks the set.
+    p_detect : float
+        Probability of detection inside the image, for the shape of the missed part: 0 leaves it as it was.
+    important : array (n,) of bool, optional
+        Components to look at with more samples when too few are in view: an object at the edge of the
+        field of view would otherwise be taken for a new one.
+    threads : int
+        Components are shared out over this many threads; the result does not depend on it.
+    region : array (8,), optional
+        Where objects can be: see `stereophd.core.disparity.kernels.region_mask`.
+
+    Returns
+    -------
+    Moved
+    """
+    samples = sets.turn(turn)
+    first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
+    second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
+    moved = allocate_moved(*means.shape)
+    region = NO_REGION if region is None else region
+    important = np.zeros(len(means), dtype=bool) if important is None else important
+    which = np.arange(len(means))
+    if sets.method in ("adaptive", "unscented", "linear"):
+        which = _low_order(means, covariances, homes, dts, destination, motion, sets, region, moved)
+
+    def run(part: slice) -> None:
+        carry_components(
+            which[part], means, covariances, homes, dts, important, first, second, destination,
+            _acceleration(motion), p_detect, _max_speed(motion), region, moved,
+        )  # fmt: skip
+
+    slices = _slices(len(which), samples.shape[1], threads)
+    if len(slices) == 1:
+        run(slices[0])
+    else:
+        list(_pool(threads).map(run, slices))
+    return Moved(*moved)
+
+
+def world_moments(
+    means: Array, covariances: Array, homes: Array, dts: Array, motion: Motion, sets: SampleSets, turn: int
+) -> tuple[Array, Array]:
+    """Mean (n, 6) and covariance (n, 6, 6) in the world of Gaussians in disparity space, after `dts`.
+
+    By the moments of the samples. A component whose mean disparity is not positive is at infinity and
+    has no position: its rows are NaN. Samples more than ten times further away than the mean are left
+    out (a Gaussian in disparity has no moments in depth). For static objects the velocity is 0.
+    Parameters as `move`.
+    """
+    out_means = np.empty((len(means), 6))
+    out_covariances = np.empty((len(means), 6, 6))
+    linear_kernels.world_components(
+        means, covariances, homes, dts, sets.turn(turn), _acceleration(motion), _max_speed(motion), out_means,
+        out_covariances,
+    )  # fmt: skip
+    return out_means, out_covariances
+
+
+def _max_speed(motion: Motion) -> float:
+    speed = motion.max_speed if isinstance(motion, ConstantVelocity) else None
+    return np.inf if speed is None else float(speed)
+
+
+def _acceleration(motion: Motion) -> Array:
+    # a copy, because compiled code takes a read-only array for another type, and would be compiled twice
+    return motion.acceleration_std.copy() if isinstance(motion, ConstantVelocity) else NO_ACCELERATION
+
+
+@cache
+def _equal_weights(samples: int) -> Array:
+    return np.ones(samples)
+
+
+@cache
+def _rule_points(rows: int) -> Array:
+    return np.concatenate([cubature_points(rows), np.zeros((rows, 1))], axis=1)
+
+
+def _low_order(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    destination: Array,
+    motion: Motion,
+    sets: SampleSets,
+    region: Array,
+    moved: kernels.MovedArrays,
+) -> NDArray[np.intp]:
+    """Move by the unscented or the linear rule; return which components still need samples."""
+    points = _rule_points(12 if means.shape[1] == 6 else 3)
+    axes = noise_axes(destination, _acceleration(motion))
+    adaptive = sets.method == "adaptive"
+    todo = rule_components(
+        means, covariances, homes, dts, points, kernels.motion_noise(points, axes), destination,
+        _max_speed(motion), region, WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf,
+        moved,
+    )  # fmt: skip
+    if sets.method == "linear":
+        linear_kernels.linear_components(
+            means, covariances, homes, dts, axes, destination, _max_speed(motion), moved[0], moved[1]
+        )
+    return todo
+
+
+def _slices(count: int, samples: int, threads: int) -> list[slice]:
+    parts = max(1, min(threads, count * samples // TRIPS_PER_THREAD))
+    if parts == 1:
+        return [slice(0, count)]
+    bounds = np.linspace(0, count, parts + 1).astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads)

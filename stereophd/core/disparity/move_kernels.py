@@ -1,0 +1,248 @@
+"""Compiled move of Gaussians into the disparity space of a camera (paper IV-B a-f, V-B, VI-C).
+
+Made of the trips of `stereophd.core.disparity.kernels`: samples, trips, field of view, moments, and a second look, with
+more samples, at components of which only a corner is in view.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.kernels import (
+    IN_VIEW,
+    OUT_OF_VIEW,
+    PARTLY_IN_VIEW,
+    MovedArrays,
+    motion_noise,
+    moving_trips,
+    region_mask,
+    static_trips,
+    view_mask,
+)
+from stereophd.core.geometry.layout import ROTATION
+from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A component whose disparity is known to better than this fraction has no tail to look for.
+WIDE_DISPARITY = 0.05
+
+
+class Look(NamedTuple):
+    """Samples to look at components with.
+
+    Attributes
+    ----------
+    samples : array (rows, n)
+        Standard-normal samples.
+    weights : array (n,)
+        Of the samples.
+    minimum : int
+        Fewest (effective) samples in view from which a Gaussian is fitted.
+    """
+
+    samples: Array
+    weights: Array
+    minimum: int
+
+
+@compiled
+def allocate_moved(count: int, size: int) -> MovedArrays:
+    """Return the fields of `stereophd.core.disparity.moments.Moved`, nothing in view."""
+    return (
+        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
+        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
+    )  # fmt: skip
+
+
+@compiled
+def carry_components(
+    which: Integers,
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    important: NDArray[np.bool_],
+    first: Look,
+    second: Look,
+    destination: Array,
+    acceleration_std: Array,
+    p_detect: float,
+    max_speed: float,
+    region: Array,
+    moved: MovedArrays,
+) -> None:
+    """Move the components `which` into the destination's space, with a second look at corners of what is important.
+
+    Component by component, with no state shared between them: results do not depend on how the
+    components are shared out over threads. Parameters as in `stereophd.core.disparity.moments.move`;
+    `region` is packed as for `region_mask`, or empty; `moved` is the tuple (means, covariances, fraction,
+    status, missed_means, missed_covariances, inside), filled in place.
+    """
+    move_components(
+        which, means, covariances, homes, dts, first, destination, acceleration_std, p_detect, max_speed, region, moved
+    )
+    fraction, status = moved[2], moved[3]
+    corners = np.empty(len(which), dtype=np.int64)
+    found = 0
+    for k in which:
+        wide = covariances[k, 2, 2] > (WIDE_DISPARITY * means[k, 2]) ** 2
+        if important[k] and status[k] == OUT_OF_VIEW and (wide or fraction[k] > 0.0):
+            corners[found] = k
+            found += 1
+    if found > 0:
+        move_components(
+            corners[:found], means, covariances, homes, dts, second, destination, acceleration_std, p_detect,
+            max_speed, region, moved,
+        )  # fmt: skip
+    for k in which:
+        if status[k] == OUT_OF_VIEW:
+            fraction[k] = 0.0
+
+
+@compiled
+def noise_axes(destination: Array, acceleration_std: Array) -> Array:
+    """Return the world's axes in the destination's, times the acceleration's standard deviation along them (3, 3)."""
+    axes = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            axes[a, b] = destination[ROTATION + 3 * a + b] * acceleration_std[b]
+    return axes
+
+
+@compiled
+def move_components(
+    which: Integers,
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    look: Look,
+    destination: Array,
+    acceleration_std: Array,
+    p_detect: float,
+    max_speed: float,
+    region: Array,
+    moved: MovedArrays,
+) -> None:
+    """Move the components `which` into the destination's space and split them by the field of view.
+
+    Component by component, with no state shared between them; parameters as in `carry_components`.
+    """
+    samples, sample_weights, minimum = look
+    noise = motion_noise(samples, noise_axes(destination, acceleration_std))
+    out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
+    size = means.shape[1]
+    count = samples.shape[1]
+    points = np.empty((size + 1, count))
+    mask = np.empty(count)
+    seen_weights = np.empty(count)
+    weights = sample_weights.copy()
+    factor = np.empty((size, size))
+    scratch = np.empty((size, size))
+    for k in which:
+        status[k] = OUT_OF_VIEW
+        fraction[k] = 0.0
+        inside[k] = 1.0
+        if not cholesky(covariances[k], factor):
+            continue
+        if size == 6:
+            interval = abs(dts[k])
+            velocity_noise = math.sqrt(interval)
+            position_noise = velocity_noise * dts[k]
+            moving_trips(
+                means[k], factor, samples, noise, position_noise, velocity_noise,
+                homes[k], destination, dts[k], max_speed, points,
+            )  # fmt: skip
+        else:
+            static_trips(means[k], factor, samples, homes[k], destination, points)
+        if len(region) > 0:
+            inside[k] = region_mask(points, destination, homes[k], region, sample_weights, weights)
+            if inside[k] == 0.0:
+                continue
+        view_mask(points, destination, mask)
+        whole_weight, seen_weight, squares, unseen_weight = _weigh(mask, weights, seen_weights)
+        fraction[k] = seen_weight / whole_weight if unseen_weight > 0.0 else 1.0
+        # the effective number of samples: their count, where all weigh the same
+        if seen_weight * seen_weight >= minimum * squares and seen_weight > 0.0:
+            weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
+            if condition(out_covariances[k], scratch):
+                status[k] = PARTLY_IN_VIEW if unseen_weight > 0.0 else IN_VIEW
+        if status[k] == OUT_OF_VIEW:
+            mask[:] = 0.0
+        if status[k] == PARTLY_IN_VIEW and p_detect == 0.0 and inside[k] == 1.0:
+            missed_means[k] = means[k]
+            missed_covariances[k] = covariances[k]
+        elif status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
+            missed_moments(
+                means[k], factor, samples, weights, mask, p_detect, minimum,
+                missed_means[k], missed_covariances[k],
+            )  # fmt: skip
+            if not condition(missed_covariances[k], scratch):
+                missed_means[k] = means[k]
+                missed_covariances[k] = covariances[k]
+
+
+@compiled
+def missed_moments(
+    mean: Array,
+    factor: Array,
+    samples: Array,
+    sample_weights: Array,
+    mask: Array,
+    p_detect: float,
+    minimum: int,
+    missed_mean: Array,
+    missed_covariance: Array,
+) -> None:
+    """Gaussian (in its own space) of the part of a component that was not detected (paper VI-C, Fig. 8).
+
+    The samples are weighted by their own weight times 1 - p_detect in view and 1 outside; where too few
+    effective samples remain to carry a covariance, the Gaussian is kept and only its weight changes.
+    """
+    size = mean.shape[0]
+    count = samples.shape[1]
+    weights = np.empty(count)
+    total = 0.0
+    squares = 0.0
+    for i in range(count):
+        weights[i] = sample_weights[i] * (1.0 - p_detect * mask[i])
+        total += weights[i]
+        squares += weights[i] * weights[i]
+    unit_mean = np.zeros(size)
+    unit_covariance = np.eye(size)
+    if total * total >= minimum * squares and total > 0.0:
+        points = samples[:size].copy()
+        weighted_moments(points, weights, total, unit_mean, unit_covariance)
+    for a in range(size):
+        missed_mean[a] = mean[a]
+        for b in range(a + 1):
+            missed_mean[a] += factor[a, b] * unit_mean[b]
+    for a in range(size):
+        for b in range(a + 1):
+            value = 0.0
+            for c in range(a + 1):
+                for d in range(b + 1):
+                    value += factor[a, c] * unit_covariance[c, d] * factor[b, d]
+            missed_covariance[a, b] = value
+            missed_covariance[b, a] = value
+
+
+@compiled
+def _weigh(mask: Array, weights: Array, seen_weights: Array) -> tuple[float, float, float, float]:
+    """Fill the weights of the samples in view; sums of all weights, of these, of their squares, and of the others."""
+    whole = seen = squares = unseen = 0.0
+    for i in range(len(mask)):
+        weight = mask[i] * weights[i]
+        seen_weights[i] = weight
+        whole += weights[i]
+        seen += weight
+        squares += weight * weight
+        unseen += (1.0 - mask[i]) * weights[i]
+    return whole, seen, squares, unseen

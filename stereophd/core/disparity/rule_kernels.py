@@ -1,0 +1,139 @@
+"""Compiled low-order rule for moves between disparity spaces, with a measure of how well it fits.
+
+The cubature rule (Arasaratnam and Haykin 2009; the unscented transform with kappa = 0) carries the points
+mean +- sqrt(n) L e_i of the n coordinates of state and motion noise over. The even part of the map along each,
+
+    s_i = (f(+i) + f(-i)) / 2 - f(mean),
+
+vanishes for a linear map. With the covariance P of the images,
+
+    N = sqrt(sum_i s_i' P^-1 s_i) / n
+
+measures the non-linearity of the map over the Gaussian: the curvature of one standard deviation, in standard
+deviations of the result. Where N is small the rule is as good as any number of samples.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.kernels import (
+    IN_VIEW,
+    OUT_OF_VIEW,
+    MovedArrays,
+    moving_trips,
+    region_mask,
+    static_trips,
+    view_mask,
+)
+from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
+
+Array = NDArray[np.float64]
+
+# A point of the rule stands for no share of the Gaussian: none may be outside the region.
+NO_SLACK = 1.0
+
+
+@compiled
+def rule_components(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    dts: Array,
+    points: Array,
+    noise: Array,
+    destination: Array,
+    max_speed: float,
+    region: Array,
+    widest: float,
+    max_nonlinearity: float,
+    moved: MovedArrays,
+) -> NDArray[np.intp]:
+    """Move components by the rule; return those (in order) that need samples instead.
+
+    These are the components with a point outside the image or the region (a handful of points says nothing
+    about which part of a Gaussian is in view), and those for which the measure exceeds `max_nonlinearity`.
+
+    Parameters
+    ----------
+    points : array (rows, 2 n + 1)
+        Points of the rule, positive ones first, then their mirror images, then the mean.
+    noise : array (6, 2 n + 1)
+        Motion noise of the points (`motion_noise`), or (6, 0) for static objects.
+    widest : float
+        Components whose disparity is known no better than to this fraction are not tried.
+    max_nonlinearity : float
+        Limit of N; infinity for none.
+    moved : tuple
+        As `stereophd.core.disparity.move_kernels.carry_components` fills it; filled where the rule does.
+
+    Other parameters as there.
+    """
+    out_means, out_covariances, fraction, status, inside = moved[0], moved[1], moved[2], moved[3], moved[6]
+    size = means.shape[1]
+    count = points.shape[1]
+    images = np.empty((size + 1, count))
+    kept = np.empty((size, count))
+    mask = np.empty(count)
+    weights = np.ones(count)
+    weights[count - 1] = 0.0
+    unit = np.ones(count)
+    scratch_weights = np.empty(count)
+    factor = np.empty((size, size))
+    scratch = np.empty((size, size))
+    todo = np.empty(len(means), dtype=np.intp)
+    n_todo = 0
+    limits = np.empty(9)
+    if len(region) > 0:
+        limits[:8] = region[:8]
+        limits[8] = NO_SLACK
+    for k in range(len(means)):
+        todo[n_todo] = k
+        n_todo += 1
+        status[k], fraction[k], inside[k] = OUT_OF_VIEW, 0.0, 1.0
+        if covariances[k, 2, 2] > (widest * means[k, 2]) ** 2 or not cholesky(covariances[k], factor):
+            continue
+        if size == 6:
+            spread = math.sqrt(abs(dts[k]))
+            moving_trips(
+                means[k], factor, points, noise, spread * dts[k], spread, homes[k], destination, dts[k], max_speed,
+                images,
+            )  # fmt: skip
+        else:
+            static_trips(means[k], factor, points, homes[k], destination, images)
+        if view_mask(images, destination, mask) < count:
+            continue
+        if len(region) > 0 and region_mask(images, destination, homes[k], limits, unit, scratch_weights) < 1.0:
+            continue
+        kept[:] = images[:size]
+        weighted_moments(images, weights, count - 1.0, out_means[k], out_covariances[k])
+        if not condition(out_covariances[k], scratch):
+            continue
+        if max_nonlinearity < np.inf:
+            cholesky(out_covariances[k], scratch)
+            if not _nonlinearity(kept, scratch) <= max_nonlinearity:
+                continue
+        status[k], fraction[k] = IN_VIEW, 1.0
+        n_todo -= 1
+    return todo[:n_todo]
+
+
+@compiled
+def _nonlinearity(images: Array, factor: Array) -> float:
+    """The measure N of images (d, 2 n + 1), given the Cholesky factor of their covariance (d, d)."""
+    size, count = images.shape
+    half = (count - 1) // 2
+    total = 0.0
+    even = np.empty(size)
+    for i in range(half):
+        for a in range(size):
+            value = 0.5 * (images[a, i] + images[a, half + i]) - images[a, count - 1]
+            for b in range(a):
+                value -= factor[a, b] * even[b]
+            even[a] = value / factor[a, a]
+            total += even[a] * even[a]
+    return float(math.sqrt(total) / half)

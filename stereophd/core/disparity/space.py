@@ -1,0 +1,131 @@
+"""Disparity space of a camera and its abstract rectified companion (paper III, V-B).
+
+A point is ``y = (u, v, d)``: the undistorted pixel of the camera and the disparity
+``d = f * baseline / z`` towards a companion that differs from it only by the baseline, beside the
+camera (horizontal rectification, ``f = fx``) or below it (vertical, ``f = fy``). With velocity the
+state is ``(u, v, d, du, dv, dd)``, per second. ``d <= 0`` is at or beyond infinity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.layout import PACKED_SIZE as CAMERA_SIZE
+
+Array = NDArray[np.float64]
+
+# Layout of a packed space: Camera.packed() first, then these two.
+BASELINE = CAMERA_SIZE
+VERTICAL = CAMERA_SIZE + 1
+PACKED_SIZE = CAMERA_SIZE + 2
+
+
+@dataclass(frozen=True)
+class DisparitySpace:
+    """Disparity space of one camera.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera whose undistorted image the space extends, frozen at one time.
+    baseline : float
+        Distance to the abstract companion, in the unit of length of the world.
+    rectification : {"horizontal", "vertical"}
+        Direction of the baseline in the image.
+    """
+
+    camera: Camera
+    baseline: float = 1.0
+    rectification: Literal["horizontal", "vertical"] = "horizontal"
+
+    @property
+    def disparity_focal(self) -> float:
+        """Focal length along the baseline, px."""
+        return self.camera.fx if self.rectification == "horizontal" else self.camera.fy
+
+    @property
+    def companion_projection(self) -> Array:
+        """Projection matrix (3, 4) of the companion: ``K [I | t]`` with t = baseline along its axis."""
+        projection = self.camera.projection_matrix.copy()
+        row = 0 if self.rectification == "horizontal" else 1
+        projection[row, 3] += self.disparity_focal * self.baseline
+        return projection
+
+    @property
+    def projective_matrix(self) -> Array:
+        """``P_d`` (4, 4) of eq. (3): homogeneous world (x, y, z, 1) to homogeneous (u, v, d, 1)."""
+        left = self.camera.projection_matrix
+        row = 0 if self.rectification == "horizontal" else 1
+        return np.stack([left[0], left[1], self.companion_projection[row] - left[row], left[2]])
+
+    @property
+    def inverse_projective_matrix(self) -> Array:
+        """Inverse of `projective_matrix`, in closed form."""
+        camera = self.camera
+        scale = 1.0 / (self.disparity_focal * self.baseline)
+        # (u, v, d, 1) -> camera coordinates (x, y, z, 1) up to scale: rays on top, inverse depth below
+        to_camera = np.array(
+            [
+                [1.0 / camera.fx, 0.0, 0.0, -camera.cx / camera.fx],
+                [0.0, 1.0 / camera.fy, 0.0, -camera.cy / camera.fy],
+                [0.0, 0.0, 0.0, 1.0],
+                [0.0, 0.0, scale, 0.0],
+            ]
+        )
+        to_world = np.eye(4)
+        to_world[:3, :3] = camera.pose.rotation.T
+        to_world[:3, 3] = camera.pose.center
+        return np.asarray(to_world @ to_camera)
+
+    def observation_matrix(self, companion: bool = False, velocity: bool = False) -> Array:
+        """``H_l`` or, of the companion, ``H_r`` of eq. (4): (2, 3), or (2, 6) with velocity."""
+        matrix = np.zeros((2, 6 if velocity else 3))
+        matrix[0, 0] = matrix[1, 1] = 1.0
+        if companion:
+            matrix[0 if self.rectification == "horizontal" else 1, 2] = 1.0
+        return matrix
+
+    def from_world(self, states: Array) -> Array:
+        """Map world states (n, 3) or (n, 6) to this space (eq. 2).
+
+        Returns states of the same shape; the position is undefined (infinite) only at depth 0.
+        """
+        return _project(self.projective_matrix, np.atleast_2d(states))
+
+    def to_world(self, states: Array) -> Array:
+        """Map states of this space (n, 3) or (n, 6) to the world; infinite where d = 0."""
+        return _project(self.inverse_projective_matrix, np.atleast_2d(states))
+
+    def map_to(self, other: DisparitySpace, states: Array) -> Array:
+        """Map states (n, 3) or (n, 6) of a point at one time into another camera's space.
+
+        The map is the projective ``P_d' P_d^-1``: it is smooth through d = 0 for positions, and
+        singular only where the depth before the other camera is 0.
+        """
+        return _project(other.projective_matrix @ self.inverse_projective_matrix, np.atleast_2d(states))
+
+    def packed(self) -> Array:
+        """Return the space as the flat array (30,) that the compiled kernels read."""
+        vertical = float(self.rectification == "vertical")
+        return np.concatenate([self.camera.packed(), [self.baseline, vertical]])
+
+
+def _project(matrix: Array, states: Array) -> Array:
+    """Apply a homography (4, 4) to points (n, 3), and its differential to velocities, if (n, 6)."""
+    points = states[:, :3]
+    homogeneous = points @ matrix[:3, :3].T + matrix[:3, 3]
+    scale = points @ matrix[3, :3] + matrix[3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mapped = homogeneous / scale[:, None]
+        if states.shape[1] == 3:
+            return np.asarray(mapped)
+        # quotient rule: d(h / s) = (dh - (h / s) ds) / s
+        velocity = states[:, 3:]
+        scale_rate = velocity @ matrix[3, :3]
+        rate = (velocity @ matrix[:3, :3].T - mapped * scale_rate[:, None]) / scale[:, None]
+    return np.concatenate([mapped, rate], axis=1)

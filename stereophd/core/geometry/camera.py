@@ -1,0 +1,279 @@
+"""A camera: pinhole, lens, pose, detector and clock, and the maps between world and pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stereophd.core.geometry import layout
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Time = TypeVar("Time", float, FloatArray)
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Detector:
+    """What a camera's detector does: noise, misses and false detections.
+
+    Parameters
+    ----------
+    sigma : (2,) array_like
+        Standard deviation of a detection along u and v, px (kept as a read-only array).
+    p_detect : float
+        Probability that an object in view is detected.
+    clutter_per_frame : float
+        Mean number of false detections a frame, uniform over the image.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range.
+    """
+
+    sigma: FloatArray
+    p_detect: float
+    clutter_per_frame: float
+
+    def __init__(self, sigma: ArrayLike, p_detect: float, clutter_per_frame: float) -> None:
+        values = np.array(sigma, dtype=np.float64)
+        if values.shape != (2,) or not (values > 0.0).all() or not np.isfinite(values).all():
+            raise ValueError(f"detector: expected two positive standard deviations, found {sigma!r}")
+        if not 0.0 <= p_detect <= 1.0:
+            raise ValueError(f"detector: expected p_detect in [0, 1], found {p_detect}")
+        if not 0.0 <= clutter_per_frame < np.inf:
+            raise ValueError(f"detector: expected clutter_per_frame >= 0, found {clutter_per_frame}")
+        values.setflags(write=False)
+        object.__setattr__(self, "sigma", values)
+        object.__setattr__(self, "p_detect", float(p_detect))
+        object.__setattr__(self, "clutter_per_frame", float(clutter_per_frame))
+
+    def _key(self) -> tuple[float, ...]:
+        return (float(self.sigma[0]), float(self.sigma[1]), self.p_detect, self.clutter_per_frame)
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Detector) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Clock of a camera: true time = offset_s + rate * time in the log, both in seconds."""
+
+    offset_s: float = 0.0
+    rate: float = 1.0
+
+    def to_true(self, t: Time) -> Time:
+        """Return the true time of a time on this clock."""
+        return self.offset_s + self.rate * t
+
+    def to_log(self, t: Time) -> Time:
+        """Return the time on this clock of a true time."""
+        return (t - self.offset_s) / self.rate
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera of a name, with everything that a filter or a simulator needs to know about it.
+
+    Camera axes: x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel (OpenCV).
+    Undistorted pixels are those of the pinhole camera with the same intrinsics; detections are
+    distorted pixels.
+
+    Parameters
+    ----------
+    name : str
+        Name, as in logs and configurations.
+    width, height : int
+        Image size, px.
+    fx, fy : float
+        Focal lengths along u and v, px.
+    cx, cy : float
+        Principal point, px.
+    pose : Pose
+        Pose in the world; of a moving camera, at ``pose.time_s``.
+    lens : Lens
+        Lens distortion.
+    detector : Detector
+        Noise, misses and false detections.
+    frame_rate_hz : float or None
+        Frames per second, for simulation; None if it is not stated.
+    phase_s : float
+        Time of the first frame after the start, s, for simulation.
+    clock : Clock
+        The camera's own clock.
+    readout_s : float
+        Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from
+        the bottom up): what lies in row v, distorted, was seen ``readout_s * v / height`` after the time of
+        the frame, which is that of row 0. Zero: all rows at once.
+
+    Raises
+    ------
+    ValueError
+        If the image size or a focal length is not positive.
+    """
+
+    name: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    pose: Pose
+    lens: Lens
+    detector: Detector
+    frame_rate_hz: float | None = None
+    phase_s: float = 0.0
+    clock: Clock = field(default_factory=Clock)
+    readout_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height", "fx", "fy"):
+            value = getattr(self, name)
+            if not 0 < value < np.inf:
+                raise ValueError(f"camera {self.name}: expected a positive {name}, found {value}")
+        if not np.isfinite([self.cx, self.cy]).all():
+            raise ValueError(f"camera {self.name}: expected a finite cx, cy, found {self.cx}, {self.cy}")
+
+    def at(self, time_s: float) -> Camera:
+        """Return the camera with its pose at a true time, s; the camera itself if it does not move."""
+        if self.pose.is_static:
+            return self
+        return replace(self, pose=self.pose.at(time_s))
+
+    def row_delays(self, rows: FloatArray) -> FloatArray | None:
+        """Return when rows (n,) of the distorted image are read, s after the frame's time; None without readout."""
+        return None if self.readout_s == 0.0 else self.readout_s / self.height * rows
+
+    @property
+    def intrinsic_matrix(self) -> FloatArray:
+        """Intrinsic matrix K (3, 3), px."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def projection_matrix(self) -> FloatArray:
+        """Projection matrix K R [I | -c] (3, 4) from the world to homogeneous undistorted pixels."""
+        rotation = self.pose.rotation
+        extrinsic = np.column_stack([rotation, -rotation @ self.pose.center])
+        return np.asarray(self.intrinsic_matrix @ extrinsic, dtype=np.float64)
+
+    def project(self, x_world: ArrayLike) -> FloatArray:
+        """Project world positions into the image.
+
+        Parameters
+        ----------
+        x_world : (n, 3) array_like
+            Positions in the world, length.
+
+        Returns
+        -------
+        (n, 2) array
+            Distorted pixels, inside the image or not; a row of NaN where the depth is not positive or the
+            point is beyond the lens's `max_radius`.
+        """
+        x = self.pose.to_camera(x_world)
+        depth = np.where(x[:, 2] > 0.0, x[:, 2], np.nan)
+        xy = x[:, :2] / depth[:, None]
+        if self.lens.model != "none":
+            seen = np.einsum("ni,ni->n", xy, xy) <= self.lens.max_radius**2
+            xy = self.lens.distort(np.where(seen[:, None], xy, np.nan))[0]
+        return self._to_pixels(xy)
+
+    def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> FloatArray:
+        """Return the world positions of distorted pixels at given depths.
+
+        Parameters
+        ----------
+        pixels : (n, 2) array_like
+            Distorted pixels.
+        depth : (n,) array_like
+            Depth along the optical axis, length.
+
+        Returns
+        -------
+        (n, 3) array
+            Positions in the world, length; a row of NaN where a pixel cannot be undistorted.
+        """
+        xy, _ = self.lens.undistort(self._to_normalised(pixels))
+        z = np.asarray(depth, dtype=np.float64)
+        return self.pose.to_world(np.column_stack([xy * z[:, None], z]))
+
+    def in_view(self, x_world: ArrayLike) -> BoolArray:
+        """Tell which world positions (n, 3) the camera sees, as bool (n,).
+
+        Seen is what lies in front of the camera, within the lens's `max_radius`, and whose distorted
+        pixel is in the image: ``-0.5 <= u <= width - 0.5`` and likewise v. Occlusion is not modelled.
+        """
+        return self.contains(self.project(x_world))
+
+    def contains(self, pixels: ArrayLike) -> BoolArray:
+        """Tell which distorted pixels (n, 2) are inside the image, as bool (n,); False for NaN."""
+        uv = np.asarray(pixels, dtype=np.float64)
+        inside = (uv >= -0.5) & (uv <= np.array([self.width, self.height]) - 0.5)
+        return np.asarray(inside.all(axis=1), dtype=np.bool_)
+
+    def undistort_pixels(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Undistort pixels, with the Jacobian that carries their noise along.
+
+        Parameters
+        ----------
+        pixels : (n, 2) array_like
+            Distorted pixels.
+
+        Returns
+        -------
+        undistorted : (n, 2) array
+            Pixels of the pinhole camera; a row of NaN where there are none.
+        jacobian : (n, 2, 2) array
+            d undistorted / d distorted: a covariance C becomes J C J^T.
+        """
+        xy, jacobian = self.lens.undistort(self._to_normalised(pixels))
+        return self._to_pixels(xy), self._jacobian_in_pixels(jacobian)
+
+    def distort_pixels(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Distort pixels of the pinhole camera, the inverse of `undistort_pixels`.
+
+        Parameters
+        ----------
+        pixels : (n, 2) array_like
+            Undistorted pixels. Whether they are within the lens's `max_radius` is not checked.
+
+        Returns
+        -------
+        distorted : (n, 2) array
+            Pixels in the image.
+        jacobian : (n, 2, 2) array
+            d distorted / d undistorted.
+        """
+        xy_d, jacobian = self.lens.distort(self._to_normalised(pixels))
+        return self._to_pixels(xy_d), self._jacobian_in_pixels(jacobian)
+
+    def packed(self) -> FloatArray:
+        """Return the camera as (28,) numbers for compiled kernels, laid out as `geometry.layout` says."""
+        result = np.empty(layout.PACKED_SIZE)
+        result[layout.FX : layout.CENTER] = self.fx, self.fy, self.cx, self.cy, self.width, self.height
+        result[layout.CENTER : layout.ROTATION] = self.pose.center
+        result[layout.ROTATION : layout.LENS_CODE] = self.pose.rotation.ravel()
+        result[layout.LENS_CODE] = self.lens.code
+        result[layout.LENS_COEFFICIENTS : layout.MAX_RADIUS] = self.lens.coefficients
+        result[layout.MAX_RADIUS] = self.lens.max_radius
+        return result
+
+    def _to_normalised(self, pixels: ArrayLike) -> FloatArray:
+        uv = np.asarray(pixels, dtype=np.float64)
+        return np.asarray((uv - [self.cx, self.cy]) / [self.fx, self.fy], dtype=np.float64)
+
+    def _to_pixels(self, xy: FloatArray) -> FloatArray:
+        return np.asarray(xy * [self.fx, self.fy] + [self.cx, self.cy], dtype=np.float64)
+
+    def _jacobian_in_pixels(self, jacobian: FloatArray) -> FloatArray:
+        focal = np.array([self.fx, self.fy])
+        return np.asarray(jacobian * (focal[:, None] / focal), dtype=np.float64)

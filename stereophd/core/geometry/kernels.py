@@ -1,0 +1,334 @@
+"""Compiled scalar kernels of the lens models and of the in-view test (numba).
+
+They hold the only implementation of each lens formula; `stereophd.core.geometry.lens` loops over them and
+other compiled kernels call them, where LLVM inlines them. Points are normalised image coordinates
+(x / z, y / z) in the camera's axes. All lens models are written as one family,
+
+    x_d = x g(s) + 2 p1 x y + p2 (s + 2 x^2),    y_d = y g(s) + p1 (s + 2 y^2) + 2 p2 x y,
+
+with s = x^2 + y^2 and g the ratio r_d / r of the model: the rational polynomial of Brown-Conrady (of which
+one-parameter radial is the case k1), or theta_d / r of the fisheye model, which has p1 = p2 = 0.
+
+Sources: OpenCV, camera calibration module and fisheye module; D. C. Brown, "Decentering distortion of
+lenses", 1966; J. Kannala and S. Brandt, "A generic camera model", IEEE TPAMI 28 (8), 2006.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.layout import (
+    CENTER,
+    CX,
+    CY,
+    FX,
+    FY,
+    HEIGHT,
+    LENS_CODE,
+    LENS_COEFFICIENTS,
+    LENS_FISHEYE,
+    LENS_NONE,
+    MAX_RADIUS,
+    PACKED_SIZE,
+    ROTATION,
+    WIDTH,
+)
+from stereophd.core.numerics.compilation import compiled
+
+# Other kernels take the layout of a packed camera from here too.
+__all__ = [
+    "CENTER",
+    "CX",
+    "CY",
+    "FX",
+    "FY",
+    "HEIGHT",
+    "LENS_CODE",
+    "LENS_COEFFICIENTS",
+    "LENS_FISHEYE",
+    "LENS_NONE",
+    "MAX_RADIUS",
+    "PACKED_SIZE",
+    "ROTATION",
+    "WIDTH",
+    "compiled",
+    "distort_point",
+    "distort_point_jacobian",
+    "distort_points",
+    "pixel_in_view",
+    "undistort_point",
+    "undistort_points",
+]
+
+FloatArray = NDArray[np.float64]
+
+# Below this squared radius theta_d / r is 1 + (k1 - 1/3) s to full double precision (next term s^2).
+FISHEYE_SERIES_LIMIT = 1e-8
+# An inverse beyond this radius is 89.99999 degrees off the axis: as good as not invertible.
+LARGEST_RADIUS = 1e8
+MAX_ITERATIONS = 100
+MAX_HALVINGS = 40
+# Relative change of the solution at which Newton's iteration ends: a few units in the last place.
+STEP_TOLERANCE = 1e-15
+# Largest residual of an accepted inverse, relative to 1 + |distorted point|.
+RESIDUAL_TOLERANCE = 1e-12
+
+
+@compiled
+def _scale(code: int, c: FloatArray, start: int, s: float) -> tuple[float, float]:
+    """Return g = r_d / r and dg/ds at the squared radius s, with the coefficients at c[start : start + 8]."""
+    if code == LENS_FISHEYE:
+        k1, k2, k3, k4 = c[start], c[start + 1], c[start + 2], c[start + 3]
+        if s < FISHEYE_SERIES_LIMIT:
+            return 1.0 + (k1 - 1.0 / 3.0) * s, k1 - 1.0 / 3.0
+        r = math.sqrt(s)
+        theta = math.atan(r)
+        t = theta * theta
+        g = theta * (1.0 + t * (k1 + t * (k2 + t * (k3 + t * k4)))) / r
+        slope = 1.0 + t * (3.0 * k1 + t * (5.0 * k2 + t * (7.0 * k3 + t * 9.0 * k4)))
+        return g, (slope / (1.0 + s) - g) / (2.0 * s)
+    k1, k2, k3 = c[start], c[start + 1], c[start + 4]
+    k4, k5, k6 = c[start + 5], c[start + 6], c[start + 7]
+    denominator = 1.0 + s * (k4 + s * (k5 + s * k6))
+    g = (1.0 + s * (k1 + s * (k2 + s * k3))) / denominator
+    numerator_slope = k1 + s * (2.0 * k2 + s * 3.0 * k3)
+    denominator_slope = k4 + s * (2.0 * k5 + s * 3.0 * k6)
+    return g, (numerator_slope - g * denominator_slope) / denominator
+
+
+@compiled
+def _tangential(code: int, c: FloatArray, start: int) -> tuple[float, float]:
+    """Return p1 and p2 (zero for the fisheye model, which keeps k3 and k4 in their places)."""
+    if code == LENS_FISHEYE:
+        return 0.0, 0.0
+    return c[start + 2], c[start + 3]
+
+
+@compiled
+def _distort(code: int, c: FloatArray, start: int, x: float, y: float) -> tuple[float, float]:
+    """Distort a point, with the coefficients at c[start : start + 8] (no slice, hence no reference count)."""
+    if code == LENS_NONE:
+        return x, y
+    s = x * x + y * y
+    g, _ = _scale(code, c, start, s)
+    p1, p2 = _tangential(code, c, start)
+    x_d = x * g + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x)
+    y_d = y * g + p1 * (s + 2.0 * y * y) + 2.0 * p2 * x * y
+    return x_d, y_d
+
+
+@compiled
+def distort_point(code: int, coefficients: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Distort one normalised point.
+
+    Parameters
+    ----------
+    code : int
+        Lens model, a ``LENS_`` constant of `stereophd.core.geometry.layout`.
+    coefficients : (8,) array
+        k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1, k2, k3, k4 in the first four.
+    x, y : float
+        Undistorted normalised coordinates.
+
+    Returns
+    -------
+    x_d, y_d : float
+        Distorted normalised coordinates. Whether (x, y) lies within the lens's max_radius is not checked.
+    """
+    return _distort(code, coefficients, 0, x, y)
+
+
+@compiled
+def distort_point_jacobian(
+    code: int, coefficients: FloatArray, x: float, y: float
+) -> tuple[float, float, float, float, float, float]:
+    """Distort one normalised point, with the Jacobian.
+
+    Parameters
+    ----------
+    code, coefficients, x, y
+        As in `distort_point`.
+
+    Returns
+    -------
+    x_d, y_d, j00, j01, j10, j11 : float
+        Distorted coordinates, and the rows of d(x_d, y_d) / d(x, y).
+    """
+    s = x * x + y * y
+    g, g_slope = _scale(code, coefficients, 0, s)
+    p1, p2 = _tangential(code, coefficients, 0)
+    x_d = x * g + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x)
+    y_d = y * g + p1 * (s + 2.0 * y * y) + 2.0 * p2 * x * y
+    j00 = g + 2.0 * x * x * g_slope + 2.0 * p1 * y + 6.0 * p2 * x
+    j01 = 2.0 * x * y * g_slope + 2.0 * p1 * x + 2.0 * p2 * y
+    j11 = g + 2.0 * y * y * g_slope + 6.0 * p1 * y + 2.0 * p2 * x
+    # The Jacobian of this family is symmetric: the map is the gradient of a potential.
+    return x_d, y_d, j00, j01, j01, j11
+
+
+@compiled
+def _undistort_radius(code: int, c: FloatArray, max_radius: float, r_d: float) -> float:
+    """Invert r -> r_d on [0, max_radius] by Newton's iteration kept inside a bracket; NaN beyond it."""
+    if not r_d > 0.0:
+        return 0.0 if r_d == 0.0 else math.nan
+    low, high = 0.0, min(max_radius, 1.0)
+    while high * _scale(code, c, 0, high * high)[0] < r_d:
+        low = high
+        high = 2.0 * high
+        if low >= max_radius or high > LARGEST_RADIUS:
+            return math.nan
+        high = min(high, max_radius)
+    r = min(max(r_d, low), high)
+    for _ in range(MAX_ITERATIONS):
+        g, g_slope = _scale(code, c, 0, r * r)
+        residual = r * g - r_d
+        if residual > 0.0:
+            high = r
+        else:
+            low = r
+        following = r - residual / (g + 2.0 * r * r * g_slope)
+        if not (low <= following <= high):
+            following = 0.5 * (low + high)
+        step = abs(following - r)
+        r = following
+        if step <= STEP_TOLERANCE * r:
+            break
+    return r
+
+
+@compiled
+def _undistort_newton(code: int, c: FloatArray, x_d: float, y_d: float, x: float, y: float) -> tuple[float, float]:
+    """Refine an undistorted point by Newton's iteration in the plane, halving steps that do not help."""
+    for _ in range(MAX_ITERATIONS):
+        a, b, j00, j01, j10, j11 = distort_point_jacobian(code, c, x, y)
+        residual_x, residual_y = a - x_d, b - y_d
+        determinant = j00 * j11 - j01 * j10
+        step_x = (j11 * residual_x - j01 * residual_y) / determinant
+        step_y = (j00 * residual_y - j10 * residual_x) / determinant
+        error = residual_x * residual_x + residual_y * residual_y
+        factor = 1.0
+        improved = False
+        for _ in range(MAX_HALVINGS):
+            a, b = distort_point(code, c, x - factor * step_x, y - factor * step_y)
+            if (a - x_d) ** 2 + (b - y_d) ** 2 < error:
+                improved = True
+                break
+            factor *= 0.5
+        if not improved:
+            break
+        x -= factor * step_x
+        y -= factor * step_y
+        if math.hypot(step_x, step_y) <= STEP_TOLERANCE * math.hypot(x, y):
+            break
+    return x, y
+
+
+@compiled
+def undistort_point(
+    code: int, coefficients: FloatArray, max_radius: float, x_d: float, y_d: float
+) -> tuple[float, float]:
+    """Undistort one normalised point.
+
+    Parameters
+    ----------
+    code, coefficients
+        As in `distort_point`.
+    max_radius : float
+        Undistorted radius up to which the radial map is monotone (`Lens.max_radius`).
+    x_d, y_d : float
+        Distorted normalised coordinates.
+
+    Returns
+    -------
+    x, y : float
+        Undistorted normalised coordinates within max_radius; NaN if there are none.
+    """
+    if code == LENS_NONE:
+        return x_d, y_d
+    r_d = math.hypot(x_d, y_d)
+    r = _undistort_radius(code, coefficients, max_radius, r_d)
+    p1, p2 = _tangential(code, coefficients, 0)
+    if r == 0.0 or (p1 == 0.0 and p2 == 0.0):
+        scale = r / r_d if r > 0.0 else r
+        return x_d * scale, y_d * scale
+    if not math.isfinite(r_d):
+        return math.nan, math.nan
+    # Tangential distortion can bring a point back whose radius alone has no inverse: start inside.
+    scale = (r if r > 0.0 else 0.99 * min(max_radius, LARGEST_RADIUS)) / r_d
+    x, y = _undistort_newton(code, coefficients, x_d, y_d, x_d * scale, y_d * scale)
+    a, b, j00, j01, j10, j11 = distort_point_jacobian(code, coefficients, x, y)
+    accepted = (
+        math.hypot(a - x_d, b - y_d) <= RESIDUAL_TOLERANCE * (1.0 + r_d)
+        and x * x + y * y <= max_radius * max_radius
+        and j00 > 0.0
+        and j00 * j11 - j01 * j10 > 0.0
+    )
+    if accepted:
+        return x, y
+    return math.nan, math.nan
+
+
+@compiled
+def pixel_in_view(camera: FloatArray, u: float, v: float) -> bool:
+    """Whether a point in front of the camera is seen, given its undistorted pixel.
+
+    Parameters
+    ----------
+    camera : (28,) array
+        A packed camera (`Camera.packed`).
+    u, v : float
+        Undistorted (pinhole) pixel coordinates; the caller has checked that the depth is positive.
+
+    Returns
+    -------
+    bool
+        True if the distorted pixel is inside the image, ``-0.5 <= u_d <= width - 0.5`` and likewise v, and
+        the point is within the lens's max_radius. False for NaN.
+    """
+    code = int(camera[LENS_CODE])
+    if code != LENS_NONE:
+        x = (u - camera[CX]) / camera[FX]
+        y = (v - camera[CY]) / camera[FY]
+        if not x * x + y * y <= camera[MAX_RADIUS] * camera[MAX_RADIUS]:
+            return False
+        x, y = _distort(code, camera, LENS_COEFFICIENTS, x, y)
+        u = camera[FX] * x + camera[CX]
+        v = camera[FY] * y + camera[CY]
+    # Without short circuits: the outcome is hard to predict at the edge of an image, four branches cost more.
+    inside = (u >= -0.5) & (u <= camera[WIDTH] - 0.5) & (v >= -0.5) & (v <= camera[HEIGHT] - 0.5)
+    return bool(inside)
+
+
+@compiled
+def distort_points(code: int, coefficients: FloatArray, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distort points (n, 2); returns the distorted points (n, 2) and the Jacobians (n, 2, 2)."""
+    n = xy.shape[0]
+    result = np.empty((n, 2))
+    jacobian = np.empty((n, 2, 2))
+    for i in range(n):
+        x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(code, coefficients, xy[i, 0], xy[i, 1])
+        result[i, 0], result[i, 1] = x_d, y_d
+        jacobian[i, 0, 0], jacobian[i, 0, 1] = j00, j01
+        jacobian[i, 1, 0], jacobian[i, 1, 1] = j10, j11
+    return result, jacobian
+
+
+@compiled
+def undistort_points(
+    code: int, coefficients: FloatArray, max_radius: float, xy_d: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Undistort points (n, 2); returns the points (n, 2) and the Jacobians d xy / d xy_d (n, 2, 2)."""
+    n = xy_d.shape[0]
+    result = np.empty((n, 2))
+    jacobian = np.empty((n, 2, 2))
+    for i in range(n):
+        x, y = undistort_point(code, coefficients, max_radius, xy_d[i, 0], xy_d[i, 1])
+        _, _, j00, j01, j10, j11 = distort_point_jacobian(code, coefficients, x, y)
+        determinant = j00 * j11 - j01 * j10
+        result[i, 0], result[i, 1] = x, y
+        jacobian[i, 0, 0], jacobian[i, 0, 1] = j11 / determinant, -j01 / determinant
+        jacobian[i, 1, 0], jacobian[i, 1, 1] = -j10 / determinant, j00 / determinant
+    return result, jacobian

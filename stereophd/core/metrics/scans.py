@@ -1,0 +1,226 @@
+"""Metrics of a whole run: estimates against truth, scan by scan, in time linear in the number of scans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.metrics.assignment import (
+    FloatArray,
+    IntArray,
+    euclidean_distances,
+    mahalanobis_distances,
+)
+from stereophd.core.metrics.ospa import Matching, gospa_of_matching, match, ospa_of_matching
+
+# Distances held at once: bounds the memory of a batch to a few megabytes and keeps it in cache.
+BATCH_ENTRIES = 100_000
+
+# The fields of `ScanScores` that are distances, in the order in which a batch computes them.
+DISTANCE_FIELDS = (
+    "ospa",
+    "ospa_localisation",
+    "ospa_cardinality",
+    "gospa",
+    "gospa_localisation",
+    "gospa_missed",
+    "gospa_false",
+)
+
+
+@dataclass(frozen=True)
+class PointSets:
+    """One set of points for each of k scans, stored one after the other.
+
+    Attributes
+    ----------
+    start : (k + 1,) array
+        The points of scan i are the rows ``start[i]:start[i + 1]``.
+    position : (n, 3) array
+        In the world, length unit.
+    velocity : (n, 3) array
+        In the world, length unit per second; NaN where unknown.
+    label : (n,) array
+        Identity of the object or track.
+    covariance : (n, 3, 3) array or None
+        Of the position.
+    """
+
+    start: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    label: IntArray
+    covariance: FloatArray | None = None
+
+    @property
+    def scans(self) -> int:
+        """Number of scans."""
+        return len(self.start) - 1
+
+    @property
+    def counts(self) -> IntArray:
+        """Number of points of each scan, (k,)."""
+        return np.diff(self.start)
+
+    @property
+    def scan(self) -> IntArray:
+        """Scan of each point, (n,)."""
+        return np.repeat(np.arange(self.scans, dtype=np.int64), self.counts)
+
+    def keep_points(self, keep: NDArray[np.bool_]) -> PointSets:
+        """Return the same scans with only the marked points, (n,) bool."""
+        kept = np.concatenate([[0], np.cumsum(keep, dtype=np.int64)])
+        return self._rows(kept[self.start], np.flatnonzero(keep))
+
+    def keep_scans(self, keep: NDArray[np.bool_]) -> PointSets:
+        """Return only the marked scans, (k,) bool, with all their points."""
+        start = np.concatenate([[0], np.cumsum(self.counts[keep], dtype=np.int64)])
+        return self._rows(start, np.flatnonzero(np.repeat(keep, self.counts)))
+
+    def _rows(self, start: IntArray, rows: IntArray) -> PointSets:
+        covariance = None if self.covariance is None else self.covariance[rows]
+        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance)
+
+
+@dataclass(frozen=True)
+class ScanScores:
+    """Metrics of each scan, arrays (k,), and the matched pairs, arrays (q,) in order of scan.
+
+    Attributes
+    ----------
+    ospa, ospa_localisation, ospa_cardinality : (k,) arrays
+        OSPA distance and its parts, in the unit of the base distance.
+    gospa, gospa_localisation, gospa_missed, gospa_false : (k,) arrays
+        GOSPA distance (alpha = 2) and its parts.
+    n_matched : (k,) array
+        Pairs nearer than the cutoff.
+    pair_scan, pair_estimate, pair_truth : (q,) arrays
+        Those pairs: the scan, and the rows of the estimate and of the true point.
+    """
+
+    ospa: FloatArray
+    ospa_localisation: FloatArray
+    ospa_cardinality: FloatArray
+    gospa: FloatArray
+    gospa_localisation: FloatArray
+    gospa_missed: FloatArray
+    gospa_false: FloatArray
+    n_matched: IntArray
+    pair_scan: IntArray
+    pair_estimate: IntArray
+    pair_truth: IntArray
+
+
+def score_scans(
+    estimates: PointSets, truth: PointSets, order: float, cutoff: float, *, mahalanobis: bool = False
+) -> ScanScores:
+    """Score the estimates of each scan against its true points.
+
+    Parameters
+    ----------
+    estimates, truth : PointSets
+        The same scans in the same order.
+    order, cutoff : float
+        Order and cutoff of OSPA and GOSPA; the cutoff in the unit of the base distance.
+    mahalanobis : bool
+        Base distance from the covariance of each estimate instead of the Euclidean one.
+
+    Returns
+    -------
+    ScanScores
+
+    Raises
+    ------
+    ValueError
+        The scans differ in number, parameters are out of range, or (Mahalanobis) a covariance is missing or
+        not positive definite.
+
+    Notes
+    -----
+    Scans with equal numbers of estimates and true points are one batch: the work per scan is constant for a
+    bounded number of objects.
+    """
+    if estimates.scans != truth.scans:
+        raise ValueError(f"expected as many scans of truth as of estimates, {estimates.scans}")
+    if mahalanobis and estimates.covariance is None:
+        raise ValueError("expected covariances for the Mahalanobis distance")
+    values = np.zeros((len(DISTANCE_FIELDS), estimates.scans))
+    n_matched = np.zeros(estimates.scans, dtype=np.int64)
+    pairs: list[tuple[IntArray, IntArray, IntArray]] = []
+    for scans, m, n in batches_of_one_size(estimates.counts, truth.counts):
+        rows = estimates.start[scans][:, None] + np.arange(m)
+        columns = truth.start[scans][:, None] + np.arange(n)
+        matching = match(_distances(estimates, truth, rows, columns, mahalanobis), order, cutoff)
+        values[:, scans] = _distances_of(matching, n, order, cutoff)
+        near = matching.distance < cutoff
+        n_matched[scans] = near.sum(axis=1)
+        batch, row = np.nonzero(near)
+        pairs.append((scans[batch], rows[batch, row], columns[batch, matching.truth[batch, row]]))
+    scan, estimate, true_point = _in_scan_order(pairs)
+    distances = dict(zip(DISTANCE_FIELDS, values, strict=True))
+    return ScanScores(**distances, n_matched=n_matched, pair_scan=scan, pair_estimate=estimate, pair_truth=true_point)
+
+
+def batches_of_one_size(n_estimates: IntArray, n_truth: IntArray) -> Iterator[tuple[IntArray, int, int]]:
+    """Group scans by their numbers of estimates and true points.
+
+    Parameters
+    ----------
+    n_estimates, n_truth : (k,) arrays
+        Numbers of both in each scan.
+
+    Yields
+    ------
+    tuple
+        Scans (b,), and the numbers m and n that they all have; at most `BATCH_ENTRIES` distances at a time.
+    """
+    if len(n_truth) == 0:
+        return
+    size = n_estimates * (n_truth.max() + 1) + n_truth
+    order = np.argsort(size, kind="stable")
+    bounds = np.flatnonzero(np.diff(size[order])) + 1
+    for group in np.split(order, bounds):
+        m, n = int(n_estimates[group[0]]), int(n_truth[group[0]])
+        step = max(1, BATCH_ENTRIES // max(m * n, 1))
+        for first in range(0, len(group), step):
+            yield group[first : first + step], m, n
+
+
+def _distances(
+    estimates: PointSets, truth: PointSets, rows: IntArray, columns: IntArray, mahalanobis: bool
+) -> FloatArray:
+    """Return the base distances (k, m, n) between the points of a batch."""
+    x, y = estimates.position[rows], truth.position[columns]
+    if mahalanobis and estimates.covariance is not None:
+        return mahalanobis_distances(x, y, estimates.covariance[rows])
+    return euclidean_distances(x, y)
+
+
+def _distances_of(matching: Matching, n_truth: int, order: float, cutoff: float) -> FloatArray:
+    """Return the distances and parts of a batch, (7, k), in the order of `DISTANCE_FIELDS`."""
+    ospa = ospa_of_matching(matching, n_truth, order, cutoff)
+    gospa = gospa_of_matching(matching, n_truth, order, cutoff)
+    return np.stack(
+        [
+            ospa.distance,
+            ospa.localisation,
+            ospa.cardinality,
+            gospa.distance,
+            gospa.localisation,
+            gospa.missed,
+            gospa.false,
+        ]
+    )
+
+
+def _in_scan_order(pairs: list[tuple[IntArray, IntArray, IntArray]]) -> tuple[IntArray, IntArray, IntArray]:
+    """Join the pairs of all batches; rows of estimates are in scan order, so they give the order."""
+    if not pairs:
+        empty = np.zeros(0, dtype=np.int64)
+        return empty, empty, empty
+    scan, estimate, truth = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    order = np.argsort(estimate, kind="stable")
+    return scan[order], estimate[order], truth[order]

@@ -1,0 +1,172 @@
+"""The figures of a run from the scores of its scans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.metrics.assignment import FloatArray
+from stereophd.core.metrics.consistency import UNLABELLED, identity_switches, independent_count, nees_interval, whitened
+from stereophd.core.metrics.identities import has_identities, identity_figures
+from stereophd.core.metrics.ospa import Ospa
+from stereophd.core.metrics.ospa2 import ospa2_of_windows
+from stereophd.core.metrics.rmse import (
+    cardinality_error,
+    error_percentiles,
+    mean_per_group,
+    root_mean_square,
+    root_mean_square_per_group,
+)
+from stereophd.core.metrics.scans import PointSets, ScanScores
+
+POSITION_DIMENSION = 3
+
+# Covariances inverted at once: bounds the memory of a long run.
+PAIRS_AT_ONCE = 65_536
+
+
+@dataclass(frozen=True)
+class PairErrors:
+    """Errors of the matched pairs, in the order of `ScanScores.pair_scan`.
+
+    Attributes
+    ----------
+    position, velocity : (q, 3) arrays
+        Estimate minus truth in the world; NaN where a velocity is unknown.
+    whitened : (q, 3) array
+        Position errors in standard deviations (see `whitened`); NaN without a usable covariance.
+    switched : (q,) bool array
+        The true object was matched to another track the last time.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    whitened: FloatArray
+    switched: NDArray[np.bool_]
+
+    @property
+    def nees(self) -> FloatArray:
+        """Normalised error squared (q,) of the position."""
+        return np.asarray((self.whitened**2).sum(axis=1))
+
+
+def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> PairErrors:
+    """Return the errors of the matched pairs of scored scans."""
+    x, y = scores.pair_estimate, scores.pair_truth
+    position = estimates.position[x] - truth.position[y]
+    normalised = np.full(position.shape, np.nan)
+    if estimates.covariance is not None:
+        for first in range(0, len(x), PAIRS_AT_ONCE):
+            rows = slice(first, first + PAIRS_AT_ONCE)
+            normalised[rows] = whitened(position[rows], estimates.covariance[x[rows]])
+    return PairErrors(
+        position,
+        estimates.velocity[x] - truth.velocity[y],
+        normalised,
+        identity_switches(scores.pair_scan, truth.label[y], estimates.label[x]),
+    )
+
+
+def track_ospa(
+    estimates: PointSets, truth: PointSets, window: int, order: float, cutoff: float, *, mahalanobis: bool
+) -> Ospa:
+    """Return OSPA(2) of each window of scans, as `ospa2_of_windows`; NaN for estimates without identities."""
+    if has_identities(estimates):
+        return ospa2_of_windows(estimates, truth, window, order, cutoff, mahalanobis=mahalanobis)
+    unknown = np.full(estimates.scans, np.nan)
+    return Ospa(unknown, unknown, unknown)
+
+
+def per_scan_columns(
+    time_s: FloatArray, estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of ``per_scan.parquet``, arrays (k,); NaN where a scan has no matched pair."""
+    scans, group = len(time_s), scores.pair_scan
+    return {
+        "time_s": time_s,
+        "ospa": scores.ospa,
+        "ospa_localisation": scores.ospa_localisation,
+        "ospa_cardinality": scores.ospa_cardinality,
+        "ospa2": ospa2.distance,
+        "ospa2_localisation": ospa2.localisation,
+        "ospa2_cardinality": ospa2.cardinality,
+        "gospa": scores.gospa,
+        "n_truth": truth.counts,
+        "n_estimates": estimates.counts,
+        "n_matched": scores.n_matched,
+        "rmse_position": root_mean_square_per_group(errors.position, group, scans),
+        "rmse_velocity": root_mean_square_per_group(errors.velocity, group, scans),
+        "nees_position": mean_per_group(errors.nees, group, scans),
+        "identity_switches": np.bincount(group[errors.switched], minlength=scans).astype(np.int64),
+    }
+
+
+def figures(
+    estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
+) -> dict[str, Any]:
+    """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
+
+    Means of OSPA, OSPA(2) and GOSPA (and of their parts) are over scans, the others over matched pairs. The
+    parts of a mean distance do not add up to it: only those of a single scan do.
+    """
+    cardinality = cardinality_error(estimates.counts, truth.counts)
+    percentiles = error_percentiles(errors.position)
+    normalised = errors.nees
+    known = np.isfinite(normalised)
+    normalised = normalised[known]
+    independent = independent_count(errors.whitened[known], truth.label[scores.pair_truth[known]])
+    low, high = nees_interval(independent, POSITION_DIMENSION)
+    matched = int(scores.n_matched.sum())
+    labels = estimates.label[estimates.label > UNLABELLED]
+    return {
+        "ospa": {
+            "mean": _mean(scores.ospa),
+            "localisation": _mean(scores.ospa_localisation),
+            "cardinality": _mean(scores.ospa_cardinality),
+        },
+        "ospa2": {
+            "mean": _mean(ospa2.distance),
+            "localisation": _mean(ospa2.localisation),
+            "cardinality": _mean(ospa2.cardinality),
+        },
+        "gospa": {
+            "mean": _mean(scores.gospa),
+            "localisation": _mean(scores.gospa_localisation),
+            "missed": _mean(scores.gospa_missed),
+            "false": _mean(scores.gospa_false),
+        },
+        "rmse": {
+            "position": root_mean_square(errors.position),
+            "velocity": root_mean_square(errors.velocity),
+        },
+        "position_error": {"median": percentiles.median, "p90": percentiles.p90, "n": percentiles.n},
+        "cardinality": {
+            "bias": cardinality.bias,
+            "mae": cardinality.mae,
+            "mean_truth": _mean(truth.counts),
+            "mean_estimates": _mean(estimates.counts),
+        },
+        "pairs": {
+            "matched": matched,
+            "missed": int(truth.counts.sum()) - matched,
+            "false": int(estimates.counts.sum()) - matched,
+        },
+        # Without labels there are no identities to switch.
+        "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
+        "tracks": len(np.unique(labels)),
+        **identity_figures(estimates, truth, scores, errors.switched),
+        "nees": {
+            "position": _mean(normalised),
+            "interval_95": [low, high],
+            "dimension": POSITION_DIMENSION,
+            "n": len(normalised),
+            "n_independent": independent,
+        },
+    }
+
+
+def _mean(values: NDArray[Any]) -> float:
+    return float(values.mean()) if len(values) else float("nan")

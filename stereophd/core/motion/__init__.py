@@ -1,0 +1,1 @@
+"""Motion models: how objects move between two events."""

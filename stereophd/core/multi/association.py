@@ -1,0 +1,173 @@
+"""Likelihoods of all plausible pairs of a component and a detection, and Kalman updates of pairs.
+
+The observation of a component y = (u, v, d, du, dv, dd) is its pixel, H = [I_2 0] (eq. 4). A rolling shutter
+reads detection j at a delay tau_j after the time of the frame, at which the components are; the pixel has then
+moved on, to first order by tau_j (du, dv), so that
+
+    z_j = H_j y + noise,    H_j = [I_2 0 | tau_j I_2 0],
+
+which is still linear: S = P_pp + tau (P_pv + P_vp) + tau^2 P_vv + R with the blocks of pixel and pixel velocity.
+Since tau_j follows from the detection's own row nothing has to be solved for. Left out are the second order,
+tau v_z / z of the correction (v_z / z: the relative speed towards the camera), and the change of the row's time
+with the noise of the row, (readout time of one row) dv of the noise: both far below a hundredth of a pixel for
+readouts of some 30 ms. Static objects (d = 3) have not moved.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.numerics.compilation import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Pairs further apart than this many standard deviations in u have a likelihood below 1e-17 of the
+# peak: leaving them out changes nothing, and detections ordered by u make finding the others cheap.
+REACH_SIGMAS = 9.0
+
+
+@compiled
+def pair_likelihoods(
+    means: Array,
+    covariances: Array,
+    seen: NDArray[np.bool_],
+    points: Array,
+    noises: Array,
+    areas: Array,
+    delays: Array | None = None,
+) -> tuple[Integers, Integers, Array]:
+    """Predicted density N(z; H m, H P H^T + R) of every pair within reach, eq. (4) and (5).
+
+    Parameters
+    ----------
+    means, covariances : arrays (n, d), (n, d, d)
+        Components in the disparity space of the camera.
+    seen : array (n,) of bool
+        Components to consider.
+    points, noises, areas : arrays (m, 2), (m, 2, 2), (m,)
+        Detections of an `Event`, ordered by u.
+    delays : array (m,), optional
+        Time of each detection after that of the components, s.
+
+    Returns
+    -------
+    components, detections : arrays (p,) of int
+        Pairs, ordered by component and then by detection.
+    densities : array (p,)
+        Per distorted pixel area.
+    """
+    largest = 0.0
+    for j in range(len(points)):
+        largest = max(largest, noises[j, 0, 0])
+    count = len(means)
+    low = np.zeros(count, dtype=np.int64)
+    high = np.zeros(count, dtype=np.int64)
+    total = 0
+    column = points[:, 0].copy()
+    earliest, latest = 0.0, 0.0
+    if delays is not None and means.shape[1] == 6 and len(delays) > 0:
+        earliest, latest = delays.min(), delays.max()
+    for k in range(count):
+        if seen[k]:
+            from_u, to_u, variance = means[k, 0], means[k, 0], covariances[k, 0, 0]
+            if delays is not None and means.shape[1] == 6:
+                # the mean is between its values at the ends of the delays, the variance below the larger there
+                first, last = means[k, 0] + earliest * means[k, 3], means[k, 0] + latest * means[k, 3]
+                from_u, to_u = min(first, last), max(first, last)
+                variance = max(_delayed(covariances[k], 0, 0, earliest), _delayed(covariances[k], 0, 0, latest))
+            reach = REACH_SIGMAS * math.sqrt(variance + largest)
+            low[k] = np.searchsorted(column, from_u - reach)
+            high[k] = np.searchsorted(column, to_u + reach)
+            total += high[k] - low[k]
+    components = np.empty(total, dtype=np.int64)
+    detections = np.empty(total, dtype=np.int64)
+    densities = np.empty(total)
+    found = 0
+    for k in range(count):
+        for j in range(low[k], high[k]):
+            s00 = covariances[k, 0, 0] + noises[j, 0, 0]
+            s01 = covariances[k, 0, 1] + noises[j, 0, 1]
+            s11 = covariances[k, 1, 1] + noises[j, 1, 1]
+            du = points[j, 0] - means[k, 0]
+            dv = points[j, 1] - means[k, 1]
+            if delays is not None and means.shape[1] == 6:
+                s00 = _delayed(covariances[k], 0, 0, delays[j]) + noises[j, 0, 0]
+                s01 = _delayed(covariances[k], 0, 1, delays[j]) + noises[j, 0, 1]
+                s11 = _delayed(covariances[k], 1, 1, delays[j]) + noises[j, 1, 1]
+                du -= delays[j] * means[k, 3]
+                dv -= delays[j] * means[k, 4]
+            determinant = s00 * s11 - s01 * s01
+            squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
+            if squared > REACH_SIGMAS * REACH_SIGMAS:
+                continue
+            components[found] = k
+            detections[found] = j
+            densities[found] = areas[j] * math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(determinant))
+            found += 1
+    return components[:found], detections[:found], densities[:found]
+
+
+@compiled
+def _delayed(covariance: Array, a: int, b: int, delay: float) -> float:
+    """Covariance of pixel coordinates a and b (0 or 1) of a moving component after a delay: H P H^T."""
+    cross = covariance[a, 3 + b] + covariance[3 + a, b]
+    return float(covariance[a, b] + delay * cross + delay * delay * covariance[3 + a, 3 + b])
+
+
+@compiled
+def kalman_updates(
+    means: Array,
+    covariances: Array,
+    components: Integers,
+    detections: Integers,
+    points: Array,
+    noises: Array,
+    delays: Array | None = None,
+) -> tuple[Array, Array]:
+    """Kalman update of each pair with H = [I_2 0] (eq. 4), or after delays (see above).
+
+    Returns means (p, d) and covariances (p, d, d) of the updated components.
+    """
+    size = means.shape[1]
+    count = len(components)
+    out_means = np.empty((count, size))
+    out_covariances = np.empty((count, size, size))
+    gain = np.empty((size, 2))
+    # row a: covariance of the state with the observed u and v
+    observed = np.empty((size, 2))
+    for i in range(count):
+        k, j = components[i], detections[i]
+        covariance = covariances[k]
+        du = points[j, 0] - means[k, 0]
+        dv = points[j, 1] - means[k, 1]
+        for a in range(size):
+            observed[a, 0] = covariance[a, 0]
+            observed[a, 1] = covariance[a, 1]
+        s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+        if delays is not None and size == 6:
+            du -= delays[j] * means[k, 3]
+            dv -= delays[j] * means[k, 4]
+            for a in range(size):
+                observed[a, 0] += delays[j] * covariance[a, 3]
+                observed[a, 1] += delays[j] * covariance[a, 4]
+            s00 = _delayed(covariance, 0, 0, delays[j])
+            s01 = _delayed(covariance, 0, 1, delays[j])
+            s11 = _delayed(covariance, 1, 1, delays[j])
+        s00 = s00 + noises[j, 0, 0]
+        s01 = s01 + noises[j, 0, 1]
+        s11 = s11 + noises[j, 1, 1]
+        determinant = s00 * s11 - s01 * s01
+        for a in range(size):
+            gain[a, 0] = (observed[a, 0] * s11 - observed[a, 1] * s01) / determinant
+            gain[a, 1] = (observed[a, 1] * s00 - observed[a, 0] * s01) / determinant
+            out_means[i, a] = means[k, a] + gain[a, 0] * du + gain[a, 1] * dv
+        for a in range(size):
+            for b in range(a + 1):
+                value = covariance[a, b] - gain[a, 0] * observed[b, 0] - gain[a, 1] * observed[b, 1]
+                out_covariances[i, a, b] = value
+                out_covariances[i, b, a] = value
+    return out_means, out_covariances

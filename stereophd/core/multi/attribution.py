@@ -1,0 +1,47 @@
+"""Which tracks an event detected."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.numerics.compilation import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@compiled
+def detected_labels(labels: Integers, weights: Array, n_missed: int) -> Integers:
+    """Labels that an event detected: more probably than not, given that the object exists.
+
+    After an update, and before reduction, a label's components are those that the event missed and those
+    that it detected. Their weights are the probabilities of "exists, and was missed" and of "exists, and
+    made a detection" (in a PHD, expected numbers), so given existence the object was detected with
+    probability D / (D + M), where D and M are the sums of these weights. A newborn was detected for certain.
+
+    Parameters
+    ----------
+    labels, weights : arrays (n,)
+        Components after an update; negative labels stand for objects never detected, and are left out.
+    n_missed : int
+        The first so many were missed, the others detected.
+
+    Returns
+    -------
+    array (k,) of int
+        Labels with D > M, in rising order.
+    """
+    order = np.argsort(labels, kind="mergesort")
+    found = np.empty(len(labels), dtype=np.int64)
+    count = 0
+    balance = 0.0
+    for place in range(len(order)):
+        k = order[place]
+        balance += -weights[k] if k < n_missed else weights[k]
+        if place + 1 == len(order) or labels[order[place + 1]] != labels[k]:
+            if labels[k] >= 0 and balance > 0.0:
+                found[count] = labels[k]
+                count += 1
+            balance = 0.0
+    return found[:count]

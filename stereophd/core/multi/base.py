@@ -1,0 +1,242 @@
+"""What the multi-object filters share: state, prediction by particle move, extraction.
+
+A filter is ``init / predict / update / extract`` over a frozen state; `DisparityFilter.step` is the
+three in a row that an event takes. The filters differ in their update.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
+from stereophd.core.motion.models import Motion, Static
+from stereophd.core.multi.association import kalman_updates
+from stereophd.core.multi.birth import BirthPrior, birth_moments
+from stereophd.core.multi.extract import Hysteresis, select_objects
+from stereophd.core.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info, empty_mixture
+from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.samples import SampleSets
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Components from this weight or existence on get more samples where only a corner of them is in view.
+IMPORTANT_WEIGHT = 0.1
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """State after an event.
+
+    Attributes
+    ----------
+    mixture : GaussianMixture
+        The intensity (PHD), or the tracks and the intensity of undetected objects (PMB).
+    time_s : float or None
+        Time of the last event, None before the first.
+    n_events : int
+        Events so far: picks the sample set.
+    next_label, next_track : int
+        First unused label and identity.
+    """
+
+    mixture: GaussianMixture
+    time_s: float | None
+    n_events: int
+    next_label: int
+    next_track: int
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The surviving components, at home and carried into the event's disparity space."""
+
+    mixture: GaussianMixture
+    moved: Moved
+
+
+@dataclass(frozen=True)
+class DisparityFilter(ABC):
+    """A multi-object filter on disparity space.
+
+    Attributes
+    ----------
+    rig : Rig
+    motion : Motion
+    sets : SampleSets
+        Shared by all components of a step.
+    survival_per_s : float
+        Probability that an object survives one second.
+    birth : BirthPrior
+        Prior of new objects.
+    hysteresis : Hysteresis
+        Which objects are reported.
+    threads : int
+        Threads of the sample trips; results do not depend on it.
+    split_missed : bool
+        Whether a component that is partly in view loses the part in view when it is missed (paper VI-C), or
+        keeps its shape and only becomes less probable.
+    """
+
+    rig: Rig
+    motion: Motion
+    sets: SampleSets
+    survival_per_s: float
+    birth: BirthPrior
+    hysteresis: Hysteresis
+    threads: int
+    split_missed: bool
+
+    #: Whether components of one label may be several objects (`select_objects`).
+    labels_may_split: ClassVar[bool] = True
+
+    @abstractmethod
+    def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
+        """Update with the detections of an event."""
+
+    @property
+    def state_size(self) -> int:
+        """Size of the states: 6, or 3 for static objects."""
+        return 3 if isinstance(self.motion, Static) else 6
+
+    def init(self) -> FilterState:
+        """Return the state before the first event: no objects."""
+        return FilterState(empty_mixture(self.state_size), None, 0, 0, 0)
+
+    def predict(self, state: FilterState, event: Event) -> Prediction:
+        """Let objects survive, move and come into the event's disparity space."""
+        elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
+        mixture = state.mixture
+        weights = mixture.weights * self.survival_per_s**elapsed
+        moved = move(
+            mixture.means,
+            mixture.covariances,
+            self.rig.spaces(mixture.cameras, mixture.times),
+            event.time_s - mixture.times,
+            self.rig.space(event.camera, event.time_s),
+            self.motion,
+            self.sets,
+            state.n_events,
+            self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0,
+            weights >= IMPORTANT_WEIGHT,
+            self.threads,
+            self.rig.region,
+        )
+        weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
+        return Prediction(mixture.with_weights(weights), moved)
+
+    def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
+        """Report the objects of a state, in the world at the state's time."""
+        chosen = select_objects(
+            state.mixture, self.hysteresis, state.next_label, state.next_track, self.labels_may_split
+        )
+        state = FilterState(chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track)
+        mixture, index = chosen.mixture, chosen.index
+        cameras, times = mixture.cameras[index], mixture.times[index]
+        means, covariances = world_moments(
+            mixture.means[index],
+            mixture.covariances[index],
+            self.rig.spaces(cameras, times),
+            (0.0 if state.time_s is None else state.time_s) - times,
+            self.motion,
+            self.sets,
+            state.n_events,
+        )
+        estimates = Estimates(mixture.tracks[index], means, covariances, chosen.existence, mixture.labels[index])
+        finite = np.isfinite(means)
+        if finite.all():
+            return state, estimates
+        # an object at infinity has no position
+        return state, estimates.take(np.asarray(finite.all(axis=1)))
+
+    def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
+        """Predict, update and extract for one event."""
+        state, info = self.update(state, self.predict(state, event), event)
+        state, estimates = self.extract(state)
+        return state, info, estimates
+
+    def births(self, event: Event, weights: Array, next_label: int) -> GaussianMixture:
+        """Return one new component a detection, with these weights and fresh labels."""
+        space = self.rig.space(event.camera, event.time_s)
+        means, covariances = birth_moments(event, space, self.birth, self.state_size)
+        count = len(weights)
+        return GaussianMixture(
+            weights,
+            means,
+            covariances,
+            np.full(count, event.camera),
+            np.full(count, event.time_s),
+            next_label + np.arange(count),
+            np.full(count, UNLABELLED),
+            np.zeros(count, dtype=bool),
+        )
+
+
+@compiled
+def surviving_weights(
+    weights: Array, tracks: Integers, cameras: Integers, status: Integers, inside: Array, camera: int
+) -> Array:
+    """Weights (n,) of moved components without what is lost.
+
+    What lies outside the region is gone; what was never established (no identity, and light) and has left the view of
+    the only camera that may have seen it is forgotten, or clutter would fill the world around the view.
+    """
+    out = weights * inside
+    for k in range(len(weights)):
+        unknown = tracks[k] < 0 and weights[k] < IMPORTANT_WEIGHT
+        if unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera:
+            out[k] = 0.0
+    return out
+
+
+def missed_states(prediction: Prediction, event: Event) -> GaussianMixture:
+    """Components as they are if the event did not detect them, with the weights of the prediction.
+
+    Components wholly in view move to the event's space; others stay at home, where they are Gaussian.
+    """
+    mixture, moved = prediction.mixture, prediction.moved
+    whole = moved.status == IN_VIEW
+    partly = (moved.status == PARTLY_IN_VIEW) | ((moved.status == OUT_OF_VIEW) & (moved.inside < 1.0))
+    means, covariances = mixture.means.copy(), mixture.covariances.copy()
+    means[whole], covariances[whole] = moved.means[whole], moved.covariances[whole]
+    means[partly], covariances[partly] = moved.missed_means[partly], moved.missed_covariances[partly]
+    return GaussianMixture(
+        mixture.weights,
+        means,
+        covariances,
+        np.where(whole, event.camera, mixture.cameras),
+        np.where(whole, event.time_s, mixture.times),
+        mixture.labels,
+        mixture.tracks,
+        mixture.reported,
+    )
+
+
+def updated_components(
+    prediction: Prediction,
+    event: Event,
+    components: NDArray[np.int64],
+    detections: NDArray[np.int64],
+    weights: Array,
+) -> GaussianMixture:
+    """Components updated with detections, in the event's space."""
+    moved, mixture = prediction.moved, prediction.mixture
+    means, covariances = kalman_updates(
+        moved.means, moved.covariances, components, detections, event.points, event.covariances, event.delays
+    )
+    return GaussianMixture(
+        weights,
+        means,
+        covariances,
+        np.full(len(weights), event.camera),
+        np.full(len(weights), event.time_s),
+        mixture.labels[components],
+        mixture.tracks[components],
+        mixture.reported[components],
+    )

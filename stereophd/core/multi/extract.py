@@ -1,0 +1,154 @@
+"""Which components are reported as objects: thresholds with hysteresis, one estimate per label."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.multi.intensity import UNLABELLED, GaussianMixture
+from stereophd.core.numerics.compilation import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Hysteresis:
+    """Thresholds of reporting.
+
+    Attributes
+    ----------
+    confirm : float
+        A label is reported from this weight (PHD) or existence on.
+    release : float
+        A reported label stays reported until its weight or existence falls below this.
+    """
+
+    confirm: float
+    release: float
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Outcome of `select_objects`: the relabelled mixture, and which components are reported, in order of identity."""
+
+    mixture: GaussianMixture
+    index: Integers
+    existence: Array
+    next_label: int
+    next_track: int
+
+
+def select_objects(
+    mixture: GaussianMixture, hysteresis: Hysteresis, next_label: int, next_track: int, split: bool = True
+) -> Selection:
+    """Choose the components that are reported, and give identities in order of confirmation.
+
+    The components of a label are alternatives for one object: their weights add up, and the heaviest
+    gives the estimate. A further component of a label that alone reaches the confirmation threshold is
+    another object (two objects were merged while they were close), and gets a label of its own.
+
+    Parameters
+    ----------
+    mixture : GaussianMixture
+        After an event.
+    hysteresis : Hysteresis
+        Thresholds.
+    next_label, next_track : int
+        First unused label and identity.
+    split : bool
+        Whether a label may stand for several objects: in a PHD it may; hypotheses of one track exclude
+        each other.
+
+    Returns
+    -------
+    Selection
+    """
+    labels, tracks, reported, index, existence, next_label, next_track = _select(
+        mixture.weights,
+        mixture.labels,
+        mixture.tracks,
+        mixture.reported,
+        hysteresis.confirm,
+        hysteresis.release,
+        next_label,
+        next_track,
+        split,
+    )
+    relabelled = GaussianMixture(
+        mixture.weights,
+        mixture.means,
+        mixture.covariances,
+        mixture.cameras,
+        mixture.times,
+        labels,
+        tracks,
+        reported,
+    )
+    return Selection(relabelled, index, existence, next_label, next_track)
+
+
+@compiled
+def _select(
+    weights: Array,
+    labels: Integers,
+    tracks: Integers,
+    reported: NDArray[np.bool_],
+    confirm: float,
+    release: float,
+    next_label: int,
+    next_track: int,
+    split: bool,
+) -> tuple[Integers, Integers, NDArray[np.bool_], Integers, Array, int, int]:
+    """Return labels, identities, flags of all components; the chosen ones by identity, existences; counters."""
+    order = _by_label(weights, labels)
+    known, labels, tracks, reported = labels, labels.copy(), tracks.copy(), reported.copy()
+    for k in range(len(labels)):
+        if labels[k] == UNLABELLED:
+            tracks[k], reported[k] = UNLABELLED, False
+    for i in range(1, len(order)):
+        k = order[i]
+        if split and known[k] == known[order[i - 1]] and weights[k] >= confirm:
+            labels[k], tracks[k], reported[k] = next_label, UNLABELLED, False
+            next_label += 1
+    if split:
+        order = order[np.argsort(labels[order], kind="mergesort")]
+    index = np.empty(len(order), dtype=np.int64)
+    existence = np.empty(len(order))
+    found, start = 0, 0
+    while start < len(order):
+        label, end = labels[order[start]], start
+        total, track, was_reported = 0.0, UNLABELLED, False
+        while end < len(order) and labels[order[end]] == label:
+            # any part of a label may carry its identity: the heaviest may come from a merged newborn
+            k = order[end]
+            total += weights[k]
+            track = max(track, tracks[k])
+            was_reported = was_reported or reported[k]
+            end += 1
+        shown = total >= (release if was_reported else confirm)
+        if shown:
+            if track < 0:
+                track = next_track
+                next_track += 1
+            index[found], existence[found] = order[start], total
+            found += 1
+        for k in order[start:end]:
+            tracks[k], reported[k] = track, shown
+        start = end
+    shown_order = np.argsort(tracks[index[:found]], kind="mergesort")
+    return labels, tracks, reported, index[shown_order], existence[shown_order], next_label, next_track
+
+
+@compiled
+def _by_label(weights: Array, labels: Integers) -> Integers:
+    """Components with a label, by label and then by falling weight; most often they are in this order."""
+    order = np.flatnonzero(labels != UNLABELLED)
+    for i in range(1, len(order)):
+        before, k = order[i - 1], order[i]
+        if labels[k] < labels[before] or (labels[k] == labels[before] and weights[k] > weights[before]):
+            order = order[np.argsort(-weights[order], kind="mergesort")]
+            return order[np.argsort(labels[order], kind="mergesort")]
+    return order

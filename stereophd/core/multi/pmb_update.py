@@ -1,0 +1,286 @@
+"""Compiled update of the Poisson multi-Bernoulli filter with the detections of an event (Williams 2015, IV).
+
+The components of a label are alternatives for one track i of existence r_i = sum_h w_h, of which the part
+p_h = pD f_h w_h is expected to be detected (f_h the share in view). With the density l_hj of detection j given
+alternative h, the density c of clutter and the density b_j of first detections (births and recycled tracks),
+
+    psi_ij = sum_h p_h l_hj / ((1 - sum_h p_h) (c + b_j))
+
+are the odds of the association problem that `association_marginals` solves: its marginals m_ij share the
+detection out among the alternatives, w_hj = m_ij p_h l_hj / sum_h p_h l_hj.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, MovedArrays
+from stereophd.core.multi.association import kalman_updates, pair_likelihoods
+from stereophd.core.multi.belief import association_marginals
+from stereophd.core.multi.intensity import UNLABELLED, Parts
+from stereophd.core.multi.parts import allocate_parts, copy_gaussian
+from stereophd.core.numerics.compilation import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A track that must have been detected (certain, in view, detection probability 1) may still be missed
+# with this probability: odds stay finite.
+LEAST_MISSED = 1e-9
+# Hypotheses of a smaller share than this are left out of the Gaussian of a track.
+LEAST_SHARE = 1e-4
+
+
+@compiled
+def group(keys: Integers) -> tuple[Integers, int]:
+    """Number equal keys alike: the number of each key (n,) in order of the keys, and how many there are."""
+    order = np.argsort(keys, kind="mergesort")
+    member = np.empty(len(keys), dtype=np.int64)
+    count = 0
+    for i in range(len(keys)):
+        if i > 0 and keys[order[i]] != keys[order[i - 1]]:
+            count += 1
+        member[order[i]] = count
+    return member, count + 1 if len(keys) > 0 else 0
+
+
+@compiled
+def update_tracks(
+    parts: Parts,
+    moved: MovedArrays,
+    points: Array,
+    noises: Array,
+    areas: Array,
+    delays: Array | None,
+    newborn_means: Array,
+    newborn_covariances: Array,
+    place: tuple[int, float, int],
+    rates: tuple[float, float, float, float],
+    prune_weight: float,
+) -> tuple[Parts, float]:
+    """Update tracks and the intensity of undetected objects; no reduction.
+
+    Parameters
+    ----------
+    parts : tuple
+        The predicted mixture, at home (`GaussianMixture.parts`).
+    moved : tuple
+        The same components in the event's space (`stereophd.core.disparity.moments.Moved`).
+    points, noises, areas, delays : arrays (m, 2), (m, 2, 2), (m,), (m,) or None
+        Detections, as in `Event`.
+    newborn_means, newborn_covariances : arrays (m, d), (m, d, d)
+        Objects born with each detection.
+    place : tuple
+        Camera and time of the event, and the first unused label.
+    rates : tuple
+        Probability of detection, clutter and births a frame, area of the image (px^2).
+    prune_weight : float
+        Hypotheses far below this weight are not made.
+
+    Returns
+    -------
+    parts : tuple
+        Missed components, detected ones, and one new track a detection, in this order.
+    log_likelihood : float
+        Of the event's detections, per distorted pixel: the Bethe value of the association problem.
+    """
+    weights, labels = parts[0], parts[5]
+    camera, time_s, next_label = place
+    p_detect, clutter, births, area = rates
+    status, fraction = moved[3], moved[2]
+    count, n_detections = len(weights), len(points)
+    components, detections, densities = pair_likelihoods(
+        moved[0], moved[1], status != OUT_OF_VIEW, points, noises, areas, delays
+    )
+    detected = p_detect * fraction * weights
+    joint = detected[components] * densities
+    # the first detection of an object: of one that is unknown so far, or of a recycled track
+    birth = p_detect * births / area
+    first = np.full(n_detections, birth)
+    claims = labels[components] != UNLABELLED
+    for p in range(len(components)):
+        if not claims[p]:
+            first[detections[p]] += joint[p]
+    background = clutter / area + first
+
+    member, n_groups = group(labels)
+    missed = np.ones(n_groups)
+    log_likelihood = -clutter - p_detect * births
+    for k in range(count):
+        if labels[k] == UNLABELLED:
+            log_likelihood -= detected[k]
+        else:
+            missed[member[k]] -= detected[k]
+    for g in range(n_groups):
+        missed[g] = max(missed[g], LEAST_MISSED)
+        log_likelihood += math.log(missed[g])
+    for j in range(n_detections):
+        log_likelihood += math.log(background[j])
+
+    # a track claims a detection as a whole: the pairs of its alternatives are one pair
+    claiming = np.flatnonzero(claims)
+    pair, n_pairs = group(member[components[claiming]] * n_detections + detections[claiming])
+    owners = np.empty(n_pairs, dtype=np.int64)
+    wanted = np.empty(n_pairs, dtype=np.int64)
+    claim = np.zeros(n_pairs)
+    for i in range(len(claiming)):
+        p = claiming[i]
+        owners[pair[i]], wanted[pair[i]] = member[components[p]], detections[p]
+        claim[pair[i]] += joint[p]
+    odds = claim / (missed[owners] * background[wanted])
+    share, untouched, unclaimed, log_bethe = association_marginals(owners, wanted, odds, n_groups, n_detections)
+
+    taken = np.empty(len(claiming))
+    for i in range(len(claiming)):
+        p = claiming[i]
+        taken[i] = share[pair[i]] * joint[p] / claim[pair[i]] if claim[pair[i]] > 0.0 else 0.0
+    kept = np.flatnonzero(taken >= LEAST_SHARE * prune_weight)
+    chosen = claiming[kept]
+    out = _allocate(parts, components[chosen], n_detections)
+    _fill_missed(parts, moved, detected, untouched / missed, member, camera, time_s, out)
+    means, covariances = kalman_updates(
+        moved[0], moved[1], components[chosen], detections[chosen], points, noises, delays
+    )
+    existence = unclaimed * first / background
+    new_means, new_covariances = _first_detections(
+        moved, points, noises, delays, existence, birth / first, components, detections, joint, claims, first,
+        newborn_means, newborn_covariances, prune_weight,
+    )  # fmt: skip
+    end = count + len(chosen)
+    out[0][count:end], out[1][count:end], out[2][count:end] = taken[kept], means, covariances
+    out[0][end:], out[1][end:], out[2][end:] = existence, new_means, new_covariances
+    out[3][count:], out[4][count:] = camera, time_s
+    out[5][end:] = next_label + np.arange(n_detections)
+    return out, log_likelihood + log_bethe
+
+
+@compiled
+def _allocate(parts: Parts, updated: Integers, n_new: int) -> Parts:
+    """Room for all components missed, those `updated` and new ones, with labels and identities filled in."""
+    known_labels, known_tracks, known_reported = parts[5], parts[6], parts[7]
+    count, size = parts[1].shape
+    out = allocate_parts(count + len(updated) + n_new, size)
+    labels, tracks, reported = out[5], out[6], out[7]
+    for k in range(count + len(updated)):
+        origin = k if k < count else updated[k - count]
+        labels[k], tracks[k], reported[k] = known_labels[origin], known_tracks[origin], known_reported[origin]
+    return out
+
+
+@compiled
+def _fill_missed(
+    parts: Parts,
+    moved: MovedArrays,
+    detected: Array,
+    still: Array,
+    member: Integers,
+    camera: int,
+    time_s: float,
+    out: Parts,
+) -> None:
+    """Components as the event left them undetected (see `stereophd.core.multi.base.missed_states`)."""
+    weights, means, covariances, cameras, times, labels = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]
+    moved_means, moved_covariances, status, missed_means, missed_covariances, inside = (
+        moved[0], moved[1], moved[3], moved[4], moved[5], moved[6],
+    )  # fmt: skip
+    to_weights, to_means, to_covariances, to_cameras, to_times = out[0], out[1], out[2], out[3], out[4]
+    for k in range(len(weights)):
+        factor = still[member[k]] if labels[k] != UNLABELLED else 1.0
+        to_weights[k] = (weights[k] - detected[k]) * factor
+        to_cameras[k] = camera if status[k] == IN_VIEW else cameras[k]
+        to_times[k] = time_s if status[k] == IN_VIEW else times[k]
+        if status[k] == IN_VIEW:
+            copy_gaussian(moved_means, moved_covariances, k, to_means, to_covariances, k)
+        elif status[k] == PARTLY_IN_VIEW or inside[k] < 1.0:
+            copy_gaussian(missed_means, missed_covariances, k, to_means, to_covariances, k)
+        else:
+            copy_gaussian(means, covariances, k, to_means, to_covariances, k)
+
+
+@compiled
+def _first_detections(
+    moved: MovedArrays,
+    points: Array,
+    noises: Array,
+    delays: Array | None,
+    existence: Array,
+    born: Array,
+    components: Integers,
+    detections: Integers,
+    joint: Array,
+    claims: NDArray[np.bool_],
+    first: Array,
+    newborn_means: Array,
+    newborn_covariances: Array,
+    prune_weight: float,
+) -> tuple[Array, Array]:
+    """Gaussians (m) of objects detected for the first time: born now, or recycled before (moment matching)."""
+    chosen = np.empty(len(components), dtype=np.int64)
+    count = 0
+    for p in range(len(components)):
+        j = detections[p]
+        if not claims[p] and joint[p] > LEAST_SHARE * first[j] and existence[j] >= prune_weight:
+            chosen[count] = p
+            count += 1
+    if count == 0:
+        return newborn_means, newborn_covariances
+    chosen = chosen[:count]
+    groups = detections[chosen]
+    means, covariances = kalman_updates(moved[0], moved[1], components[chosen], groups, points, noises, delays)
+    return mix_gaussians(
+        groups, joint[chosen] / first[groups], means, covariances, born, newborn_means, newborn_covariances
+    )
+
+
+@compiled
+def mix_gaussians(
+    groups: Integers,
+    weights: Array,
+    means: Array,
+    covariances: Array,
+    base_weights: Array,
+    base_means: Array,
+    base_covariances: Array,
+) -> tuple[Array, Array]:
+    """Moment-match, group by group, Gaussians (p) with a base Gaussian (g) of weight >= 0.
+
+    Returns means (g, d) and covariances (g, d, d); a group without members keeps its base.
+    """
+    out_means = base_means.copy()
+    out_covariances = base_covariances.copy()
+    size = base_means.shape[1]
+    totals = base_weights.copy()
+    members = np.zeros(len(base_weights), dtype=np.int64)
+    for p in range(len(groups)):
+        totals[groups[p]] += weights[p]
+        members[groups[p]] += 1
+    for g in range(len(base_weights)):
+        if members[g] > 0:
+            part = base_weights[g] / totals[g]
+            for a in range(size):
+                out_means[g, a] *= part
+                for b in range(size):
+                    out_covariances[g, a, b] *= part
+    for p in range(len(groups)):
+        g = groups[p]
+        for a in range(size):
+            out_means[g, a] += weights[p] / totals[g] * means[p, a]
+    for g in range(len(base_weights)):
+        if members[g] > 0 and base_weights[g] > 0.0:
+            part = base_weights[g] / totals[g]
+            for a in range(size):
+                for b in range(size):
+                    out_covariances[g, a, b] += (
+                        part * (base_means[g, a] - out_means[g, a]) * (base_means[g, b] - out_means[g, b])
+                    )
+    for p in range(len(groups)):
+        g = groups[p]
+        part = weights[p] / totals[g]
+        for a in range(size):
+            for b in range(size):
+                spread = (means[p, a] - out_means[g, a]) * (means[p, b] - out_means[g, b])
+                out_covariances[g, a, b] += part * (covariances[p, a, b] + spread)
+    return out_means, out_covariances

@@ -1,0 +1,163 @@
+"""Mixture reduction: pruning, merging (Vo and Ma 2006, Table II) and a cap on the components."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.multi.intensity import GaussianMixture
+from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.moment_kernels import cholesky
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def reduce_mixture(
+    mixture: GaussianMixture,
+    prune_weight: float,
+    merge_distance: float,
+    max_components: int,
+    mutual: bool = True,
+) -> GaussianMixture:
+    """Drop light components, merge near ones, and keep the heaviest.
+
+    Parameters
+    ----------
+    mixture : GaussianMixture
+        Components are compared only with those at home in the same camera at the same time.
+    prune_weight : float
+        Components below this weight are dropped.
+    merge_distance : float
+        Squared Mahalanobis distance, in the covariance of the lighter component, below which a
+        component is merged into a heavier one.
+    max_components : int
+        The heaviest are kept.
+    mutual : bool
+        Require the distance in the covariance of the heavier component as well. Without it, as in the
+        textbook, a component whose depth is known swallows every light one that knows nothing of
+        depth, and knows as little itself from then on.
+
+    Returns
+    -------
+    GaussianMixture
+        In order of falling weight of the heaviest part; a merged component keeps the identity of its
+        heaviest part.
+    """
+    heavy = np.flatnonzero(mixture.weights >= prune_weight)
+    order = heavy[np.argsort(-mixture.weights[heavy], kind="stable")]
+    mixture = mixture.take(order)
+    if merge_distance > 0.0 and len(mixture) > 1:
+        weights, means, covariances, leaders = merge_sorted(
+            mixture.weights,
+            mixture.means,
+            mixture.covariances,
+            mixture.cameras,
+            mixture.times,
+            merge_distance,
+            mutual,
+        )
+        merged = mixture.take(leaders)
+        mixture = GaussianMixture(
+            weights, means, covariances, merged.cameras, merged.times, merged.labels, merged.tracks,
+            merged.reported,
+        )  # fmt: skip
+    if len(mixture) > max_components:
+        keep = np.sort(np.argsort(-mixture.weights, kind="stable")[:max_components])
+        mixture = mixture.take(keep)
+    return mixture
+
+
+@compiled
+def squared_distance(difference: Array, factor: Array, scratch: Array) -> float:
+    """Squared Mahalanobis distance of a difference (d,), given the Cholesky factor (d, d)."""
+    total = 0.0
+    for a in range(difference.shape[0]):
+        value = difference[a]
+        for b in range(a):
+            value -= factor[a, b] * scratch[b]
+        scratch[a] = value / factor[a, a]
+        total += scratch[a] * scratch[a]
+    return total
+
+
+@compiled
+def merge_sorted(
+    weights: Array,
+    means: Array,
+    covariances: Array,
+    cameras: Integers,
+    times: Array,
+    distance: float,
+    mutual: bool,
+) -> tuple[Array, Array, Array, Integers]:
+    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `mutual` as above.
+
+    Returns the merged weights, means and covariances, and the index of the heaviest part of each.
+    """
+    count, size = means.shape
+    used = np.zeros(count, dtype=np.bool_)
+    factored = np.zeros(count, dtype=np.bool_)
+    factors = np.empty((count, size, size))
+    out_weights = np.empty(count)
+    out_means = np.empty((count, size))
+    out_covariances = np.empty((count, size, size))
+    leaders = np.empty(count, dtype=np.int64)
+    members = np.empty(count, dtype=np.int64)
+    difference = np.empty(size)
+    scratch = np.empty(size)
+    merged = 0
+    for leader in range(count):
+        if used[leader]:
+            continue
+        members[0] = leader
+        found = 1
+        for k in range(leader + 1, count):
+            if used[k] or cameras[k] != cameras[leader] or times[k] != times[leader]:
+                continue
+            near = True
+            for a in range(size):
+                difference[a] = means[k, a] - means[leader, a]
+                # a squared Mahalanobis distance is at least that of each coordinate alone
+                reach = covariances[k, a, a]
+                if mutual:
+                    reach = min(reach, covariances[leader, a, a])
+                if difference[a] * difference[a] > distance * reach:
+                    near = False
+                    break
+            if not near:
+                continue
+            if not factored[k]:
+                factored[k] = cholesky(covariances[k], factors[k])
+                if not factored[k]:
+                    continue
+            if squared_distance(difference, factors[k], scratch) > distance:
+                continue
+            if mutual and not factored[leader]:
+                factored[leader] = cholesky(covariances[leader], factors[leader])
+            if not mutual or (factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance):
+                members[found] = k
+                found += 1
+        total = 0.0
+        for m in range(found):
+            used[members[m]] = True
+            total += weights[members[m]]
+        mean = out_means[merged]
+        mean[:] = 0.0
+        for m in range(found):
+            part = weights[members[m]] / total
+            for a in range(size):
+                mean[a] += part * means[members[m], a]
+        covariance = out_covariances[merged]
+        covariance[:] = 0.0
+        for m in range(found):
+            k = members[m]
+            part = weights[k] / total
+            for a in range(size):
+                for b in range(size):
+                    spread = (means[k, a] - mean[a]) * (means[k, b] - mean[b])
+                    covariance[a, b] += part * (covariances[k, a, b] + spread)
+        out_weights[merged] = total
+        leaders[merged] = leader
+        merged += 1
+    return out_weights[:merged], out_means[:merged], out_covariances[:merged], leaders[:merged]

@@ -1,0 +1,1 @@
+"""Compilation, small linear algebra, sample sets, resampling, random streams."""

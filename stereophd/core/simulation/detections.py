@@ -1,0 +1,187 @@
+"""What the cameras of a scene report: detections with noise and misses, and clutter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from heapq import merge
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.simulation.objects import BoolArray, MovingObject, StateWindow, state_windows
+from stereophd.core.simulation.timing import FloatArray, IntArray, TimeGrid, instants
+
+# Label of a false detection.
+CLUTTER_ID = -1
+
+# Row times are exact to a picosecond; each iteration gains a digit or more at the speeds that a camera can follow.
+READOUT_ITERATIONS = 50
+READOUT_TOLERANCE_S = 1e-12
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Cameras and objects of one run.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera
+    grid : TimeGrid
+        Its schedules are those of `cameras`, in order.
+    objects : tuple of MovingObject
+    acceleration_std : (3,)
+        Process noise of the objects per axis, length/s^2.
+    """
+
+    cameras: tuple[Camera, ...]
+    grid: TimeGrid
+    objects: tuple[MovingObject, ...]
+    acceleration_std: FloatArray
+
+    def windows(self) -> Iterator[StateWindow]:
+        """Yield the states of the objects, window by window, in order of true time."""
+        return state_windows(self.objects, self.grid, self.acceleration_std)
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """One frame of one camera.
+
+    Parameters
+    ----------
+    log_time_s : float
+        Its time on the camera's own clock.
+    camera : int
+        Index of the camera.
+    frame : int
+        Frame number, from 0.
+    pixels : (m, 2)
+        Detections in distorted pixels, in random order; none is a frame too.
+    object_id : (m,)
+        Label of the object of each detection, `CLUTTER_ID` for clutter.
+    """
+
+    log_time_s: float
+    camera: int
+    frame: int
+    pixels: FloatArray
+    object_id: NDArray[np.int64]
+
+
+def simulate_frames(scene: Scene, seed: np.random.SeedSequence) -> Iterator[SimulatedFrame]:
+    """Yield the frames of all cameras in order of log time, ties in camera order.
+
+    Each camera makes its own frames from its own random numbers and its own pass over the objects'
+    paths: clocks may be hours apart without more than a window of each camera in memory.
+
+    Parameters
+    ----------
+    scene : Scene
+    seed : numpy.random.SeedSequence
+        One child for each camera.
+    """
+    streams = [_camera_frames(scene, index, child) for index, child in enumerate(seed.spawn(len(scene.cameras)))]
+    return merge(*streams, key=lambda frame: (frame.log_time_s, frame.camera))
+
+
+def _camera_frames(scene: Scene, index: int, seed: np.random.SeedSequence) -> Iterator[SimulatedFrame]:
+    camera = scene.cameras[index]
+    detection_generator, clutter_generator, order_generator = map(np.random.default_rng, seed.spawn(3))
+    for window in scene.windows():
+        numbers, times_s = scene.grid.frames[index].window(window.lower_s, window.upper_s)
+        seen = _detect(camera, window, times_s, detection_generator)
+        false = _clutter(camera, times_s.size, clutter_generator)
+        frame = np.concatenate([seen[0], false[0]])
+        pixels = np.concatenate([seen[1], false[1]])
+        identifiers = np.concatenate([seen[2], false[2]])
+        # Detections of a frame come in no order: the first must not be the first object.
+        order = np.lexsort((order_generator.random(frame.size), frame))
+        bounds = np.searchsorted(frame[order], np.arange(times_s.size + 1))
+        log_times_s = np.asarray(camera.clock.to_log(times_s))
+        for position, number in enumerate(numbers):
+            rows = order[bounds[position] : bounds[position + 1]]
+            yield SimulatedFrame(float(log_times_s[position]), index, int(number), pixels[rows], identifiers[rows])
+
+
+def _detect(
+    camera: Camera, window: StateWindow, times_s: FloatArray, generator: np.random.Generator
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Return frame index (k,), pixels (k, 2) and object (k,) of the true detections in a window."""
+    columns = np.searchsorted(window.times_s, times_s)
+    states = window.states[:, columns].transpose(1, 0, 2)  # (frames, objects, 6)
+    shape = states.shape[:2]
+    detected = generator.random(shape) < camera.detector.p_detect
+    noise = generator.standard_normal((*shape, 2)) * np.asarray(camera.detector.sigma)
+    frame, row = np.nonzero(detected & ~np.isnan(states[:, :, 0]))
+    points = states[frame, row, :3]
+    if camera.readout_s != 0.0:
+        points = points + _row_delays(camera, points, states[frame, row, 3:])[:, None] * states[frame, row, 3:]
+    pixels, in_view = _project_in_view(camera, points, times_s[frame])
+    pixels = pixels + noise[frame, row]
+    # Noise over the edge of the image is no detection: the sensor ends there.
+    kept = in_view & _inside_image(camera, pixels)
+    return frame[kept], pixels[kept], window.object_id[row[kept]]
+
+
+def _row_delays(camera: Camera, points: FloatArray, velocities: FloatArray) -> FloatArray:
+    """Return when a rolling shutter reads moving points (n, 3), s after the time of the frame at which they are there.
+
+    The delay t solves t = readout v(x + t dx/dt) / height, v being the distorted row: iterated from the middle
+    row on, a contraction by the speed along the rows over that of the readout. During a readout objects move on
+    straight. NaN for a point that keeps pace with the readout: it may be seen many times, or never.
+    """
+    outermost = np.array([-0.5, camera.height - 0.5])
+    delays = np.full(len(points), camera.readout_s / 2.0)
+    change = np.zeros(len(points))
+    for _ in range(READOUT_ITERATIONS):
+        rows = camera.project(points + delays[:, None] * velocities)[:, 1]
+        # outside the image (NaN: behind the camera) nothing is read: any time will do
+        rows = np.clip(np.where(np.isnan(rows), camera.height / 2.0, rows), *outermost)
+        found = camera.readout_s / camera.height * rows
+        change = np.abs(found - delays)
+        delays = found
+        if not (change > READOUT_TOLERANCE_S).any():
+            break
+    return np.where(change > READOUT_TOLERANCE_S, np.nan, delays)
+
+
+def _project_in_view(camera: Camera, points: FloatArray, times_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return distorted pixels (n, 2) of points (n, 3) at their true times (n,), and which are in view."""
+    if camera.pose.is_static:
+        return np.asarray(camera.project(points)), np.asarray(camera.in_view(points), dtype=np.bool_)
+    pixels = np.empty((len(points), 2))
+    in_view = np.zeros(len(points), dtype=np.bool_)
+    for time_s, here in instants(times_s):  # a moving camera is another camera at every instant
+        frozen = camera.at(time_s)
+        pixels[here], in_view[here] = frozen.project(points[here]), frozen.in_view(points[here])
+    return pixels, in_view
+
+
+def _inside_image(camera: Camera, pixels: FloatArray) -> BoolArray:
+    # Pixel (0, 0) is the centre of the top-left pixel, so the image reaches half a pixel beyond it.
+    upper = np.array([camera.width, camera.height]) - 0.5
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((pixels >= -0.5) & (pixels <= upper)).all(axis=1), dtype=np.bool_)
+
+
+def _clutter(camera: Camera, frames: int, generator: np.random.Generator) -> tuple[IntArray, FloatArray, IntArray]:
+    """Return frame index (k,), pixels (k, 2) and label (k,) of Poisson clutter, uniform over the image."""
+    counts = generator.poisson(camera.detector.clutter_per_frame, frames)
+    total = int(counts.sum())
+    pixels = generator.uniform([-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5], (total, 2))
+    return np.repeat(np.arange(frames), counts), pixels, np.full(total, CLUTTER_ID, dtype=np.int64)
+
+
+def truth_rows(scene: Scene) -> Iterator[tuple[FloatArray, IntArray, FloatArray]]:
+    """Yield times (n,), object labels (n,) and states (n, 6) of the truth, window by window.
+
+    Rows are in order of true time, then of label; an object has a row at every instant of its life.
+    """
+    for window in scene.windows():
+        columns = np.searchsorted(window.times_s, scene.grid.truth_times(window.lower_s, window.upper_s))
+        order = np.argsort(window.object_id)
+        states = window.states[order][:, columns].transpose(1, 0, 2)
+        instant, row = np.nonzero(~np.isnan(states[:, :, 0]))
+        yield window.times_s[columns][instant], window.object_id[order][row], states[instant, row]

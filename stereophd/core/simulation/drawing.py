@@ -1,0 +1,178 @@
+"""How the objects of a scene are drawn, so that they stay in view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.simulation.objects import BoolArray, MovingObject, Path
+from stereophd.core.simulation.timing import FloatArray, TimeGrid, instants
+from stereophd.errors import InputError
+
+# Candidates for one object: drawn a batch at a time, given up after this many batches.
+CANDIDATES_PER_BATCH = 256
+MAX_BATCHES = 128
+# Instants of its life at which a candidate without process noise is checked before the full check.
+COARSE_INSTANTS = 9
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How objects are drawn.
+
+    Parameters
+    ----------
+    count : int
+        Objects alive at the start.
+    low, high : (3,)
+        Corners of the box in which positions at birth are uniform, world frame.
+    velocity_std : float
+        Standard deviation of each component of velocity, length/s.
+    stay_in_view : "all", "any" or "none"
+        Of which cameras an object must be in view at every instant of its life.
+    births_per_s : float
+        Rate of further objects (a Poisson process).
+    mean_lifetime_s : float or None
+        Exponential lifetime; None: to the end of the run.
+    """
+
+    count: int
+    low: FloatArray
+    high: FloatArray
+    velocity_std: float
+    stay_in_view: Literal["all", "any", "none"] = "all"
+    births_per_s: float = 0.0
+    mean_lifetime_s: float | None = None
+
+
+def in_view_at(camera: Camera, points: FloatArray, times_s: FloatArray) -> BoolArray:
+    """Return whether a camera sees points (n, 3), world frame, each at its own true time (n,)."""
+    if camera.pose.is_static:
+        return np.asarray(camera.in_view(points), dtype=np.bool_)
+    result = np.zeros(len(points), dtype=np.bool_)
+    for time_s, here in instants(times_s):  # a moving camera is another camera at every instant
+        result[here] = camera.at(time_s).in_view(points[here])
+    return result
+
+
+def draw_objects(
+    drawing: Drawing,
+    cameras: Sequence[Camera],
+    grid: TimeGrid,
+    acceleration_std: FloatArray,
+    seed: np.random.SeedSequence,
+    first_id: int = 0,
+) -> tuple[MovingObject, ...]:
+    """Draw the objects of a scene; those that would leave the view are drawn again.
+
+    Birth and lifetime are drawn once, position, velocity and process noise until they fit: lifetimes
+    keep their distribution.
+
+    Returns
+    -------
+    tuple of MovingObject
+        Labelled from `first_id` on, in order of birth.
+
+    Raises
+    ------
+    InputError
+        If no object stays in view in ``MAX_BATCHES * CANDIDATES_PER_BATCH`` draws.
+    """
+    count_seed, object_seed = seed.spawn(2)
+    generator = np.random.default_rng(count_seed)
+    duration_s = grid.end_s - grid.start_s
+    births = generator.poisson(drawing.births_per_s * duration_s)
+    birth_s = np.concatenate(
+        [np.full(drawing.count, grid.start_s), np.sort(generator.uniform(grid.start_s, grid.end_s, births))]
+    )
+    drawn = []
+    for index, (start_s, child) in enumerate(zip(birth_s, object_seed.spawn(birth_s.size), strict=True)):
+        own = np.random.default_rng(child)
+        mean_s = drawing.mean_lifetime_s
+        death_s = np.inf if mean_s is None else start_s + own.exponential(mean_s)
+        life = (first_id + index, float(start_s), float(death_s))
+        drawn.append(_draw_one(drawing, cameras, grid, acceleration_std, own, life))
+    return tuple(drawn)
+
+
+def _draw_one(
+    drawing: Drawing,
+    cameras: Sequence[Camera],
+    grid: TimeGrid,
+    acceleration_std: FloatArray,
+    generator: np.random.Generator,
+    life: tuple[int, float, float],
+) -> MovingObject:
+    for _ in range(MAX_BATCHES):
+        positions = generator.uniform(drawing.low, drawing.high, (CANDIDATES_PER_BATCH, 3))
+        velocities = drawing.velocity_std * generator.standard_normal((CANDIDATES_PER_BATCH, 3))
+        seeds = generator.integers(0, np.iinfo(np.int64).max, CANDIDATES_PER_BATCH)
+        last_s = life[1] if acceleration_std.any() else min(life[2], grid.end_s)
+        plausible = _stays_in_view_coarsely(drawing.stay_in_view, cameras, positions, velocities, life[1], last_s)
+        for index in np.flatnonzero(plausible):
+            candidate = MovingObject(*life, positions[index], velocities[index], int(seeds[index]))
+            if _stays_in_view(drawing.stay_in_view, cameras, grid, acceleration_std, candidate):
+                return candidate
+    raise InputError(
+        f"simulate.objects: expected a box and velocities with which an object stays in view of "
+        f"{drawing.stay_in_view} cameras throughout its life, found none in "
+        f"{MAX_BATCHES * CANDIDATES_PER_BATCH} draws (box x {_range(drawing, 0)}, y {_range(drawing, 1)}, "
+        f"z {_range(drawing, 2)}, velocity_std {drawing.velocity_std:g}, cameras "
+        f"{', '.join(camera.name for camera in cameras)})"
+    )
+
+
+def _range(drawing: Drawing, axis: int) -> str:
+    return f"[{drawing.low[axis]:g}, {drawing.high[axis]:g}]"
+
+
+def _combine(stay_in_view: str, seen: BoolArray) -> BoolArray:
+    """Return whether points (n,) seen by cameras (c, n) are in view as asked."""
+    if stay_in_view == "none":
+        return np.ones(seen.shape[1], dtype=np.bool_)
+    return np.asarray(seen.all(axis=0) if stay_in_view == "all" else seen.any(axis=0), dtype=np.bool_)
+
+
+def _stays_in_view_coarsely(
+    stay_in_view: str,
+    cameras: Sequence[Camera],
+    positions: FloatArray,
+    velocities: FloatArray,
+    first_s: float,
+    last_s: float,
+) -> BoolArray:
+    """Return which straight paths (n,) are in view at a few instants: cheap, and most fail here."""
+    # The last instant stays clear of the end, which no frame reaches.
+    times_s = first_s + (last_s - first_s) * np.arange(COARSE_INSTANTS) / COARSE_INSTANTS
+    points = positions[:, None] + velocities[:, None] * (times_s - first_s)[:, None]
+    instants = np.broadcast_to(times_s, points.shape[:2])
+    seen = np.stack([in_view_at(camera, points.reshape(-1, 3), instants.reshape(-1)) for camera in cameras])
+    return np.asarray(_combine(stay_in_view, seen).reshape(points.shape[:2]).all(axis=1), dtype=np.bool_)
+
+
+def _stays_in_view(
+    stay_in_view: str,
+    cameras: Sequence[Camera],
+    grid: TimeGrid,
+    acceleration_std: FloatArray,
+    candidate: MovingObject,
+) -> bool:
+    if stay_in_view == "none":
+        return True
+    path = Path(candidate, acceleration_std)
+    end_s = np.nextafter(candidate.death_s, np.inf)  # it still exists at its death
+    for lower_s, upper_s in grid.windows():
+        if upper_s <= candidate.birth_s:
+            continue
+        if lower_s >= end_s:
+            break
+        times_s = grid.times(max(lower_s, candidate.birth_s), min(upper_s, end_s))
+        points = path.states(times_s)[:, :3]
+        seen = np.stack([in_view_at(camera, points, times_s) for camera in cameras])
+        if not _combine(stay_in_view, seen).all():
+            return False
+    return True

@@ -1,0 +1,143 @@
+"""How the objects of a scene move.
+
+Motion is constant velocity with white acceleration, independent per axis, discretised exactly: over a
+time dt a position and velocity gain noise of covariance ``q [[dt^3/3, dt^2/2], [dt^2/2, dt]]`` with
+spectral density ``q = acceleration_std^2 * 1 s`` (Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.simulation.timing import FloatArray, TimeGrid
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MovingObject:
+    """One object of a scene.
+
+    Parameters
+    ----------
+    object_id : int
+        Its label in the truth.
+    birth_s, death_s : float
+        It exists at true times ``birth_s <= t <= death_s``.
+    position, velocity : (3,)
+        State at ``birth_s``, world frame, length and length/s.
+    noise_seed : int
+        Seed of its process noise: its path is made anew, the same, whenever it is asked for.
+    """
+
+    object_id: int
+    birth_s: float
+    death_s: float
+    position: FloatArray
+    velocity: FloatArray
+    noise_seed: int
+
+
+class Path:
+    """The states of one object at ascending instants, asked for a window at a time.
+
+    Parameters
+    ----------
+    moving_object : MovingObject
+        Whose path; it starts at the birth, and must be asked forwards in time.
+    acceleration_std : (3,)
+        Process noise per axis, length/s^2.
+    """
+
+    def __init__(self, moving_object: MovingObject, acceleration_std: FloatArray) -> None:
+        self._density = np.asarray(acceleration_std, dtype=float) ** 2
+        self._object = moving_object
+        self._time_s = moving_object.birth_s
+        self._position = moving_object.position
+        self._velocity = moving_object.velocity
+        self._generator = np.random.default_rng(moving_object.noise_seed)
+
+    def states(self, times_s: FloatArray) -> FloatArray:
+        """Return position and velocity (n, 6), world frame, at ascending true times (n,) of its life.
+
+        Times must not lie before those of the call before.
+        """
+        if times_s.size == 0:
+            return np.empty((0, 6))
+        if not self._density.any():
+            # One product, not a running sum: the same state at an instant whatever was asked before.
+            elapsed = (times_s - self._object.birth_s)[:, None]
+            velocity = np.broadcast_to(self._velocity, (times_s.size, 3))
+            return np.concatenate([self._object.position + elapsed * velocity, velocity], axis=1)
+        step = np.diff(times_s, prepend=self._time_s)[:, None]
+        normal = self._generator.standard_normal((times_s.size, 2, 3))
+        velocity_noise = np.sqrt(self._density * step) * normal[:, 0]
+        # Given the gain in velocity, that of position has this mean and variance (conditional Gaussian).
+        position_noise = 0.5 * step * velocity_noise + np.sqrt(self._density * step**3 / 12) * normal[:, 1]
+        velocity = np.cumsum(np.vstack([self._velocity, velocity_noise]), axis=0)
+        gain = step * velocity[:-1] + position_noise
+        position = np.cumsum(np.vstack([self._position, gain]), axis=0)
+        self._time_s = float(times_s[-1])
+        self._position, self._velocity = position[-1], velocity[-1]
+        return np.concatenate([position[1:], velocity[1:]], axis=1)
+
+
+@dataclass(frozen=True)
+class StateWindow:
+    """States of the objects that live in a window of time.
+
+    Parameters
+    ----------
+    lower_s, upper_s : float
+        The window, true time, upper end excluded.
+    times_s : (n,)
+        Its distinct instants, ascending.
+    object_id : (m,)
+        Objects that live at any of them.
+    states : (m, n, 6)
+        Position and velocity, world frame; NaN before birth and after death.
+    """
+
+    lower_s: float
+    upper_s: float
+    times_s: FloatArray
+    object_id: NDArray[np.int64]
+    states: FloatArray
+
+    @property
+    def alive(self) -> BoolArray:
+        """Whether an object exists at an instant, (m, n)."""
+        return ~np.isnan(self.states[:, :, 0])
+
+
+def state_windows(
+    objects: Sequence[MovingObject], grid: TimeGrid, acceleration_std: FloatArray
+) -> Iterator[StateWindow]:
+    """Yield the states of all objects, window by window, in memory that does not grow with the run.
+
+    Parameters
+    ----------
+    objects : sequence of MovingObject
+    grid : TimeGrid
+        Instants of the run.
+    acceleration_std : (3,)
+        Process noise per axis, length/s^2.
+    """
+    waiting = sorted(objects, key=lambda item: (item.birth_s, item.object_id), reverse=True)
+    living: dict[int, tuple[MovingObject, Path]] = {}
+    for lower_s, upper_s in grid.windows():
+        while waiting and waiting[-1].birth_s < upper_s:
+            born = waiting.pop()
+            living[born.object_id] = (born, Path(born, acceleration_std))
+        times_s = grid.times(lower_s, upper_s)
+        states = np.full((len(living), times_s.size, 6), np.nan)
+        for row, (item, path) in enumerate(living.values()):
+            exists = (times_s >= item.birth_s) & (times_s <= item.death_s)
+            states[row, exists] = path.states(times_s[exists])
+        identifiers = np.fromiter(living, dtype=np.int64, count=len(living))
+        yield StateWindow(lower_s, upper_s, times_s, identifiers, states)
+        living = {key: value for key, value in living.items() if value[0].death_s >= upper_s}

@@ -1,0 +1,147 @@
+"""One object seen by several cameras, without clutter: what all estimators have in common.
+
+An estimator is ``init / step / estimate`` over a frozen state: `SingleEstimator.step` takes a state and
+the event of one camera (at most one detection) to the next state, `SingleEstimator.estimate` says where
+the object is, in the world. Nothing is kept outside the state: the same state and event give the same
+result, of those that draw random numbers too.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.motion.models import Motion, Static
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SingleState:
+    """What the states of all estimators have.
+
+    Attributes
+    ----------
+    time_s : float
+        Time for which `SingleEstimator.estimate` speaks: that of the last event, or later.
+    home_s : float
+        Time of what is known of the object: that of the last detection.
+    n_events : int
+        Events so far.
+    """
+
+    time_s: float
+    home_s: float
+    n_events: int
+
+
+State = TypeVar("State", bound=SingleState)
+
+
+@dataclass(frozen=True)
+class SingleEstimate:
+    """Where the object is, in the world.
+
+    Attributes
+    ----------
+    mean : array (6,)
+        Mean of (x, y, z, vx, vy, vz), length and length/s; the velocity of a static object is 0.
+    map : array (6,)
+        The state of greatest density in the space that the estimator works in, mapped to the world.
+    covariance : array (6, 6)
+        Covariance about the mean.
+
+    All are NaN where the object is at or beyond infinity.
+    """
+
+    mean: Array
+    map: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class SingleInfo:
+    """What a person may want to know of an event.
+
+    Attributes
+    ----------
+    log_likelihood : float
+        Logarithm of the density of the detection given all earlier ones, over distorted pixels: of the
+        first detection uniform over the image, of an event without one 0.
+    effective : float
+        Effective number of samples after the event: of a particle filter 1 / sum of squared weights, of
+        the others that of the samples behind their Gaussian.
+    """
+
+    log_likelihood: float
+    effective: float
+
+
+class SingleEstimator(ABC, Generic[State]):
+    """An estimator of the state of one object.
+
+    Attributes
+    ----------
+    rig : Rig
+    motion : Motion
+    prior : InitialPrior
+        Depth and velocity of the object when it is first seen.
+    """
+
+    rig: Rig
+    motion: Motion
+    prior: InitialPrior
+
+    @property
+    def state_size(self) -> int:
+        """Size of the state: 6, or 3 for a static object."""
+        return 3 if isinstance(self.motion, Static) else 6
+
+    @abstractmethod
+    def init(self) -> State:
+        """Return the state before the first detection."""
+
+    @abstractmethod
+    def step(self, state: State, event: Event) -> tuple[State, SingleInfo]:
+        """Return the state after an event, which has at most one detection."""
+
+    @abstractmethod
+    def estimate(self, state: State) -> SingleEstimate | None:
+        """Return where the object is at the state's time; None before its first detection."""
+
+    def at(self, state: State, time_s: float) -> State:
+        """Return the state of which `estimate` speaks for a time after the last event."""
+        return replace(state, time_s=time_s)
+
+
+def only_detection(event: Event) -> int | None:
+    """Return 0, the index of the event's detection, or None if it has none.
+
+    Raises
+    ------
+    ValueError
+        If the event has several: an estimator of one object cannot choose.
+    """
+    if len(event.points) > 1:
+        raise ValueError(f"expected at most one detection an event, found {len(event.points)} at {event.time_s:g} s")
+    return 0 if len(event.points) else None
+
+
+def detection_time(event: Event) -> float:
+    """Time of the event's only detection, s: a rolling shutter reads its row later than the first."""
+    return event.time_s if event.delays is None else event.time_s + float(event.delays[0])
+
+
+def first_density(rig: Rig, event: Event) -> float:
+    """Logarithm of the density of a detection of which nothing was known: uniform over the image."""
+    camera = rig.cameras[event.camera]
+    return -float(np.log(camera.width * camera.height))
+
+
+AnyEstimator = SingleEstimator[Any]

@@ -1,0 +1,100 @@
+"""From settings to an estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Rig
+from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.motion.models import Motion, Static
+from stereophd.core.numerics.samples import MAX_NONLINEARITY, Method, SampleSets, draw_sample_sets
+from stereophd.core.single.base import AnyEstimator
+from stereophd.core.single.cartesian import CartesianEstimator
+from stereophd.core.single.disparity import DisparityEstimator, RectifiedEstimator
+from stereophd.core.single.inverse_depth import InverseDepthEstimator
+from stereophd.core.single.particle import ParticleEstimator
+from stereophd.core.single.settings import CartesianSettings, DisparitySettings, EstimatorSettings, ParticleSettings
+
+Array = NDArray[np.float64]
+
+# Scramble of the low-discrepancy points: any will do, and one that is fixed makes them a rule.
+SCRAMBLE = 5
+
+
+def build_estimator(
+    settings: EstimatorSettings,
+    rig: Rig,
+    motion: Motion,
+    prior: InitialPrior,
+    rng: np.random.Generator,
+    sets: SampleSets | None = None,
+) -> AnyEstimator:
+    """Return the estimator that the settings describe.
+
+    Parameters
+    ----------
+    settings : EstimatorSettings
+    rig : Rig
+        The cameras.
+    motion : Motion
+    prior : InitialPrior
+    rng : Generator
+        Source of all randomness of the estimator. Low-discrepancy points are the same whatever it is
+        (they are a rule, not draws); pseudo-random samples and particles are drawn from it.
+    sets : SampleSets, optional
+        Samples of the moves between disparity spaces, in place of those that the settings name.
+
+    Raises
+    ------
+    ValueError
+        If the estimator cannot work with these cameras (Algorithm 1 with cameras that are not rectified).
+    """
+    if isinstance(settings, DisparitySettings):
+        if sets is None:
+            sets = sample_sets(settings, motion, rng)
+        kind = RectifiedEstimator if settings.rectified else DisparityEstimator
+        return kind(rig, motion, prior, sets)
+    if isinstance(settings, ParticleSettings):
+        return ParticleEstimator(rig, motion, prior, settings, int(rng.integers(2**63)))
+    if isinstance(settings, CartesianSettings):
+        return CartesianEstimator(rig, motion, prior, settings)
+    return InverseDepthEstimator(rig, motion, prior)
+
+
+def sample_sets(settings: DisparitySettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
+    """Return the samples of an estimator's moves; of ``particle`` drawn from the generator."""
+    rows = 3 if isinstance(motion, Static) else 12
+    if settings.method == "particle":
+        return fresh_samples(settings.samples, rows, int(rng.integers(2**63)))
+    return _rule(settings.method, settings.samples, rows, settings.max_nonlinearity)
+
+
+@dataclass(frozen=True)
+class FreshSamples(SampleSets):
+    """Pseudo-random samples drawn anew for every event, as the paper draws them (IV-B a).
+
+    Filters of many objects use a few sets in turn. Of one object, tracked over hundreds of events, the errors of
+    the same few sets would add up.
+    """
+
+    seed: int = 0
+
+    def turn(self, index: int) -> Array:
+        """Return the samples (rows, n) of event number `index`."""
+        return np.random.default_rng((self.seed, index)).standard_normal(self.sets.shape[1:])
+
+
+def fresh_samples(samples: int, rows: int, seed: int) -> FreshSamples:
+    """Return pseudo-random samples whose reserve, for tails in view, is a low-discrepancy set."""
+    reserve = _rule("qmc", 64, rows)
+    return FreshSamples("particle", np.empty((1, rows, samples)), reserve.reserve, reserve.reserve_weights, seed=seed)
+
+
+@cache
+def _rule(method: Method, samples: int, rows: int, max_nonlinearity: float = MAX_NONLINEARITY) -> SampleSets:
+    """Low-discrepancy sample sets, made once."""
+    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(SCRAMBLE), max_nonlinearity)

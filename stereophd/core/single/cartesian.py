@@ -1,0 +1,154 @@
+"""Kalman filters in world space, extended and unscented: what the paper argues against (I-C, IV-B).
+
+The state is (x, y, z) or (x, y, z, vx, vy, vz) in the world, where the motion is linear and the observation
+is not. The first detection and the prior on disparity are carried to the world to first order (extended) or
+by sigma points (unscented, without a centre point: all weights equal and positive); so are detections.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.geometry.layout import FX, FY
+from stereophd.core.motion.models import Motion
+from stereophd.core.numerics.moment_kernels import condition
+from stereophd.core.numerics.samples import cubature_points
+from stereophd.core.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    detection_time,
+    first_density,
+    only_detection,
+)
+from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
+from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
+from stereophd.core.single.settings import CartesianSettings
+
+Array = NDArray[np.float64]
+
+# A sigma point beyond infinity has no place in the world: it is put this much further away than the mean.
+FARTHEST = 10.0
+
+
+@dataclass(frozen=True)
+class CartesianEstimator(SingleEstimator[GaussianState]):
+    """The filters; see `SingleEstimator` for `rig`, `motion` and `prior`.
+
+    Attributes
+    ----------
+    settings : CartesianSettings
+    """
+
+    rig: Rig
+    motion: Motion
+    prior: InitialPrior
+    settings: CartesianSettings
+
+    def init(self) -> GaussianState:
+        """Return the state before the first detection."""
+        return unseen_state()
+
+    def step(self, state: GaussianState, event: Event) -> tuple[GaussianState, SingleInfo]:
+        """Predict, and update by the rule of the settings."""
+        seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
+        if only_detection(event) is None:
+            return seen, SingleInfo(0.0, 1.0)
+        time_s = detection_time(event)
+        camera = self.rig.space(event.camera, time_s)
+        now = replace(seen, camera=event.camera, home_s=time_s)
+        if state.camera == UNSEEN:
+            mean, covariance = self._first(event, camera)
+            return replace(now, mean=mean, covariance=covariance), SingleInfo(first_density(self.rig, event), 1.0)
+        mean, covariance = self._predicted(state, time_s)
+        point, noise = event.points[0], event.covariances[0]
+        if self.settings.rule == "extended":
+            pixel, jacobian = project(camera, rotation(camera) @ (mean[:3] - center(camera)))
+            matrix = np.zeros((2, len(mean)))
+            matrix[:, :3] = jacobian @ rotation(camera)
+        else:
+            pixel, matrix, spread = _regression(lambda states: _pixels(camera, states), mean, covariance)
+            noise = noise + spread
+        if not np.isfinite(matrix).all():
+            return seen, SingleInfo(0.0, 1.0)
+        mean, covariance, log_density = linear_update(mean, covariance, matrix, pixel, point, noise)
+        info = SingleInfo(log_density + float(np.log(event.areas[0])), 1.0)
+        return replace(now, mean=mean, covariance=covariance), info
+
+    def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
+        """Gaussian in the world of a first detection and the prior."""
+        size, pixel = self.state_size, event.points[0]
+        rho, rho_std = inverse_depth_prior(self.prior, camera)
+        focal = camera[[FX, FY]]
+        covariance = np.zeros((3, 3))
+        covariance[:2, :2] = event.covariances[0] / np.outer(focal, focal)
+        covariance[2, 2] = rho_std**2
+        slopes = ray(camera, pixel)
+        local = np.array([slopes[0], slopes[1], rho])
+        back = rotation(camera).T
+        if self.settings.rule == "extended":
+            point = back @ slopes / rho
+            jacobian = np.column_stack([back[:, 0] / rho, back[:, 1] / rho, -point / rho])
+            position, spread = center(camera) + point, jacobian @ covariance @ jacobian.T
+        else:
+            samples = local + (np.linalg.cholesky(covariance) @ cubature_points(3)).T
+            rays = np.column_stack([samples[:, :2], np.ones(len(samples))])
+            points = rays / np.maximum(samples[:, 2:], rho / FARTHEST) @ back.T + center(camera)
+            position = points.mean(axis=0)
+            spread = (points - position).T @ (points - position) / len(points)
+        mean, whole = np.zeros(size), np.zeros((size, size))
+        mean[:3], whole[:3, :3] = position, spread
+        if size == 6:
+            whole[3:, 3:] = velocity_covariance(self.prior, camera, pixel, rho)
+        return mean, whole
+
+    def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
+        """Exact prediction: (mean, covariance) at a time."""
+        dt = time_s - state.home_s
+        if self.state_size == 3 or dt == 0.0:
+            return state.mean, state.covariance
+        matrix, noise = self.motion.transition(dt)
+        return matrix @ state.mean, matrix @ state.covariance @ matrix.T + noise
+
+    def estimate(self, state: GaussianState) -> SingleEstimate | None:
+        """Return the mean, which is the mode, and the covariance."""
+        if state.camera == UNSEEN:
+            return None
+        size = self.state_size
+        mean, covariance = np.zeros(6), np.zeros((6, 6))
+        mean[:size], covariance[:size, :size] = self._predicted(state, state.time_s)
+        return SingleEstimate(mean, mean, covariance)
+
+
+def _pixels(camera: Array, states: Array) -> Array:
+    """Pixels (n, 2) of world states (n, d)."""
+    return np.array([project(camera, rotation(camera) @ (state[:3] - center(camera)))[0] for state in states])
+
+
+def _regression(function: Callable[[Array], Array], mean: Array, covariance: Array) -> tuple[Array, Array, Array]:
+    """Statistical linear regression of a function of a Gaussian, at the sigma points of the unscented transform.
+
+    Returns
+    -------
+    predicted : array (2,)
+        Mean of the function.
+    matrix : array (2, d)
+        Of the linear function that fits best: a Kalman update with it is the unscented filter's.
+    spread : array (2, 2)
+        Covariance of what the linear function leaves over.
+    """
+    positive = covariance.copy()
+    condition(positive, np.empty_like(positive))
+    deviations = (np.linalg.cholesky(positive) @ cubature_points(len(mean))).T
+    values = function(mean + deviations)
+    predicted = values.mean(axis=0)
+    residuals = values - predicted
+    matrix = np.linalg.solve(positive, deviations.T @ residuals / len(values)).T
+    spread = residuals.T @ residuals / len(values) - matrix @ positive @ matrix.T
+    return predicted, matrix, (spread + spread.T) / 2.0

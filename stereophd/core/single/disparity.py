@@ -1,0 +1,268 @@
+"""Estimation of one object on disparity space: Algorithms 1 and 2 of the paper (V-A, V-B).
+
+The state is a Gaussian in the disparity space of a camera, where its detections are linear (eq. 4): a
+Kalman update is all that they take. Between events the Gaussian is carried by the moves of
+`stereophd.core.disparity.moments`, the same as those of the multi-object filters: over time, and (Algorithm 2)
+into the disparity space of the next event's camera. With one object and no clutter a detection is of the
+object, so that samples out of the camera's view are left out of the Gaussian (V-B).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.moments import OUT_OF_VIEW, move, world_moments
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
+from stereophd.core.motion.models import Motion, Static
+from stereophd.core.numerics.samples import SampleSets
+from stereophd.core.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    detection_time,
+    first_density,
+    only_detection,
+)
+from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, state_in_world, unseen_state
+
+Array = NDArray[np.float64]
+
+IMPORTANT = np.array([True])
+# H of eq. 4, by the size of the state.
+OBSERVATION = {size: np.eye(2, size) for size in (3, 6)}
+# How far (px) the image is widened on all sides where the border of the image is to have no say.
+WIDE = 1e7
+# Over an image, the divisor of the map between the disparity spaces of rectified cameras is 1 to this.
+RECTIFIED_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class DisparityEstimator(SingleEstimator[GaussianState]):
+    """Algorithm 2: any cameras, the state in the disparity space of the camera that saw the object last.
+
+    Attributes
+    ----------
+    rig, motion, prior : Rig, Motion, InitialPrior
+    sets : SampleSets
+        Samples of the moves, and with them the method.
+    """
+
+    rig: Rig
+    motion: Motion
+    prior: InitialPrior
+    sets: SampleSets
+
+    def init(self) -> GaussianState:
+        """Return the state before the first detection."""
+        return unseen_state()
+
+    def step(self, state: GaussianState, event: Event) -> tuple[GaussianState, SingleInfo]:
+        """Carry the state into the event's disparity space and update it (Algorithm 2).
+
+        An event without a detection leaves it where it is. A detection that no sample of the state can
+        have made starts it anew.
+        """
+        if only_detection(event) is None:
+            after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
+            return after, SingleInfo(0.0, self.sets.size)
+        time_s = detection_time(event)
+        space = self.rig.space(event.camera, time_s)
+        moved = None if state.camera == UNSEEN else self._moved(state, space, event.camera, time_s)
+        if moved is None:
+            means, covariances = self.prior.moments(event.points, event.covariances, space, self.state_size)
+            mean, covariance, log_likelihood = means[0], covariances[0], first_density(self.rig, event)
+        else:
+            mean, covariance, log_density = linear_update(
+                moved[0], moved[1], OBSERVATION[self.state_size], moved[0][:2], event.points[0], event.covariances[0]
+            )
+            log_likelihood = log_density + math.log(event.areas[0])
+        updated = GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, event.camera)
+        return updated, SingleInfo(log_likelihood, self.sets.size)
+
+    def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
+        """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
+        still = time_s == state.home_s or (isinstance(self.motion, Static) and not self.rig.moving)
+        if still and camera == state.camera:
+            return state.mean, state.covariance
+        for shift in (0.0, WIDE):
+            moved = move(
+                state.mean[None],
+                state.covariance[None],
+                self._home(state)[None],
+                np.array([time_s - state.home_s]),
+                space if shift == 0.0 else widened(space),
+                self.motion,
+                self.sets,
+                state.n_events,
+                important=IMPORTANT,
+            )
+            if moved.status[0] != OUT_OF_VIEW:
+                mean = moved.means[0]
+                mean[:2] -= shift
+                return mean, moved.covariances[0]
+        return None
+
+    def _home(self, state: GaussianState) -> Array:
+        return self.rig.space(state.camera, state.home_s)
+
+    def estimate(self, state: GaussianState) -> SingleEstimate | None:
+        """Return the mean and covariance in the world by moments, and the mode in disparity space, mapped."""
+        if state.camera == UNSEEN:
+            return None
+        return world_estimate(state, self._home(state), self.motion, self.sets)
+
+
+@dataclass(frozen=True, init=False)
+class RectifiedEstimator(SingleEstimator[GaussianState]):
+    """Algorithm 1: cameras that are rectified with one another share the disparity space of the first.
+
+    Cameras are rectified if they have the same orientation and their centres lie in a plane across the
+    optical axis; the map from the disparity space of one to that of another, projective in general, is then
+    affine, and the detections of all cameras are linear in the same state (eq. 4). Intrinsic parameters may
+    differ. A static object needs no samples at all.
+
+    Attributes
+    ----------
+    rig, motion, prior, sets
+        As of `DisparityEstimator`.
+    matrices, offsets : arrays (c, 3, 3), (c, 3)
+        From the first camera's disparity space to each camera's: ``y_i = matrix y + offset``.
+
+    Raises
+    ------
+    ValueError
+        If the cameras are not rectified, or move.
+    """
+
+    rig: Rig
+    motion: Motion
+    prior: InitialPrior
+    sets: SampleSets
+    matrices: Array
+    offsets: Array
+
+    def __init__(self, rig: Rig, motion: Motion, prior: InitialPrior, sets: SampleSets) -> None:
+        matrices, offsets = rectified_maps(rig)
+        for name, value in (
+            ("rig", rig),
+            ("motion", motion),
+            ("prior", prior),
+            ("sets", sets),
+            ("matrices", matrices),
+            ("offsets", offsets),
+        ):
+            object.__setattr__(self, name, value)
+
+    def init(self) -> GaussianState:
+        """Return the state before the first detection."""
+        return unseen_state()
+
+    def step(self, state: GaussianState, event: Event) -> tuple[GaussianState, SingleInfo]:
+        """Predict the state in the shared space, and update it (Algorithm 1)."""
+        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
+        if only_detection(event) is None:
+            return after, SingleInfo(0.0, self.sets.size)
+        time_s = detection_time(event)
+        seen = replace(after, home_s=time_s, camera=0)
+        size = self.state_size
+        if state.camera == UNSEEN:
+            space = self.rig.space(event.camera, time_s)
+            means, covariances = self.prior.moments(event.points, event.covariances, space, size)
+            back = np.linalg.inv(self.matrices[event.camera])
+            whole = np.kron(np.eye(size // 3), back)
+            means[0, :3] -= self.offsets[event.camera]
+            info = SingleInfo(first_density(self.rig, event), self.sets.size)
+            return replace(seen, mean=whole @ means[0], covariance=whole @ covariances[0] @ whole.T), info
+        mean, covariance = self._predicted(state, time_s)
+        matrix = np.zeros((2, size))
+        matrix[:, :3] = self.matrices[event.camera][:2]
+        predicted = matrix @ mean + self.offsets[event.camera][:2]
+        mean, covariance, log_density = linear_update(
+            mean, covariance, matrix, predicted, event.points[0], event.covariances[0]
+        )
+        info = SingleInfo(log_density + math.log(event.areas[0]), self.sets.size)
+        return replace(seen, mean=mean, covariance=covariance), info
+
+    def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
+        """Particle prediction, whatever the image of the first camera shows of the object."""
+        if isinstance(self.motion, Static) or time_s == state.home_s:
+            return state.mean, state.covariance
+        home = self.rig.space(0, time_s)
+        moved = move(
+            state.mean[None],
+            state.covariance[None],
+            home[None],
+            np.array([time_s - state.home_s]),
+            widened(home),
+            self.motion,
+            self.sets,
+            state.n_events,
+        )
+        if moved.status[0] == OUT_OF_VIEW:
+            return state.mean, state.covariance
+        mean = moved.means[0]
+        mean[:2] -= WIDE
+        return mean, moved.covariances[0]
+
+    def estimate(self, state: GaussianState) -> SingleEstimate | None:
+        """Return the mean and covariance in the world by moments, and the mode in disparity space, mapped."""
+        if state.camera == UNSEEN:
+            return None
+        return world_estimate(state, self.rig.space(0, state.home_s), self.motion, self.sets)
+
+
+def rectified_maps(rig: Rig) -> tuple[Array, Array]:
+    """Affine maps (c, 3, 3), (c, 3) from the first camera's disparity space to each camera's.
+
+    Raises
+    ------
+    ValueError
+        If the cameras are not rectified, or move.
+    """
+    if rig.moving:
+        raise ValueError("rectified: expected cameras that do not move")
+    spaces = [DisparitySpace(camera, rig.baseline, rig.rectification) for camera in rig.cameras]
+    matrices, offsets = [], []
+    for camera, space in zip(rig.cameras, spaces, strict=True):
+        homography = space.projective_matrix @ spaces[0].inverse_projective_matrix
+        homography = homography / homography[3, 3]
+        # the spread of (u, v, d) over an image
+        extent = np.array([camera.width, camera.height, spaces[0].disparity_focal])
+        if not np.abs(homography[3, :3] * extent).max() < RECTIFIED_TOLERANCE:
+            raise ValueError(
+                f"rectified: expected {camera.name} to be rectified with {rig.cameras[0].name} (same orientation, "
+                "centres in a plane across the optical axis)"
+            )
+        matrices.append(homography[:3, :3])
+        offsets.append(homography[:3, 3])
+    return np.array(matrices), np.array(offsets)
+
+
+def widened(space: Array) -> Array:
+    """Return the packed space with an image so wide that all in front of the camera is in view.
+
+    Its pixels are shifted by `WIDE`.
+    """
+    wide = space.copy()
+    wide[[CX, CY]] += WIDE
+    wide[[WIDTH, HEIGHT]] += 2.0 * WIDE
+    wide[LENS_CODE] = LENS_NONE
+    return wide
+
+
+def world_estimate(state: GaussianState, home: Array, motion: Motion, sets: SampleSets) -> SingleEstimate:
+    """Estimate in the world at the state's time, of a Gaussian in the packed space `home`."""
+    dt = state.time_s - state.home_s
+    means, covariances = world_moments(
+        state.mean[None], state.covariance[None], home[None], np.array([dt]), motion, sets, state.n_events
+    )
+    max_speed = motion.max_speed
+    mode = state_in_world(state.mean, home, dt, np.inf if max_speed is None else max_speed)
+    return SingleEstimate(means[0], mode, covariances[0])

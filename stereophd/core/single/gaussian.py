@@ -1,0 +1,129 @@
+"""Gaussian states, their linear update, and disparity-space states in the world (compiled)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.kernels import disparity_scale
+from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.numerics.compilation import compiled
+from stereophd.core.single.base import SingleState
+
+Array = NDArray[np.float64]
+
+# Camera of a state that has seen no detection yet.
+UNSEEN = -1
+
+
+@dataclass(frozen=True)
+class GaussianState(SingleState):
+    """A Gaussian, in a space of the estimator's own.
+
+    Attributes
+    ----------
+    mean, covariance : arrays (d,), (d, d)
+        Empty before the first detection.
+    camera : int
+        Camera (index in the rig) that the space belongs to, `UNSEEN` before the first detection.
+    """
+
+    mean: Array
+    covariance: Array
+    camera: int
+
+
+def unseen_state() -> GaussianState:
+    """Return the state before the first detection."""
+    return GaussianState(0.0, 0.0, 0, np.empty(0), np.empty((0, 0)), UNSEEN)
+
+
+@compiled
+def linear_update(
+    mean: Array, covariance: Array, matrix: Array, predicted: Array, point: Array, noise: Array
+) -> tuple[Array, Array, float]:
+    """Kalman update with one detection.
+
+    Parameters
+    ----------
+    mean, covariance : arrays (d,), (d, d)
+    matrix : array (2, d)
+        Of the (linearised) observation.
+    predicted : array (2,)
+        Observation of the mean, px.
+    point, noise : arrays (2,), (2, 2)
+        The detection and its covariance.
+
+    Returns
+    -------
+    mean, covariance : arrays (d,), (d, d)
+        In Joseph's form, which stays positive definite.
+    log_likelihood : float
+        Logarithm of the predicted density of the detection.
+    """
+    size = mean.shape[0]
+    cross = np.zeros((size, 2))
+    for a in range(size):
+        for o in range(2):
+            for b in range(size):
+                cross[a, o] += covariance[a, b] * matrix[o, b]
+    s00, s01, s11 = noise[0, 0], noise[0, 1], noise[1, 1]
+    for a in range(size):
+        s00 += matrix[0, a] * cross[a, 0]
+        s01 += matrix[0, a] * cross[a, 1]
+        s11 += matrix[1, a] * cross[a, 1]
+    determinant = s00 * s11 - s01 * s01
+    du, dv = point[0] - predicted[0], point[1] - predicted[1]
+    out_mean = mean.copy()
+    gain = np.empty((size, 2))
+    left = np.eye(size)
+    for a in range(size):
+        gain[a, 0] = (cross[a, 0] * s11 - cross[a, 1] * s01) / determinant
+        gain[a, 1] = (cross[a, 1] * s00 - cross[a, 0] * s01) / determinant
+        out_mean[a] += gain[a, 0] * du + gain[a, 1] * dv
+        for b in range(size):
+            left[a, b] -= gain[a, 0] * matrix[0, b] + gain[a, 1] * matrix[1, b]
+    out_covariance = left @ covariance @ left.T + gain @ noise @ gain.T
+    squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
+    log_likelihood = -0.5 * squared - math.log(2.0 * math.pi) - 0.5 * math.log(determinant)
+    return out_mean, 0.5 * (out_covariance + out_covariance.T), log_likelihood
+
+
+@compiled
+def state_in_world(state: Array, space: Array, dt: float, max_speed: float) -> Array:
+    """World state (6,) of a state (3,) or (6,) in a packed disparity space (30,), `dt` seconds later.
+
+    NaN at or beyond infinity; the velocity of a state (3,) is 0, and limited to `max_speed`.
+    """
+    out = np.zeros(6)
+    if not state[2] > 0.0:
+        return out * np.nan
+    z = disparity_scale(space) / state[2]
+    x, y = (state[0] - space[CX]) / space[FX] * z, (state[1] - space[CY]) / space[FY] * z
+    velocity = np.zeros(3)
+    if state.shape[0] == 6:
+        growth = state[5] / state[2]
+        velocity[0] = state[3] / space[FX] * z - x * growth
+        velocity[1] = state[4] / space[FY] * z - y * growth
+        velocity[2] = -z * growth
+        speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+        if speed > max_speed:
+            velocity *= max_speed / speed
+    for a in range(3):
+        # column a of the rotation: from the camera's axes to the world's
+        r0, r1, r2 = space[ROTATION + a], space[ROTATION + 3 + a], space[ROTATION + 6 + a]
+        out[3 + a] = r0 * velocity[0] + r1 * velocity[1] + r2 * velocity[2]
+        out[a] = space[CENTER + a] + r0 * x + r1 * y + r2 * z + dt * out[3 + a]
+    return out
+
+
+@compiled
+def states_in_world(states: Array, space: Array, dt: float, max_speed: float) -> Array:
+    """World states (n, 6) of states (n, 3) or (n, 6): see `state_in_world`."""
+    out = np.empty((len(states), 6))
+    for i in range(len(states)):
+        out[i] = state_in_world(states[i], space, dt, max_speed)
+    return out

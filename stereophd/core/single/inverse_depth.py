@@ -1,0 +1,146 @@
+"""Extended Kalman filter on inverse depth: what the paper compares disparity space with (VIII-A; its [7], [32]).
+
+The state is (a, b, rho), the ray ``r = (a, b, 1)`` and the inverse depth of the object in the axes of the
+camera that saw it first (the anchor), and the velocity in the world of a moving object. Any other camera at c
+with rotation R sees, up to scale,
+
+    R (R_0^T r + rho (c_0 - c)),
+
+smooth through rho = 0. The pixel is a quotient of it, which the filter linearises at the predicted mean.
+A moving object goes from r to ``h = r + rho dt R_0 v``, of which a' = h_1 / h_3, b' = h_2 / h_3, rho' = rho / h_3.
+Rays by slopes and not by angles (as in [7]): the prior is then the Gaussian of disparity space, rescaled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.geometry.layout import FX, FY
+from stereophd.core.motion.models import Motion
+from stereophd.core.single.base import (
+    SingleEstimate,
+    SingleEstimator,
+    SingleInfo,
+    detection_time,
+    first_density,
+    only_detection,
+)
+from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
+from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class InverseDepthState(GaussianState):
+    """A Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz).
+
+    Attributes
+    ----------
+    anchor : array (30,)
+        Packed space of the camera that saw the object first, as it was then.
+    """
+
+    anchor: Array
+
+
+@dataclass(frozen=True)
+class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
+    """The filter; see `SingleEstimator` for `rig`, `motion` and `prior`."""
+
+    rig: Rig
+    motion: Motion
+    prior: InitialPrior
+
+    def init(self) -> InverseDepthState:
+        """Return the state before the first detection."""
+        state = unseen_state()
+        return InverseDepthState(0.0, 0.0, 0, state.mean, state.covariance, UNSEEN, np.empty(0))
+
+    def step(self, state: InverseDepthState, event: Event) -> tuple[InverseDepthState, SingleInfo]:
+        """Predict and update to first order."""
+        seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
+        if only_detection(event) is None:
+            return seen, SingleInfo(0.0, 1.0)
+        time_s = detection_time(event)
+        camera = self.rig.space(event.camera, time_s)
+        if state.camera == UNSEEN:
+            mean, covariance = self._first(event, camera)
+            first = replace(seen, mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
+            return first, SingleInfo(first_density(self.rig, event), 1.0)
+        mean, covariance = self._predicted(state, time_s)
+        # d (rho times the point in the camera's axes) / d (a, b, rho)
+        in_world = np.column_stack([rotation(state.anchor).T[:, :2], center(state.anchor) - center(camera)])
+        scaled = in_world @ mean[:3] + rotation(state.anchor).T[:, 2]
+        pixel, jacobian = project(camera, rotation(camera) @ scaled)
+        matrix = np.zeros((2, len(mean)))
+        matrix[:, :3] = jacobian @ rotation(camera) @ in_world
+        if not np.isfinite(pixel).all():
+            return seen, SingleInfo(0.0, 1.0)
+        mean, covariance, log_density = linear_update(
+            mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
+        )
+        updated = replace(seen, mean=mean, covariance=covariance, home_s=time_s)
+        return updated, SingleInfo(log_density + float(np.log(event.areas[0])), 1.0)
+
+    def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
+        size = self.state_size
+        rho, rho_std = inverse_depth_prior(self.prior, camera)
+        mean = np.zeros(size)
+        mean[:3] = ray(camera, event.points[0])
+        mean[2] = rho
+        covariance = np.zeros((size, size))
+        focal = camera[[FX, FY]]
+        covariance[:2, :2] = event.covariances[0] / np.outer(focal, focal)
+        covariance[2, 2] = rho_std**2
+        if size == 6:
+            covariance[3:, 3:] = velocity_covariance(self.prior, camera, event.points[0], rho)
+        return mean, covariance
+
+    def _predicted(self, state: InverseDepthState, time_s: float) -> tuple[Array, Array]:
+        """First-order prediction: (mean, covariance) at a time."""
+        dt = time_s - state.home_s
+        if self.state_size == 3 or dt == 0.0:
+            return state.mean, state.covariance
+        _, noise = self.motion.transition(dt)
+        axes = rotation(state.anchor)
+        rho, velocity = state.mean[2], state.mean[3:]
+        h = np.array([state.mean[0], state.mean[1], 1.0]) + rho * dt * axes @ velocity
+        mean = state.mean.copy()
+        mean[0], mean[1], mean[2] = h[0] / h[2], h[1] / h[2], rho / h[2]
+        # columns: a, b, rho, velocity, noise of position
+        d_h = np.zeros((3, 9))
+        d_h[0, 0] = d_h[1, 1] = 1.0
+        d_h[:, 2] = dt * axes @ velocity
+        d_h[:, 3:6] = rho * dt * axes
+        d_h[:, 6:] = rho * axes
+        d_rho = np.zeros(9)
+        d_rho[2] = 1.0
+        jacobian = np.stack([d_h[0] - mean[0] * d_h[2], d_h[1] - mean[1] * d_h[2], d_rho - mean[2] * d_h[2]]) / h[2]
+        transition = np.eye(6)
+        transition[:3] = jacobian[:, :6]
+        into = np.eye(6)
+        into[:3, :3] = jacobian[:, 6:]
+        return mean, transition @ state.covariance @ transition.T + into @ noise @ into.T
+
+    def estimate(self, state: InverseDepthState) -> SingleEstimate | None:
+        """Return the mean mapped to the world, with its covariance to first order."""
+        if state.camera == UNSEEN:
+            return None
+        mean, covariance = self._predicted(state, state.time_s)
+        if not mean[2] > 0.0:
+            return SingleEstimate(np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan))
+        back = rotation(state.anchor).T
+        point = back @ [mean[0], mean[1], 1.0] / mean[2]
+        jacobian = np.zeros((6, len(mean)))
+        jacobian[:3, :3] = np.column_stack([back[:, 0] / mean[2], back[:, 1] / mean[2], -point / mean[2]])
+        jacobian[3:, 3:] = np.eye(3)[:, : len(mean) - 3]
+        out = np.zeros(6)
+        out[:3] = center(state.anchor) + point
+        out[3 : len(mean)] = mean[3:]
+        return SingleEstimate(out, out, jacobian @ covariance @ jacobian.T)

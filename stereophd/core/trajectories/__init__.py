@@ -1,0 +1,1 @@
+"""Whole tracks: smoothing, stitching, reaching back to earlier detections."""

@@ -1,0 +1,92 @@
+"""Fixed-interval smoothing of tracks in the world.
+
+A log is offline: what a camera saw later says where an object was before. The Rauch-Tung-Striebel smoother
+runs back over the filtered world states of each track, with the motion model of the filter, and goes on
+past its confirmation to its first detection. Reference: H. E. Rauch, F. Tung and C. T. Striebel, "Maximum
+likelihood estimates of linear dynamic systems", AIAA Journal 3 (8), 1965.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.motion.models import Motion, Static
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States of one track at successive events.
+
+    Attributes
+    ----------
+    track_id : int
+    events : array (k,) of int
+        Numbers of the events, increasing.
+    times : array (k,)
+        Their times, s, not decreasing.
+    states, covariances : arrays (k, 6), (k, 6, 6)
+        World states (x, y, z, vx, vy, vz).
+    existence : array (k,)
+    """
+
+    track_id: int
+    events: NDArray[np.int64]
+    times: Array
+    states: Array
+    covariances: Array
+    existence: Array
+
+
+def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
+    """Return the smoothed trajectory (Rauch, Tung and Striebel 1965) at the same events."""
+    states, covariances = trajectory.states.copy(), trajectory.covariances.copy()
+    if isinstance(motion, Static):
+        # what is known at the end holds throughout; the velocity has no covariance to invert
+        states[:], covariances[:] = states[-1], covariances[-1]
+        return replace(trajectory, states=states, covariances=covariances)
+    for k in range(len(states) - 2, -1, -1):
+        matrix, noise = motion.transition(float(trajectory.times[k + 1] - trajectory.times[k]))
+        predicted = matrix @ covariances[k] @ matrix.T + noise
+        gain = np.linalg.solve(predicted, matrix @ covariances[k]).T
+        states[k] += gain @ (states[k + 1] - matrix @ states[k])
+        update = gain @ (covariances[k + 1] - predicted) @ gain.T
+        covariances[k] += (update + update.T) / 2.0
+    return replace(trajectory, states=states, covariances=covariances)
+
+
+def extend_back(
+    trajectory: Trajectory, events: NDArray[np.int64], times: Array, motion: Motion, existence: Array | None = None
+) -> Trajectory:
+    """Return the trajectory continued back over earlier events, by backward prediction.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Smoothed.
+    events, times : arrays (j,)
+        Events before its first, in order.
+    motion : Motion
+    existence : array (j,), optional
+        At these events; default that at its first.
+    """
+    if existence is None:
+        existence = np.full(len(events), trajectory.existence[0])
+    states = np.empty((len(events), 6))
+    covariances = np.empty((len(events), 6, 6))
+    for k, time_s in enumerate(times):
+        matrix, noise = motion.transition(float(time_s - trajectory.times[0]))
+        states[k] = matrix @ trajectory.states[0]
+        covariances[k] = matrix @ trajectory.covariances[0] @ matrix.T + noise
+    return Trajectory(
+        trajectory.track_id,
+        np.concatenate([events, trajectory.events]),
+        np.concatenate([times, trajectory.times]),
+        np.concatenate([states, trajectory.states]),
+        np.concatenate([covariances, trajectory.covariances]),
+        np.concatenate([existence, trajectory.existence]),
+    )

@@ -1,0 +1,107 @@
+"""What a kind of scenario is: one run of it, and the bound that no method can beat."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values of one quantity in one run.
+
+    Attributes
+    ----------
+    quantity : str
+        Its name. Of a quantity ``X_error`` the root mean square over the runs, ``X_rmse``, is given too.
+    unit : str
+        Its unit, ``1`` for plain numbers.
+    values : array (k,)
+        NaN where it is not defined: left out of means.
+    times_s : array (k,) or None
+        Their times, s; None: one value that belongs to the whole run.
+    """
+
+    quantity: str
+    unit: str
+    values: Array
+    times_s: Array | None = None
+
+    def __post_init__(self) -> None:
+        count = 1 if self.times_s is None else len(self.times_s)
+        if self.values.shape != (count,):
+            raise ValueError(f"{self.quantity}: expected {count} values, found shape {self.values.shape}")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of scenario.
+
+    Attributes
+    ----------
+    run : callable (LoadedConfig, int) -> sequence of Series
+        One run, of this number, of the method and case that the configuration describes. Its random
+        numbers come from the seed and the number alone: methods see the same data. What is the method's
+        work, and not making the data or scoring, it does under `method_clock`.
+    bounds : callable (LoadedConfig) -> sequence of Series
+        Bounds on the mean (or the root mean square) of quantities, where they are known.
+    check : callable (LoadedConfig) -> None
+        Raises `InputError` where the configuration lacks what the kind needs.
+    """
+
+    run: Callable[[LoadedConfig, int], Sequence[Series]]
+    bounds: Callable[[LoadedConfig], Sequence[Series]]
+    check: Callable[[LoadedConfig], None]
+
+
+# Processor times of the blocks under `method_clock` in the run that is being done, s.
+_METHOD_SECONDS: ContextVar[list[float]] = ContextVar("method_seconds")
+
+
+@contextmanager
+def method_clock() -> Iterator[None]:
+    """Count the processor time of this block as the method's; a run without such a block counts as a whole."""
+    start = time.thread_time()
+    yield
+    _METHOD_SECONDS.get([]).append(time.thread_time() - start)
+
+
+@contextmanager
+def method_seconds() -> Iterator[list[float]]:
+    """Collect the times of the blocks under `method_clock` within this one."""
+    seconds: list[float] = []
+    token = _METHOD_SECONDS.set(seconds)
+    try:
+        yield seconds
+    finally:
+        _METHOD_SECONDS.reset(token)
+
+
+def find_kind(name: str) -> Kind:
+    """Return the kind of this name: `KIND` of the module of this package that has the name."""
+    kind = import_module(f"stereophd.experiments.kinds.{name}").KIND
+    assert isinstance(kind, Kind)
+    return kind
+
+
+def run_seed(seed: int, run: int) -> np.random.SeedSequence:
+    """Return the seed of a run: that of run k of ``simulate --runs``, whatever the number of runs."""
+    return np.random.SeedSequence(seed, spawn_key=(run,))
+
+
+def seed_number(seed: int, run: int) -> int:
+    """Return the first 63 bits that the seed of a run gives: they tell runs apart, and show which saw the same data."""
+    return int(run_seed(seed, run).generate_state(1, np.uint64)[0] >> 1)

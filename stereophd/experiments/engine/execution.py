@@ -1,0 +1,155 @@
+"""Do all runs that are wanted and not there yet; a failed run is reported and tried again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+
+import stereophd
+from stereophd.errors import InputError, StereophdError
+from stereophd.experiments.engine.base import Series
+from stereophd.experiments.engine.parts import PartStore
+from stereophd.experiments.engine.work import Chunk, ChunkResult, Part
+from stereophd.experiments.engine.workers import DaskWorkers, Workers, WorkersLostError, in_this_process, on_cores
+
+# Called with the runs done and their total.
+Progress = Callable[[int, int], None]
+
+# Called with method, case and series of a run.
+See = Callable[[str, str, Sequence[Series]], None]
+
+# How often a run is tried, and how often in a row all workers may be lost without a run being finished.
+ATTEMPTS = 3
+
+# Runs of a chunk: enough chunks that workers share the work evenly and little is lost at an interruption,
+# but not so many that storing them takes longer than the runs.
+CHUNKS_PER_WORKER = 40
+MOST_RUNS_IN_CHUNK = 200
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@dataclass
+class _Ledger:
+    """What is done, what is missing, and how often each run failed."""
+
+    parts: Mapping[tuple[str, str], Part]
+    missing: dict[tuple[str, str], list[int]]
+    total: int
+    failures: dict[tuple[str, str, int], int] = field(default_factory=dict)
+
+    @property
+    def left(self) -> int:
+        """Number of runs that are missing."""
+        return sum(map(len, self.missing.values()))
+
+    def chunks(self, workers: int) -> list[Chunk]:
+        """Return the missing runs in chunks: the same run of all parts early, so that the work is even."""
+        size = min(max(self.left // (CHUNKS_PER_WORKER * workers), 1), MOST_RUNS_IN_CHUNK)
+        pieces = [
+            (start, order, Chunk(self.parts[key], tuple(runs[start : start + size])))
+            for order, (key, runs) in enumerate(self.missing.items())
+            for start in range(0, len(runs), size)
+        ]
+        return [chunk for _, _, chunk in sorted(pieces, key=lambda piece: piece[:2])]
+
+
+def execute(
+    wanted: Sequence[tuple[Part, range]],
+    store: PartStore,
+    jobs: int,
+    dask: str | None,
+    progress: Progress | None,
+    see: See,
+) -> None:
+    """Do the wanted runs that the store does not hold, and store them.
+
+    Parameters
+    ----------
+    wanted : sequence of tuple
+        Every part, and the numbers of its runs.
+    store : PartStore
+    jobs : int
+        Processes on this machine; 1: this one.
+    dask : str, optional
+        Address of a Dask scheduler.
+    progress : callable, optional
+    see : callable
+        Called with what each run gave, finished earlier or now; an error that it raises ends the experiment.
+
+    Raises
+    ------
+    InputError
+        A run says that the configuration is at fault, or workers have another version of the package.
+    StereophdError
+        A run failed `ATTEMPTS` times, or workers die without finishing a run.
+    """
+    done = set()
+    for result in store.read():
+        see(result.method, result.case, result.series)
+        done.add((result.method, result.case, result.run))
+    parts = {(part.method, part.case): part for part, _ in wanted}
+    missing = {
+        (part.method, part.case): [run for run in runs if (part.method, part.case, run) not in done]
+        for part, runs in wanted
+    }
+    ledger = _Ledger(parts, missing, sum(len(runs) for _, runs in wanted))
+    if ledger.left == 0:
+        return
+    if ledger.left < ledger.total:
+        LOGGER.info("resuming: %d of %d runs are there", ledger.total - ledger.left, ledger.total)
+    if dask is not None:
+        with closing(DaskWorkers(dask)) as cluster:
+            _work(ledger, store, cluster, cluster.count, progress, see)
+    else:
+        _work(ledger, store, in_this_process if jobs == 1 else on_cores(jobs), jobs, progress, see)
+
+
+def _work(ledger: _Ledger, store: PartStore, workers: Workers, count: int, progress: Progress | None, see: See) -> None:
+    fruitless = 0
+    while ledger.left:
+        before = ledger.left
+        try:
+            for result in workers(ledger.chunks(count)):
+                _take(ledger, store, result)
+                for outcome in result.outcomes:
+                    if outcome.error is None:
+                        see(result.chunk.part.method, result.chunk.part.case, outcome.series)
+                if progress is not None:
+                    progress(ledger.total - ledger.left, ledger.total)
+        except WorkersLostError as error:
+            fruitless = 0 if ledger.left < before else fruitless + 1
+            if fruitless == ATTEMPTS:
+                raise StereophdError(
+                    f"workers died {ATTEMPTS} times without finishing a run: {error}; finished runs are in "
+                    f"{store.folder}, --resume goes on"
+                ) from error
+            LOGGER.warning("a worker died; the %d runs that are left go to new ones (%s)", ledger.left, error)
+
+
+def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
+    """Store what a chunk brought; report what failed, and give up on what fails again and again."""
+    if result.version != stereophd.__version__:
+        raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {result.version}")
+    part = result.chunk.part
+    key = (part.method, part.case)
+    good = [outcome for outcome in result.outcomes if outcome.error is None]
+    if good:
+        store.add(result.chunk, good)
+        finished = {outcome.run for outcome in good}
+        ledger.missing[key] = [run for run in ledger.missing[key] if run not in finished]
+    for outcome in result.outcomes:
+        if outcome.error is None:
+            continue
+        name = f"{part.method or 'bounds'}, {part.case}, run {outcome.run}"
+        if outcome.users:
+            raise InputError(f"{name}: {outcome.error}")
+        count = ledger.failures[(*key, outcome.run)] = ledger.failures.get((*key, outcome.run), 0) + 1
+        if count == ATTEMPTS:
+            raise StereophdError(
+                f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.folder}, "
+                "--resume goes on"
+            )
+        LOGGER.warning("%s: failed, will be tried again: %s", name, outcome.error)

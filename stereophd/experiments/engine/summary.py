@@ -1,0 +1,154 @@
+"""What many runs say: means with confidence intervals, root mean squares, means over windows of time.
+
+The interval of a mean is Student's, at 95 %. A root mean square R = sqrt(mean of e^2) takes the interval of
+the mean of e^2, through the root. A bound is that of the case, beside every method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from stereophd.experiments.engine.base import Array, Series
+
+CONFIDENCE = 0.95
+ERROR, RMSE = "_error", "_rmse"
+
+# Times are equal if they agree to the nanosecond, as those of the frames do.
+TIME_DECIMALS = 9
+
+Windows = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One quantity over the runs of one method in one case.
+
+    Attributes
+    ----------
+    quantity, unit : str
+    times_s : array (k,) or None
+    runs : array (k,) of int
+        Runs in which it is defined.
+    mean, std, ci_low, ci_high, bound : arrays (k,)
+        NaN where not defined. Of a quantity ``*_rmse*`` the mean is the root mean square over the runs.
+    """
+
+    quantity: str
+    unit: str
+    times_s: Array | None
+    runs: np.ndarray[tuple[int], np.dtype[np.int64]]
+    mean: Array
+    std: Array
+    ci_low: Array
+    ci_high: Array
+    bound: Array
+
+
+def with_windows(series: Sequence[Series], windows: Windows, squares: bool = True) -> list[Series]:
+    """Return series of one run, and their means over windows of time.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    windows : mapping
+        Name -> first and last time, s.
+    squares : bool
+        Whether an error gives its root mean square over the window too (not for the bound of a mean).
+
+    Returns
+    -------
+    list of Series
+        For the window W: ``X_W``, and for errors ``X_error_W`` and ``X_rmse_W``.
+    """
+    out = list(series)
+    for name, (first, last) in windows.items():
+        for one in series:
+            if one.times_s is None:
+                continue
+            inside = (one.times_s >= first) & (one.times_s <= last) & ~np.isnan(one.values)
+            values = one.values[inside]
+            mean = np.array([values.mean() if values.size else np.nan])
+            with np.errstate(over="ignore"):  # of a filter that has lost all it knew
+                root = np.array([np.sqrt((values**2).mean()) if values.size else np.nan])
+            out.append(Series(f"{one.quantity}_{name}", one.unit, root if is_rms(one.quantity) else mean))
+            if squares and one.quantity.endswith(ERROR):
+                out.append(Series(f"{one.quantity.removesuffix(ERROR)}{RMSE}_{name}", one.unit, root))
+    return out
+
+
+def is_rms(quantity: str) -> bool:
+    """Whether values of a quantity are summarised by their root mean square."""
+    return RMSE in quantity
+
+
+def summarise(runs: Sequence[Sequence[Series]], bounds: Iterable[Series]) -> list[Summary]:
+    """Return the summaries of one method in one case.
+
+    Parameters
+    ----------
+    runs : sequence of sequences of Series
+        Series of every run.
+    bounds : iterable of Series
+        Bounds of the case.
+    """
+    quantities: dict[tuple[str, str, bool], list[Series]] = {}
+    for run in runs:
+        for one in run:
+            quantities.setdefault((one.quantity, one.unit, one.times_s is None), []).append(one)
+    known = {(one.quantity, one.times_s is None): one for one in bounds}
+    out = []
+    for (quantity, unit, whole), found in quantities.items():
+        times_s, values = _matrix(found)
+        names = [quantity]
+        if quantity.endswith(ERROR):
+            names.append(quantity.removesuffix(ERROR) + RMSE)
+        for name in names:
+            bound = _bound(known.get((name, whole)), times_s, values.shape[1])
+            out.append(_summary(name, unit, times_s, values, bound))
+    return out
+
+
+def _matrix(found: Sequence[Series]) -> tuple[Array | None, Array]:
+    """Return the times (k,) and the values (runs, k), NaN where a run has none."""
+    first = found[0].times_s
+    if first is None:
+        return None, np.array([one.values for one in found])
+    if all(one.times_s is not None and np.array_equal(one.times_s, first) for one in found):
+        return first, np.array([one.values for one in found])
+    rounded = [np.round(one.times_s, TIME_DECIMALS) for one in found if one.times_s is not None]
+    times_s = np.unique(np.concatenate(rounded))
+    values = np.full((len(found), len(times_s)), np.nan)
+    for row, own, one in zip(values, rounded, found, strict=True):
+        row[np.searchsorted(times_s, own)] = one.values
+    return times_s, values
+
+
+def _bound(bound: Series | None, times_s: Array | None, count: int) -> Array:
+    out = np.full(count, np.nan)
+    if bound is None:
+        return out
+    if times_s is None or bound.times_s is None:
+        return bound.values.copy()
+    at = dict(zip(np.round(bound.times_s, TIME_DECIMALS).tolist(), bound.values.tolist(), strict=True))
+    return np.array([at.get(time, np.nan) for time in np.round(times_s, TIME_DECIMALS).tolist()])
+
+
+def _summary(quantity: str, unit: str, times_s: Array | None, values: Array, bound: Array) -> Summary:
+    rms = is_rms(quantity)
+    defined = ~np.isnan(values)
+    runs = defined.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        samples = values**2 if rms else values
+        mean = np.where(defined, samples, 0.0).sum(axis=0) / runs
+        squares = np.where(defined, (samples - mean) ** 2, 0.0).sum(axis=0)
+        std = np.where(runs > 1, np.sqrt(squares / (runs - 1.0)), np.nan)
+        half = stdtrit(np.maximum(runs - 1.0, 1.0), 0.5 + CONFIDENCE / 2.0) * std / np.sqrt(runs)
+        low, high = mean - half, mean + half
+        if rms:
+            mean, low, high = np.sqrt(mean), np.sqrt(np.maximum(low, 0.0)), np.sqrt(high)
+            std = np.full_like(mean, np.nan)
+    return Summary(quantity, unit, times_s, runs.astype(np.int64), mean, std, low, high, bound)

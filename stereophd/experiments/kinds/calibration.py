@@ -1,0 +1,246 @@
+"""Cameras calibrated from moving objects: errors over time (paper VIII-D, Figure 13).
+
+Run k is the scene of run k of ``simulate --runs``; the calibration begins with cameras about which the true ones
+are a draw from its prior, those of ``guess.yaml``. Errors are those of the estimate given the data up to a time.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config.experiment import CalibrationScenario
+from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.bounds.cramer_rao import mean_error_norm
+from stereophd.core.calibration.association import Scans
+from stereophd.core.calibration.parameters import RADIANS, ParameterSet, pose_offsets
+from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread
+from stereophd.core.disparity.events import make_event
+from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
+from stereophd.core.simulation.detections import Scene, simulate_frames
+from stereophd.errors import InputError
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
+from stereophd.pipeline.build import build_motion
+from stereophd.pipeline.calibration.checkpoint import Checkpoint
+from stereophd.pipeline.calibration.inputs import (
+    CalibrationProblem,
+    build_parameters,
+    build_scale,
+    calibration_section,
+    draw_guess,
+    pmb_filter,
+)
+from stereophd.pipeline.calibration.methods import annealed_outcome
+from stereophd.pipeline.calibration.outcome import HistoryRow
+from stereophd.pipeline.calibration.report import status_of
+from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
+from stereophd.pipeline.simulation import GUESS_KEY, build_scene
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Key of the calibration's own random numbers among those of a run.
+METHOD_KEY = 3
+
+# Half of the interval that holds 90 % of a Gaussian, in standard deviations.
+INTERVAL_90 = 1.6448536269514722
+
+# Times are equal if they agree to the nanosecond.
+SAME_TIME_S = 1e-9
+
+
+def check(loaded: LoadedConfig) -> None:
+    """Raise `InputError` unless there are cameras, a filter, a scene and a calibration."""
+    if loaded.config.simulate is None:
+        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    parameters, _ = build_parameters(loaded)
+    pmb_filter(loaded, parameters.cameras)  # the configuration must name births
+
+
+def run(loaded: LoadedConfig, number: int) -> list[Series]:
+    """Return the errors of the cameras over time, the spread that the calibration states, and its NEES."""
+    section = calibration_section(loaded)
+    scene, guessed, parameters, reference, true = _setting(loaded, number)
+    frame_seed = run_seed(loaded.config.seed, number).spawn(2)[1]
+    events = []
+    for frame in simulate_frames(scene, frame_seed):
+        camera = parameters.cameras[frame.camera]
+        events.append(make_event(camera, frame.camera, camera.clock.to_true(frame.log_time_s), frame.pixels))
+    events.sort(key=lambda event: (event.time_s, event.camera))
+    problem = CalibrationProblem(parameters, reference, Scans.of(events), build_scale(guessed, parameters), {})
+    method = annealed_outcome if section.method == "annealed" else sequential_outcome
+    with tempfile.TemporaryDirectory() as folder, method_clock():
+        outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False), 1, None)
+    found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
+    limits = _scene_bounds(loaded, number)
+    return [found, *_errors(loaded, parameters, reference, true, outcome.history, limits)]
+
+
+def bounds(loaded: LoadedConfig) -> list[Series]:
+    """Return the Cramer-Rao bound over time, its variances averaged over scenes."""
+    _, _, parameters, reference, true = _setting(loaded, 0)
+    scenes = range(_scenario(loaded).bound_scenes)
+    covariances = np.mean([_scene_bounds(loaded, number) for number in scenes], axis=0)
+    return _bound_series(loaded, parameters, reference, true, covariances)
+
+
+def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
+    """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
+    scene, guessed, parameters, reference, true = _setting(loaded, number)
+    motion, scale = build_motion(loaded.config.motion), build_scale(guessed, parameters)
+    objects, cameras, at, positions = scene_positions(scene)
+    bounds = []
+    for time_s in _times(loaded).tolist():
+        past = at <= time_s + SAME_TIME_S
+        bounds.append(
+            calibration_bound(
+                parameters, true, reference, motion, objects[past], cameras[past], at[past], positions[past], scale
+            )
+        )
+    return np.array(bounds)
+
+
+def _scenario(loaded: LoadedConfig) -> CalibrationScenario:
+    assert loaded.config.experiment is not None
+    scenario = loaded.config.experiment.scenario
+    assert isinstance(scenario, CalibrationScenario)
+    return scenario
+
+
+def _times(loaded: LoadedConfig) -> Array:
+    """Times at which the estimate is looked at: multiples of the interval, in the run."""
+    assert loaded.config.simulate is not None
+    every_s, duration_s = _scenario(loaded).every_s, loaded.config.simulate.duration_s
+    count = math.ceil(duration_s / every_s - SAME_TIME_S) - 1
+    return loaded.config.simulate.start_s + every_s * np.arange(1.0, count + 1.0)
+
+
+def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, ParameterSet, int, Array]:
+    """Return the scene of a run, the configuration with guessed cameras, its unknowns, and their true values."""
+    config = loaded.config
+    true_cameras = loaded.build_cameras()
+    scene = build_scene(config, true_cameras, run_seed(config.seed, number).spawn(2)[0])
+    guess = draw_guess(loaded, np.random.SeedSequence(config.seed, spawn_key=(number, GUESS_KEY)))
+    own = np.random.SeedSequence(config.seed, spawn_key=(number, METHOD_KEY)).generate_state(1)
+    guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0])}), cameras=guess)
+    parameters, reference = build_parameters(guessed)
+    offsets = {
+        f"{guess.name}.{name}": value
+        for guess, true in zip(parameters.cameras, true_cameras, strict=True)
+        for name, value in zip(OFFSETS, pose_offsets(guess, true).tolist(), strict=True)
+    }
+    return scene, guessed, parameters, reference, np.array([offsets[name] for name in parameters.names])
+
+
+OFFSETS = ("center_x", "center_y", "center_z", "rotation_x", "rotation_y", "rotation_z")
+
+
+def _errors(
+    loaded: LoadedConfig,
+    parameters: ParameterSet,
+    reference: int,
+    true: Array,
+    history: Sequence[HistoryRow],
+    limits: Array,
+) -> list[Series]:
+    """Return errors at the times of the scenario, each by the last estimate up to then; NaN before the first."""
+    times, unit = _times(loaded), loaded.config.units.length
+    known = np.array([row.time_s for row in history])
+    truth = [camera.pose for camera in parameters.build(true)]
+    values: dict[str, Array] = {}
+    for k, time_s in enumerate(times.tolist()):
+        last = int(np.searchsorted(known, time_s + SAME_TIME_S, side="right")) - 1
+        if last < 0:
+            continue
+        mean, covariance = history[last].mean, history[last].covariance
+        errors = pose_errors([camera.pose for camera in parameters.build(mean)], truth, reference)
+        limit = _spreads(parameters, reference, true, limits[k])
+        figures = {
+            "rotation_error": math.degrees(_root(errors.rotation)),
+            "direction_error": math.degrees(_root(errors.direction)),
+            "center_error": _root(errors.center),
+            **_spreads(parameters, reference, mean, covariance),
+            **_consistency(parameters, reference, mean, covariance, true),
+        }
+        for name in ("rotation", "direction"):
+            figures[f"{name}_error_ratio"] = figures[f"{name}_error"] / limit[f"{name}_std"]
+        for j, name in enumerate(_names(parameters)):
+            figures[f"{name}_error"] = abs(mean[j] - true[j]) * _scale(parameters, j)
+        for name, value in figures.items():
+            values.setdefault(name, np.full(len(times), np.nan))[k] = value
+    units = _units(parameters, unit)
+    return [Series(name, units.get(name, "1"), one, times) for name, one in values.items()]
+
+
+def _consistency(
+    parameters: ParameterSet, reference: int, mean: Array, covariance: Array, true: Array
+) -> dict[str, float]:
+    """Return how well a posterior knows itself: NEES, the share of parameters in their interval, and the spread of the
+    scale in that of its prior."""
+    inside = np.abs(mean - true) <= INTERVAL_90 * np.sqrt(np.diag(covariance))
+    return {
+        "nees": normalised_error_squared(mean - true, covariance),
+        "coverage_90": float(inside.mean()),
+        "scale_std_ratio": observability(parameters, reference, mean, covariance).scale_ratio,
+    }
+
+
+def _bound_series(
+    loaded: LoadedConfig, parameters: ParameterSet, reference: int, true: Array, covariances: Array
+) -> list[Series]:
+    """Return the bounds of the root mean squares (and of one unknown, of the mean) from covariances (t, m, m)."""
+    times, units = _times(loaded), _units(parameters, loaded.config.units.length)
+    spreads = [_spreads(parameters, reference, true, covariance) for covariance in covariances]
+    series = [
+        Series(f"{name}_rmse", units[f"{name}_error"], np.array([one[f"{name}_std"] for one in spreads]), times)
+        for name in ("rotation", "direction", "center")
+    ]
+    for j, name in enumerate(_names(parameters)):
+        roots = np.sqrt(covariances[:, j, j]) * _scale(parameters, j)
+        means = np.array([mean_error_norm(np.array([[root**2]])) for root in roots])
+        series.append(Series(f"{name}_rmse", units[f"{name}_error"], roots, times))
+        series.append(Series(f"{name}_error", units[f"{name}_error"], means, times))
+    return series
+
+
+def _spreads(parameters: ParameterSet, reference: int, values: Array, covariance: Array) -> dict[str, float]:
+    """Return standard deviations of rotation and direction, degrees, and of the centre; of several cameras their root
+    mean square."""
+    cameras = list(dict.fromkeys(p.camera for p in parameters.parameters))
+    spreads = [pose_spread(parameters, reference, values, covariance, camera) for camera in cameras]
+    return {
+        "rotation_std": math.degrees(_root(np.array([one.rotation for one in spreads]))),
+        "direction_std": math.degrees(_root(np.array([one.direction for one in spreads]))),
+        "center_std": _root(np.array([one.center for one in spreads])),
+    }
+
+
+def _names(parameters: ParameterSet) -> list[str]:
+    return [name.replace(".", "_") for name in parameters.names]
+
+
+def _scale(parameters: ParameterSet, index: int) -> float:
+    return math.degrees(1.0) if parameters.parameters[index].unit == RADIANS else 1.0
+
+
+def _units(parameters: ParameterSet, length: str) -> dict[str, str]:
+    units = dict[str, str]()
+    for kind in ("error", "std"):
+        units |= {f"rotation_{kind}": "deg", f"direction_{kind}": "deg", f"center_{kind}": length}
+    for j, name in enumerate(_names(parameters)):
+        units[f"{name}_error"] = "deg" if parameters.parameters[j].unit == RADIANS else length
+    return units
+
+
+def _root(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+KIND = Kind(run, bounds, check)

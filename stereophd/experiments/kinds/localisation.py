@@ -1,0 +1,83 @@
+"""A static object observed by one camera after another (paper VIII-A, Table II and Figure 10)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config import experiment as config_experiment
+from stereophd.errors import InputError
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
+from stereophd.experiments.single_object.runs import LocalisationScenario, localisation_bound, localisation_run
+from stereophd.experiments.single_object.series import (
+    bounds_of,
+    last_of,
+    rig_of,
+    series_of_errors,
+    single_config,
+)
+from stereophd.pipeline.tracking.single import estimator_settings, initial_prior
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+
+def check(loaded: LoadedConfig) -> None:
+    """Raise `InputError` unless the object is in view of the cameras that observe it, and there is an estimator."""
+    single_config(loaded)
+    scenario = _scenario(loaded)
+    rig = scenario.rig
+    for name, index in zip(_settings(loaded).sequence, scenario.sequence, strict=False):
+        if not rig.cameras[index].in_view(scenario.position[None])[0]:
+            raise InputError(
+                f"{loaded.path}: experiment.scenario.position: expected an object in view of {name}, found it out of "
+                f"view at {scenario.position.tolist()}"
+            )
+
+
+def run(loaded: LoadedConfig, number: int) -> list[Series]:
+    """Return the error of the position after each observation, and after the last one."""
+    scenario = _scenario(loaded)
+    rng = np.random.default_rng(run_seed(loaded.config.seed, number))
+    result = localisation_run(scenario, estimator_settings(loaded.config), rng, method_clock())
+    reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
+    unit = loaded.config.units.length
+    series = series_of_errors("position", unit, _times(loaded), reported, result.covariances, result.mean_errors)
+    return [*series, *(last_of(one, f"final_{one.quantity}") for one in series)]
+
+
+def bounds(loaded: LoadedConfig) -> list[Series]:
+    """Return the Cramer-Rao bound after each observation."""
+    covariances = localisation_bound(_scenario(loaded), _settings(loaded).bound_with_prior)
+    series = bounds_of("position", loaded.config.units.length, _times(loaded), covariances)
+    return [*series, *(last_of(one, f"final_{one.quantity}") for one in series)]
+
+
+def _settings(loaded: LoadedConfig) -> config_experiment.LocalisationScenario:
+    assert loaded.config.experiment is not None
+    scenario = loaded.config.experiment.scenario
+    assert isinstance(scenario, config_experiment.LocalisationScenario)
+    return scenario
+
+
+def _times(loaded: LoadedConfig) -> Array:
+    settings = _settings(loaded)
+    return settings.interval_s * np.arange(len(settings.sequence) * settings.rounds, dtype=np.float64)
+
+
+def _scenario(loaded: LoadedConfig) -> LocalisationScenario:
+    settings = _settings(loaded)
+    rig = rig_of(loaded)
+    names = [camera.name for camera in rig.cameras]
+    for name in settings.sequence:
+        if name not in names:
+            raise InputError(
+                f"{loaded.path}: experiment.scenario.sequence: expected names of cameras ({', '.join(names)}), "
+                f"found {name}"
+            )
+    sequence = tuple(names.index(name) for name in settings.sequence) * settings.rounds
+    return LocalisationScenario(rig, np.array(settings.position), initial_prior(single_config(loaded).prior), sequence)
+
+
+KIND = Kind(run, bounds, check)

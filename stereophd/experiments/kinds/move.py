@@ -1,0 +1,112 @@
+"""A Gaussian carried from one disparity space to another, against a very large sample (Figures 4 and 7).
+
+The "bound" of a mean or covariance is its value in the reference.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config.experiment import MoveScenario
+from stereophd.config.model import Config
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.errors import InputError
+from stereophd.experiments.engine.base import Kind, Series, run_seed
+from stereophd.experiments.single_object.move_comparison import (
+    MoveCase,
+    MoveMoments,
+    compare_move,
+    gaussian_of_object,
+    reference_moments,
+)
+from stereophd.io.provenance import canonical_json
+from stereophd.pipeline.build import build_motion
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Key of the reference's samples among the purposes of a seed (runs count from 0).
+REFERENCE_KEY = 2**31 + 2
+
+AXES = ("u", "v", "d")
+
+# Parts of the configuration that may differ between methods, and do not change what is carried over.
+NOT_IN_REFERENCE = ("moments", "filter")
+
+
+def check(loaded: LoadedConfig) -> None:
+    """Raise `InputError` unless the cameras are there."""
+    names = [camera.name for camera in loaded.build_cameras()]
+    for key in ("home", "destination"):
+        name = getattr(_settings(loaded), key)
+        if name not in names:
+            raise InputError(
+                f"{loaded.path}: experiment.scenario.{key}: expected a camera ({', '.join(names)}), found {name}"
+            )
+
+
+def run(loaded: LoadedConfig, number: int) -> list[Series]:
+    """Return the divergence of the reference from the Gaussian of the method, and that Gaussian's moments."""
+    case, reference = _case(loaded)
+    moments = loaded.config.moments
+    rng = np.random.default_rng(run_seed(loaded.config.seed, number))
+    found = compare_move(case, moments.method, moments.samples, reference, rng)
+    return [Series("divergence", "nat", np.array([found.divergence])), *_moments(found)]
+
+
+def bounds(loaded: LoadedConfig) -> list[Series]:
+    """Return the moments of the reference."""
+    return _moments(_case(loaded)[1])
+
+
+def _settings(loaded: LoadedConfig) -> MoveScenario:
+    assert loaded.config.experiment is not None
+    scenario = loaded.config.experiment.scenario
+    assert isinstance(scenario, MoveScenario)
+    return scenario
+
+
+def _case(loaded: LoadedConfig) -> tuple[MoveCase, MoveMoments]:
+    """Return what is carried over, and the reference: the same for all methods and runs, and made once a process."""
+    own = {key: value for key, value in loaded.resolved.items() if key not in NOT_IN_REFERENCE}
+    return _reference(canonical_json(own))
+
+
+@lru_cache(maxsize=8)
+def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
+    config = Config.model_validate_json(text)
+    assert config.experiment is not None
+    settings = config.experiment.scenario
+    assert isinstance(settings, MoveScenario)
+    assert isinstance(config.cameras, dict)
+    cameras = {name: camera.build(name) for name, camera in config.cameras.items()}
+    home, destination = (
+        DisparitySpace(cameras[name], config.disparity.baseline, config.disparity.rectification)
+        for name in (settings.home, settings.destination)
+    )
+    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(REFERENCE_KEY,)))
+    mean, covariance = gaussian_of_object(
+        home,
+        np.array(settings.point_px),
+        np.array(settings.std_px),
+        np.array(settings.velocity),
+        settings.velocity_std,
+        rng,
+    )
+    case = MoveCase(home, destination, mean, covariance, settings.interval_s, build_motion(config.motion))
+    return case, reference_moments(case, rng, settings.reference_samples)
+
+
+def _moments(found: MoveMoments) -> list[Series]:
+    """Return the mean and covariance of (u, v, d), and the share in view."""
+    series = [Series("share_in_view", "1", np.array([found.fraction]))]
+    series += [Series(f"mean_{axis}", "px", found.mean[i : i + 1]) for i, axis in enumerate(AXES)]
+    pairs = [(i, j) for i in range(len(AXES)) for j in range(i, len(AXES))]
+    series += [Series(f"covariance_{AXES[i]}{AXES[j]}", "px^2", found.covariance[i, j : j + 1]) for i, j in pairs]
+    return series
+
+
+KIND = Kind(run, bounds, check)

@@ -1,0 +1,169 @@
+"""Many objects: a simulated scene, tracked, scored by OSPA over time (paper VIII-C, Figure 12).
+
+Run k is the scene of run k of ``simulate --runs``, tracked as ``track`` does and scored as ``evaluate`` does,
+without the files between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config.experiment import MultiObjectScenario
+from stereophd.core.bounds.known_association import Sightings, sight, straight_lines
+from stereophd.core.disparity.events import make_event
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.metrics.alignment import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
+from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.simulation.detections import CLUTTER_ID, Scene, SimulatedFrame, simulate_frames, truth_rows
+from stereophd.errors import InputError
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
+from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.records import smoothed_records
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+    from stereophd.core.geometry.camera import Camera
+    from stereophd.core.multi.intensity import Estimates
+
+
+def check(loaded: LoadedConfig) -> None:
+    """Raise `InputError` unless the configuration has cameras, a filter and a scene to simulate."""
+    config = loaded.config
+    cameras = loaded.build_cameras()
+    if config.simulate is None:
+        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    build_filter(config, cameras, loaded.path)
+    if _scenario(loaded).tracker == "known_association" and np.any(config.simulate.acceleration_std):
+        raise InputError(
+            f"{loaded.path}: simulate.acceleration_std: expected 0 with the tracker known_association, which fits "
+            "straight lines, found another value"
+        )
+
+
+def run(loaded: LoadedConfig, number: int) -> list[Series]:
+    """Return OSPA and the error of the number of objects over time, of one run."""
+    config = loaded.config
+    cameras = loaded.build_cameras()
+    object_seed, frame_seed = run_seed(config.seed, number).spawn(2)
+    scene = build_scene(config, cameras, object_seed)
+    frames = list(simulate_frames(scene, frame_seed))
+    order = sorted(range(len(frames)), key=lambda i: (_true_time(cameras, frames[i]), frames[i].camera))
+    frames = [frames[i] for i in order]
+    truth = _truth(scene)
+    event_times = np.array([_true_time(cameras, frame) for frame in frames])
+    last = last_event_of_each_time(event_times)
+    aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
+    with method_clock():
+        if _scenario(loaded).tracker == "filter":
+            estimates = _filtered(loaded, cameras, frames, last)
+        else:
+            estimates = _known(loaded, cameras, frames, event_times[last], aligned.points)
+    usable = ~(aligned.outside | aligned.gap)
+    return _scores(loaded, event_times[last][usable], estimates.keep_scans(usable), aligned.points.keep_scans(usable))
+
+
+def _scenario(loaded: LoadedConfig) -> MultiObjectScenario:
+    assert loaded.config.experiment is not None
+    scenario = loaded.config.experiment.scenario
+    assert isinstance(scenario, MultiObjectScenario)
+    return scenario
+
+
+def _true_time(cameras: Sequence[Camera], frame: SimulatedFrame) -> float:
+    return cameras[frame.camera].clock.to_true(frame.log_time_s)
+
+
+def _truth(scene: Scene) -> Truth:
+    times, identifiers, states = (np.concatenate(part) for part in zip(*truth_rows(scene), strict=True))
+    order = np.lexsort((times, identifiers))
+    return Truth(times[order], identifiers[order], states[order, :3], states[order, 3:])
+
+
+def _filtered(
+    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[SimulatedFrame], last: np.ndarray
+) -> PointSets:
+    """Track with the configuration's filter; return what it reports after the events `last`."""
+    config = loaded.config
+    multi_filter = build_filter(config, tuple(cameras), loaded.path)
+    records = _records(multi_filter, frames)
+    if config.report.smooth is not None:
+        records = smoothed_records(records, cameras, multi_filter.motion, config.report.smooth.max_gap_s)
+    estimates = [record.estimates for record in records]
+    if config.report.max_position_std is not None:
+        estimates = [one.certain(config.report.max_position_std) for one in estimates]
+    return _points([estimates[event] for event in last.tolist()])
+
+
+def _records(multi_filter: DisparityFilter, frames: Sequence[SimulatedFrame]) -> Iterator[Record]:
+    state = multi_filter.init()
+    for frame in frames:
+        camera = multi_filter.rig.cameras[frame.camera]
+        time_s = camera.clock.to_true(frame.log_time_s)
+        event = make_event(camera.at(time_s), frame.camera, time_s, frame.pixels)
+        first_label = state.next_label
+        state, info, estimates = multi_filter.step(state, event)
+        yield Record(time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates, event=event)
+
+
+def _points(estimates: Sequence[Estimates]) -> PointSets:
+    start = np.concatenate([[0], np.cumsum([len(one.track_ids) for one in estimates])]).astype(np.int64)
+    states = np.concatenate([one.states for one in estimates])
+    covariances = np.concatenate([one.covariances for one in estimates])
+    labels = np.concatenate([one.track_ids for one in estimates])
+    return PointSets(start, states[:, :3], states[:, 3:], labels, covariances[:, :3, :3])
+
+
+def _known(
+    loaded: LoadedConfig,
+    cameras: Sequence[Camera],
+    frames: Sequence[SimulatedFrame],
+    times_s: Array,
+    truth: PointSets,
+) -> PointSets:
+    """Fit straight lines to the detections of every object; those that exist and were seen are reported."""
+    multi_filter = build_filter(loaded.config, tuple(cameras), loaded.path)
+    baseline, rectification = loaded.config.disparity.baseline, loaded.config.disparity.rectification
+    labels = np.unique(truth.label)
+    parts = []
+    first: list[tuple[DisparitySpace, float, Array] | None] = [None] * len(labels)
+    for frame in frames:
+        camera = cameras[frame.camera]
+        time_s = camera.clock.to_true(frame.log_time_s)
+        true = (frame.object_id != CLUTTER_ID) & np.isin(frame.object_id, labels)
+        parts.append(sight(camera, time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
+        for row, point in zip(parts[-1][0].tolist(), parts[-1][3], strict=True):
+            if first[row] is None:
+                first[row] = DisparitySpace(camera.at(time_s), baseline, rectification), time_s, point
+    sightings = Sightings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    states, covariances, seen = straight_lines(sightings, first, multi_filter.birth, times_s)
+    exists = np.zeros(seen.shape, dtype=bool)
+    exists[truth.scan, np.searchsorted(labels, truth.label)] = True
+    scan, row = np.nonzero(seen & exists)
+    start = np.searchsorted(scan, np.arange(len(times_s) + 1)).astype(np.int64)
+    chosen = states[scan, row]
+    return PointSets(start, chosen[:, :3], chosen[:, 3:], labels[row], covariances[scan, row][:, :3, :3])
+
+
+def _scores(loaded: LoadedConfig, times_s: Array, estimates: PointSets, truth: PointSets) -> list[Series]:
+    unit = loaded.config.units.length
+    series = []
+    for settings in _scenario(loaded).ospa:
+        mahalanobis = settings.base == "mahalanobis"
+        scores = score_scans(estimates, truth, settings.order, settings.cutoff, mahalanobis=mahalanobis)
+        series.append(Series(settings.quantity, "1" if mahalanobis else unit, scores.ospa, times_s))
+    surplus = (estimates.counts - truth.counts).astype(np.float64)
+    return [*series, Series("cardinality_bias", "1", surplus, times_s)]
+
+
+def no_bounds(loaded: LoadedConfig) -> list[Series]:
+    """Return nothing: the limit of OSPA is the method of known association."""
+    return []
+
+
+KIND = Kind(run, no_bounds, check)

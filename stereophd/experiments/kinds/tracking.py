@@ -1,0 +1,91 @@
+"""A moving object seen by all cameras at the same times (paper VIII-B, Figure 11)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config import experiment as config_experiment
+from stereophd.errors import InputError
+from stereophd.experiments.engine.base import Kind, Series, method_clock, run_seed
+from stereophd.experiments.single_object.runs import TrackingScenario, tracking_bound, tracking_run
+from stereophd.experiments.single_object.series import (
+    bounds_of,
+    rig_of,
+    series_of_errors,
+    single_config,
+)
+from stereophd.pipeline.build import build_motion
+from stereophd.pipeline.tracking.single import estimator_settings, initial_prior
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Key of the bound's trajectories among the purposes of a seed (runs count from 0).
+BOUND_KEY = 2**31 + 1
+
+
+def check(loaded: LoadedConfig) -> None:
+    """Raise `InputError` unless there is an estimator and a prior of its velocity."""
+    prior = single_config(loaded).prior
+    if loaded.config.motion.model != "constant_velocity":
+        raise InputError(f"{loaded.path}: motion.model: expected constant_velocity for a moving object")
+    if prior.velocity_std is None and prior.disparity_velocity_std_px_s is None:
+        raise InputError(
+            f"{loaded.path}: filter.prior: expected velocity_std or disparity_velocity_std_px_s, found none"
+        )
+    _scenario(loaded)
+
+
+def run(loaded: LoadedConfig, number: int) -> list[Series]:
+    """Return the errors of position and velocity over time."""
+    rng = np.random.default_rng(run_seed(loaded.config.seed, number))
+    result = tracking_run(_scenario(loaded), estimator_settings(loaded.config), rng, method_clock())
+    reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
+    series = []
+    for name, unit, part in _parts(loaded):
+        own = result.covariances[:, part, part]
+        series += series_of_errors(name, unit, result.times, reported[:, part], own, result.mean_errors[:, part])
+    return series
+
+
+def bounds(loaded: LoadedConfig) -> list[Series]:
+    """Return the posterior Cramer-Rao bound of position and velocity over time."""
+    settings, scenario = _settings(loaded), _scenario(loaded)
+    seed = np.random.SeedSequence(loaded.config.seed, spawn_key=(BOUND_KEY,))
+    covariances = tracking_bound(scenario, np.random.default_rng(seed), settings.bound_trajectories)
+    times = np.unique(scenario.times)
+    return [
+        one for name, unit, part in _parts(loaded) for one in bounds_of(name, unit, times, covariances[:, part, part])
+    ]
+
+
+def _parts(loaded: LoadedConfig) -> list[tuple[str, str, slice]]:
+    unit = loaded.config.units.length
+    return [("position", unit, slice(0, 3)), ("velocity", f"{unit}/s", slice(3, 6))]
+
+
+def _settings(loaded: LoadedConfig) -> config_experiment.TrackingScenario:
+    assert loaded.config.experiment is not None
+    scenario = loaded.config.experiment.scenario
+    assert isinstance(scenario, config_experiment.TrackingScenario)
+    return scenario
+
+
+def _scenario(loaded: LoadedConfig) -> TrackingScenario:
+    settings = _settings(loaded)
+    rig = rig_of(loaded)
+    count = len(rig.cameras)
+    times = np.repeat(settings.interval_s * np.arange(settings.steps), count)
+    return TrackingScenario(
+        rig,
+        np.array([*settings.position, *settings.velocity]),
+        build_motion(loaded.config.motion),
+        initial_prior(single_config(loaded).prior),
+        times,
+        np.tile(np.arange(count), settings.steps),
+    )
+
+
+KIND = Kind(run, bounds, check)

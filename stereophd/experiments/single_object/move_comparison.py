@@ -1,0 +1,179 @@
+"""How well each method carries a Gaussian from one disparity space to another (paper, Figures 4 and 7).
+
+The truth is the Gaussian of the same first two moments as a very large sample, carried over by the
+textbook. What a method loses is the Kullback-Leibler divergence of that Gaussian from its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.moments import OUT_OF_VIEW, move
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.motion.models import Motion
+from stereophd.core.numerics.samples import SETS_IN_TURN, Method
+from stereophd.core.single.build import sample_sets
+from stereophd.core.single.disparity import WIDE, widened
+from stereophd.core.single.settings import DisparitySettings
+
+Array = NDArray[np.float64]
+
+# Samples drawn at once.
+CLOUD = 200_000
+# Fewest samples in view from which the reference is taken.
+MIN_SEEN = 1000
+
+
+@dataclass(frozen=True)
+class MoveCase:
+    """A Gaussian to carry over.
+
+    Attributes
+    ----------
+    home, destination : DisparitySpace
+    mean, covariance : arrays (6,), (6, 6)
+        In the home space.
+    dt : float
+        Interval, s.
+    motion : Motion
+    in_view : bool
+        Whether samples out of the destination's view are left out (V-B), or all in front of it count: a handful of
+        points cannot tell which part of a Gaussian is in view, so that methods of low order take samples there.
+    """
+
+    home: DisparitySpace
+    destination: DisparitySpace
+    mean: Array
+    covariance: Array
+    dt: float
+    motion: Motion
+    in_view: bool = True
+
+
+@dataclass(frozen=True)
+class MoveMoments:
+    """A Gaussian carried over by one method.
+
+    Attributes
+    ----------
+    method : str
+        Of `stereophd.core.numerics.samples.Method`, or ``reference``.
+    samples : int
+        Samples used.
+    mean, covariance : arrays (6,), (6, 6)
+        Of the part in view of the destination's camera, in its disparity space.
+    fraction : float
+        Part in view.
+    divergence : float
+        Kullback-Leibler divergence of the reference from this Gaussian, nat; 0 of the reference.
+    """
+
+    method: str
+    samples: int
+    mean: Array
+    covariance: Array
+    fraction: float
+    divergence: float
+
+
+def gaussian_of_object(
+    space: DisparitySpace, point: Array, stds: Array, velocity: Array, velocity_std: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Gaussian (6,), (6, 6) of an object at a disparity point (u, v, d) that moves with a velocity in the world.
+
+    Parameters
+    ----------
+    space : DisparitySpace
+    point, stds : arrays (3,)
+        Mean and standard deviations of u, v and d, px.
+    velocity : array (3,)
+        Mean velocity in the world, length/s.
+    velocity_std : float
+        Standard deviation of each of its components.
+    rng : Generator
+        Of the sample by whose moments the velocity in disparity space is found.
+    """
+    points = point + rng.standard_normal((CLOUD, 3)) * stds
+    velocities = velocity + rng.standard_normal((CLOUD, 3)) * velocity_std
+    states = space.from_world(np.concatenate([space.to_world(points), velocities], axis=1))
+    return states.mean(axis=0), np.cov(states.T)
+
+
+def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1_000_000) -> MoveMoments:
+    """Moments of the part in view of a very large pseudo-random sample carried over by the textbook.
+
+    Raises
+    ------
+    ValueError
+        If next to nothing of it is in view.
+    """
+    count = np.zeros(2)
+    sums, squares = np.zeros(6), np.zeros((6, 6))
+    transition, noise = case.motion.transition(case.dt)
+    # the rounding of the squares stays small about any point near the mean
+    origin = case.destination.from_world((transition @ case.home.to_world(case.mean[None])[0])[None])[0]
+    remaining = samples
+    while remaining > 0:
+        drawn = min(remaining, CLOUD)
+        remaining -= drawn
+        world = case.home.to_world(rng.multivariate_normal(case.mean, case.covariance, drawn))
+        if case.motion.max_speed is not None:
+            speed = np.linalg.norm(world[:, 3:], axis=1, keepdims=True)
+            world[:, 3:] *= np.minimum(1.0, case.motion.max_speed / speed)
+        world = world @ transition.T + rng.multivariate_normal(np.zeros(6), noise, drawn)
+        camera = case.destination.camera
+        seen = camera.in_view(world[:, :3]) if case.in_view else camera.pose.to_camera(world[:, :3])[:, 2] > 0.0
+        moved = case.destination.from_world(world[seen]) - origin
+        count += drawn, len(moved)
+        sums += moved.sum(axis=0)
+        squares += moved.T @ moved
+    if count[1] < MIN_SEEN:
+        raise ValueError(f"expected a Gaussian partly in view of {case.destination.camera.name}, found it out of view")
+    mean = sums / count[1]
+    covariance = squares / count[1] - np.outer(mean, mean)
+    return MoveMoments("reference", samples, origin + mean, covariance, float(count[1] / count[0]), 0.0)
+
+
+def compare_move(
+    case: MoveCase, method: Method, samples: int, reference: MoveMoments, rng: np.random.Generator
+) -> MoveMoments:
+    """Carry the Gaussian over by one method, once, with one of its sample sets, and compare with the reference."""
+    settings = DisparitySettings(method, samples)
+    moved = move(
+        case.mean[None],
+        case.covariance[None],
+        case.home.packed()[None],
+        np.array([case.dt]),
+        case.destination.packed() if case.in_view else widened(case.destination.packed()),
+        case.motion,
+        sample_sets(settings, case.motion, rng),
+        int(rng.integers(SETS_IN_TURN)),
+        important=np.array([True]),
+    )
+    if moved.status[0] == OUT_OF_VIEW:
+        nothing = np.full(6, np.nan), np.full((6, 6), np.nan)
+        return MoveMoments(method, samples, *nothing, float(moved.fraction[0]), np.inf)
+    mean, covariance = moved.means[0], moved.covariances[0]
+    if not case.in_view:
+        mean[:2] -= WIDE
+    divergence = gaussian_divergence(reference.mean, reference.covariance, mean, covariance)
+    return MoveMoments(method, samples, mean, covariance, float(moved.fraction[0]), divergence)
+
+
+def compare_moves(
+    case: MoveCase, methods: Sequence[tuple[Method, int]], reference: MoveMoments, rng: np.random.Generator
+) -> tuple[MoveMoments, ...]:
+    """`compare_move` for several methods, each with its number of samples."""
+    return tuple(compare_move(case, method, samples, reference, rng) for method, samples in methods)
+
+
+def gaussian_divergence(mean: Array, covariance: Array, other_mean: Array, other_covariance: Array) -> float:
+    """Kullback-Leibler divergence D(N(mean, covariance) || N(other_mean, other_covariance)), nat."""
+    precision = np.linalg.inv(other_covariance)
+    shift = other_mean - mean
+    logs = np.linalg.slogdet(other_covariance)[1] - np.linalg.slogdet(covariance)[1]
+    return float(0.5 * (np.trace(precision @ covariance) + shift @ precision @ shift - len(mean) + logs))

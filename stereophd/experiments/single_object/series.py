@@ -1,0 +1,74 @@
+"""What the scenarios of one object share: the section they need, and errors and bounds as series."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config.single import SingleConfig
+from stereophd.core.bounds.cramer_rao import mean_error_norm
+from stereophd.core.disparity.events import Rig, make_rig
+from stereophd.core.metrics.consistency import nees
+from stereophd.errors import InputError
+from stereophd.experiments.engine.base import Array, Series
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+
+def single_config(loaded: LoadedConfig) -> SingleConfig:
+    """Return the section ``filter``, which must be of kind single.
+
+    Raises
+    ------
+    InputError
+        It is not.
+    """
+    settings = loaded.config.filter
+    if not isinstance(settings, SingleConfig):
+        found = "none" if settings is None else settings.kind
+        raise InputError(f"{loaded.path}: filter: expected a filter of kind single for one object, found {found}")
+    return settings
+
+
+def rig_of(loaded: LoadedConfig) -> Rig:
+    """Return the cameras with their disparity spaces."""
+    config = loaded.config
+    return make_rig(loaded.build_cameras(), config.disparity.baseline, config.disparity.rectification)
+
+
+def series_of_errors(
+    name: str, unit: str, times_s: Array, errors: Array, covariances: Array, consistent: Array
+) -> list[Series]:
+    """Return the length of errors (k, d) over time, and the NEES of errors about the mean.
+
+    Parameters
+    ----------
+    name, unit : str
+        ``position`` and its unit.
+    times_s : array (k,)
+    errors : array (k, d)
+        Of the estimate that is reported.
+    covariances, consistent : arrays (k, d, d), (k, d)
+        Covariance that the estimator states, and the errors of the mean that it is about.
+    """
+    lengths = np.linalg.norm(errors, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # particles that (almost) sit in one place
+        normalised = nees(consistent, covariances)
+    return [
+        Series(f"{name}_error", unit, lengths, times_s),
+        Series(f"{name}_nees", "1", normalised, times_s),
+    ]
+
+
+def bounds_of(name: str, unit: str, times_s: Array, covariances: Array) -> list[Series]:
+    """Return the bounds of the mean and of the root mean square of errors with covariances (k, d, d) at best."""
+    means = np.array([mean_error_norm(one) for one in covariances])
+    roots = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    return [Series(f"{name}_error", unit, means, times_s), Series(f"{name}_rmse", unit, roots, times_s)]
+
+
+def last_of(series: Series, name: str) -> Series:
+    """Return the last value of a series as one of the whole run."""
+    return Series(name, series.unit, series.values[-1:])

@@ -1,0 +1,1 @@
+"""Configuration and streams to results in memory."""

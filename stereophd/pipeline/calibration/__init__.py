@@ -1,0 +1,1 @@
+"""Calibration: from a configuration and a log to an outcome."""

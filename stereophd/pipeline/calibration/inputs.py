@@ -1,0 +1,251 @@
+"""From a configuration and a log to the problem of a calibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config.calibration import BaselineScale, CalibrationConfig, per_axis
+from stereophd.config.cameras import CameraConfig, PoseConfig
+from stereophd.config.filter import MomentsConfig, PhdConfig, PmbConfig
+from stereophd.config.model import Config
+from stereophd.config.single import SingleConfig
+from stereophd.core.calibration.association import Scans
+from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.calibration.scale import ScaleMeasurement
+from stereophd.core.calibration.task import AnnealedSettings, Task
+from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.multi.pmb import PmbFilter
+from stereophd.errors import InputError
+from stereophd.io.logs import LogReader
+from stereophd.pipeline.build import build_filter
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+
+@dataclass(frozen=True)
+class CalibrationProblem:
+    """What is to be estimated, from what.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+    reference : int
+        Index of the reference camera.
+    scans : Scans
+        The log.
+    scale : ScaleMeasurement or None
+        A known baseline.
+    counts : dict
+        Of the log, as in ``report.json``.
+    """
+
+    parameters: ParameterSet
+    reference: int
+    scans: Scans
+    scale: ScaleMeasurement | None
+    counts: dict[str, int]
+
+
+def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
+    """Return the ``calibration`` section.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    section = loaded.config.calibration
+    if section is None:
+        raise InputError(f"{loaded.path}: calibration: expected a section with reference and priors, found none")
+    return section
+
+
+def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
+    """Return the unknowns that a configuration describes, and the index of the reference camera.
+
+    Raises
+    ------
+    InputError
+        No section, fewer than two cameras, a name that no camera has, or cameras that move.
+    """
+    section = calibration_section(loaded)
+    cameras = loaded.build_cameras()
+    names = [camera.name for camera in cameras]
+    if len(cameras) < 2:
+        raise InputError(f"{loaded.path}: cameras: expected two or more to calibrate, found {len(cameras)}")
+    for key, name in [("reference", section.reference), *((f"priors.{n}", n) for n in section.priors)]:
+        if name not in names:
+            raise InputError(
+                f"{loaded.path}: calibration.{key}: expected one of the cameras {', '.join(names)}, found {name}"
+            )
+    if any(not camera.pose.is_static for camera in cameras):
+        raise InputError(f"{loaded.path}: cameras: expected cameras that stand still, found one that moves")
+    parameters = []
+    for camera in cameras:
+        prior = section.priors.get(camera.name)
+        if prior is None:
+            continue
+        stds = (*per_axis(prior.center_std), *np.deg2rad(per_axis(prior.rotation_std_deg)).tolist())
+        for name, std in zip(CENTER + ROTATION, stds, strict=True):
+            if std > 0.0:
+                parameters.append(Parameter(name, camera.name, QUANTITIES[name], 0.0, std))
+    return ParameterSet(cameras, tuple(parameters)), names.index(section.reference)
+
+
+def draw_guess(loaded: LoadedConfig, seed: np.random.SeedSequence) -> dict[str, CameraConfig]:
+    """Draw prior means about which the configuration's cameras are a draw from the prior."""
+    parameters, _ = build_parameters(loaded)
+    guess = parameters.guess(parameters.sample(np.random.default_rng(seed), 1)[0])
+    return with_poses(loaded.cameras, guess)
+
+
+def with_poses(configs: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
+    """Return the configurations of cameras with the poses of others; what did not move stays as it was written."""
+    out = {}
+    for camera in cameras:
+        config = configs[camera.name]
+        if config.pose.build() != camera.pose:
+            rows = [(float(a), float(b), float(c)) for a, b, c in camera.pose.rotation.tolist()]
+            x, y, z = camera.pose.center.tolist()
+            pose = PoseConfig(center=(x, y, z), rotation_matrix=(rows[0], rows[1], rows[2]))
+            config = config.model_copy(update={"pose": pose})
+        out[camera.name] = config
+    return out
+
+
+def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
+    """Return a known baseline as a measurement; None for what is known otherwise, or not at all.
+
+    Raises
+    ------
+    InputError
+        A name that no camera has, or one camera twice.
+    """
+    scale = calibration_section(loaded).scale
+    if not isinstance(scale, BaselineScale):
+        return None
+    names = [camera.name for camera in parameters.cameras]
+    first, second = scale.cameras
+    if first not in names or second not in names or first == second:
+        raise InputError(
+            f"{loaded.path}: calibration.scale.cameras: expected two of the cameras {', '.join(names)}, "
+            f"found {first}, {second}"
+        )
+    return ScaleMeasurement("baseline", scale.distance, scale.std, (names.index(first), names.index(second)))
+
+
+def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProblem:
+    """Read a log, and check that it can say something about the unknown cameras.
+
+    Raises
+    ------
+    InputError
+        As `build_parameters`; the log is not usable; an unknown camera saw nothing, or not while another did.
+    """
+    parameters, reference = build_parameters(loaded)
+    scale = build_scale(loaded, parameters)
+    config = loaded.config
+    reader = LogReader(log_path, parameters.cameras, config.input.on_bad_row, config.input.image_margin_px)
+    events = [make_event(parameters.cameras[f.camera], f.camera, f.time_s, f.pixels, f.sigma) for f in reader]
+    _check_overlap(parameters.cameras, events, {p.camera for p in parameters.parameters}, log_path)
+    return CalibrationProblem(parameters, reference, Scans.of(events), scale, dict(reader.counts))
+
+
+def _check_overlap(cameras: tuple[Camera, ...], events: list[Event], unknown: set[str], path: Path | str) -> None:
+    """Refuse a log in which an unknown camera shares no time with another."""
+    spans: dict[int, tuple[float, float]] = {}
+    for event in events:
+        if len(event.points):
+            first = spans.get(event.camera, (event.time_s, 0.0))[0]
+            spans[event.camera] = (first, event.time_s)
+    for number, camera in enumerate(cameras):
+        if camera.name not in unknown:
+            continue
+        if number not in spans:
+            raise InputError(f"{path}: expected detections of camera {camera.name}, which is unknown, found none")
+        start, end = spans[number]
+        others = [span for other, span in spans.items() if other != number]
+        if not any(span[0] <= end and span[1] >= start for span in others):
+            raise InputError(
+                f"{path}: expected camera {camera.name} to overlap with another in time, found it alone from "
+                f"{start:g} to {end:g} s"
+            )
+
+
+def thinned(scans: Scans, most: int) -> Scans:
+    """Return every n-th frame of each camera, so that at most so many are left."""
+    every = math.ceil(len(scans.events) / most)
+    if every <= 1:
+        return scans
+    chosen, seen = [], {int(camera): 0 for camera in np.unique(scans.cameras)}
+    for event in scans.events:
+        if seen[event.camera] % every == 0:
+            chosen.append(event)
+        seen[event.camera] += 1
+    return Scans.of(chosen)
+
+
+def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int = 1) -> PmbFilter:
+    """Return the PMB filter of a configuration; of a PHD one, that of the same births and survival."""
+    config = loaded.config
+    settings = _filter_section(loaded)
+    if not isinstance(settings, PmbConfig):
+        settings = PmbConfig(kind="pmb", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    built = build_filter(config.model_copy(update={"filter": settings}), cameras, loaded.path, threads)
+    assert isinstance(built, PmbFilter)
+    return built
+
+
+def phd_filter(
+    loaded: LoadedConfig, cameras: tuple[Camera, ...], samples: int | None = None, threads: int = 1
+) -> PhdFilter:
+    """Return the PHD filter of a configuration, with so many pseudo-random samples (default: the config's)."""
+    config: Config = loaded.config
+    settings = _filter_section(loaded)
+    if not isinstance(settings, PhdConfig):
+        settings = PhdConfig(kind="phd", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    update: dict[str, object] = {"filter": settings}
+    if samples is not None:
+        update["moments"] = MomentsConfig(method="particle", samples=samples)
+    built = build_filter(config.model_copy(update=update), cameras, loaded.path, threads)
+    assert isinstance(built, PhdFilter)
+    return built
+
+
+def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
+    """Return what every start of method annealed works on."""
+    settings = section.annealed
+    return Task.of(
+        problem.parameters,
+        problem.reference,
+        pmb_filter(loaded, problem.parameters.cameras),
+        problem.scans,
+        thinned(problem.scans, settings.max_events),
+        problem.scale,
+        AnnealedSettings(
+            settings.starts,
+            settings.agreeing_starts,
+            settings.inflation,
+            settings.min_detections,
+            settings.min_tracked,
+        ),
+    )
+
+
+def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:
+    if loaded.config.filter is None:
+        raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
+    if isinstance(loaded.config.filter, SingleConfig):
+        raise InputError(
+            f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
+        )
+    return loaded.config.filter

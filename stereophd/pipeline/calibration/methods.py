@@ -1,0 +1,184 @@
+"""Method annealed of `calibrate`, from a problem to an `Outcome`, with checkpoints."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedScale
+from stereophd.core.calibration.annealed import (
+    best_of,
+    distinct,
+    enough,
+    modes_of,
+    prior_disagreement,
+    rival_of,
+    run_start,
+    start_values,
+)
+from stereophd.core.calibration.fits import fit_until
+from stereophd.core.calibration.known_scale import measured_scale, rescaled
+from stereophd.core.calibration.posterior import laplace_draws
+from stereophd.core.calibration.scale import ScaleMeasurement
+from stereophd.core.calibration.task import Fit, Start, Task
+from stereophd.pipeline.calibration.checkpoint import Checkpoint
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
+from stereophd.pipeline.calibration.outcome import (
+    DRAWS_KEY,
+    PAIRING_KEY,
+    STARTS_KEY,
+    Array,
+    HistoryRow,
+    Outcome,
+    Progress,
+    seed_for,
+)
+from stereophd.pipeline.calibration.samplers import smc_outcome
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Draws that stand for a Laplace posterior, and times at which it is given in the history.
+LAPLACE_DRAWS = 1000
+HISTORY_TIMES = 25
+
+
+def annealed_outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """Method annealed, with the posterior that the section names."""
+    task = annealed_task(loaded, section, problem)
+    starts = _all_starts(loaded, task, checkpoint, jobs, progress)
+    best = best_of(starts)
+    details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
+    size = problem.parameters.size
+    if best is None or best.fit is None:
+        often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
+        why = f"none of {len(starts)} starts agrees with the data; most often: {often}"
+        nothing = np.full((size, size), np.nan)
+        return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
+    doubt = ""
+    if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
+        doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
+    task, fit = _at_known_scale(section, task, best.fit, details)
+    mean, covariance = fit.adjustment.values, fit.adjustment.covariance
+    if (against := prior_disagreement(task.parameters, mean)) is not None:
+        doubt = f"with the known {section.scale.kind} {against}"
+    details["fit"] = _fit_report(problem, best, fit)
+    history = tuple(
+        HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
+        for time_s in np.linspace(problem.scans.times[0], problem.scans.times[-1], HISTORY_TIMES + 1)[1:]
+        if (until := fit_until(task, fit, float(time_s))) is not None
+    )
+    if section.posterior == "smc":
+        found = distinct(starts)
+        fits = [mode.fit if task.scale is None else rescaled(task, mode.fit, task.scale) for mode in found if mode.fit]
+        modes = modes_of(fits, [mode.score for mode in found])
+        outcome = smc_outcome(
+            loaded, section, problem, task.scale, modes, fit, history, details, checkpoint, jobs, progress
+        )
+        return replace(outcome, doubt=doubt)
+    rng = np.random.default_rng(seed_for(loaded, DRAWS_KEY))
+    draws = laplace_draws(problem.parameters, problem.reference, mean, covariance, LAPLACE_DRAWS, rng)
+    weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
+    return Outcome(mean, covariance, draws, weights, history, "", doubt, fit, details)
+
+
+def _all_starts(
+    loaded: LoadedConfig, task: Task, checkpoint: Checkpoint, jobs: int, progress: Progress | None
+) -> list[Start]:
+    """Run starts until enough agree."""
+    count, agreeing = task.settings.starts, task.settings.agreeing_starts
+    values = start_values(task.parameters, seed_for(loaded, STARTS_KEY), count)
+    seeds = seed_for(loaded, PAIRING_KEY).spawn(count)
+    starts: list[Start] = list(checkpoint.get("starts") or [])
+    if enough(starts, agreeing):
+        return starts
+    for start in _run_starts(task, values, seeds, len(starts), jobs):
+        starts.append(start)
+        checkpoint.keep("starts", starts)
+        if progress is not None:
+            progress(len(starts), count)
+        if enough(starts, agreeing):
+            break
+    return starts
+
+
+def _run_starts(
+    task: Task, values: Array, seeds: list[np.random.SeedSequence], done: int, jobs: int
+) -> Iterator[Start]:
+    """Outcomes of the starts that are not done yet, in order."""
+    numbers = range(done, len(values))
+    if jobs == 1 or len(numbers) < 2:
+        for number in numbers:
+            yield run_start(task, number, values[number], seeds[number])
+        return
+    import warnings
+
+    from joblib import Parallel, delayed
+
+    # that starts are given up once enough agree is meant
+    warnings.filterwarnings("ignore", message=".*tasks which were still being processed", category=UserWarning)
+    # no more ahead than there are workers: starts that are not needed are not begun
+    pool = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="n_jobs")
+    outcomes = pool(delayed(run_start)(task, number, values[number], seeds[number]) for number in numbers)
+    try:
+        yield from outcomes
+    finally:
+        outcomes.close()
+
+
+def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> tuple[Task, Fit]:
+    """Adjust again where speeds or a length of the scene are known; the task holds what they say of the scale."""
+    scale = section.scale
+    measured: ScaleMeasurement | None = None
+    if isinstance(scale, SpeedScale):
+        measured = measured_scale(task, fit, "speed", scale.speed, scale.std)
+    elif isinstance(scale, LengthScale):
+        measured = measured_scale(task, fit, "length", scale.length, scale.std)
+        if measured is None:
+            details["scale_warning"] = "no two objects keep their distance: the known length was not used"
+    if measured is None:
+        return task, fit
+    return replace(task, scale=measured), rescaled(task, fit, measured)
+
+
+def _start_report(problem: CalibrationProblem, start: Start, best: Start | None) -> dict[str, Any]:
+    nothing: list[float] = []
+    values = nothing if start.fit is None else start.fit.adjustment.values.tolist()
+    return {
+        "start": start.number,
+        "outcome": start.outcome,
+        "best": start is best,
+        "passes": len(start.passes),
+        "explained": start.explained,
+        "log_evidence": _number(start.log_evidence),
+        "log_prior": _number(start.log_prior),
+        "values": dict(zip(problem.parameters.names, values, strict=False)),
+    }
+
+
+def _fit_report(problem: CalibrationProblem, best: Start, fit: Fit) -> dict[str, Any]:
+    inliers = fit.adjustment.distances[fit.adjustment.distances < np.inf]
+    return {
+        "trajectories": fit.knots.count,
+        "detections": len(fit.detections),
+        "explained": best.explained,
+        "rms_residual_sigmas": float(np.sqrt(np.minimum(inliers, 1e4).mean() / 2.0)),
+        "log_evidence": best.log_evidence,
+        "log_prior": best.log_prior,
+        "converged": fit.adjustment.converged,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

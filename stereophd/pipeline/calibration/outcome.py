@@ -1,0 +1,67 @@
+"""What a method of `calibrate` brings forth, and the random numbers of its purposes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.task import Fit
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+# Keys of random numbers among the purposes of a seed (simulated runs count from 0).
+STARTS_KEY, SEQUENTIAL_KEY, SMC_KEY, DRAWS_KEY, PAIRING_KEY = (2**31 + k for k in range(1, 6))
+
+
+@dataclass(frozen=True)
+class HistoryRow:
+    """Posterior of the parameters given the log up to a time."""
+
+    time_s: float
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a method found.
+
+    Attributes
+    ----------
+    values, covariance : arrays (m,), (m, m)
+        Mean (or optimum) and covariance; NaN where nothing agrees with the data.
+    particles, log_weights : arrays (k, m), (k,)
+        Posterior as particles.
+    history : tuple of HistoryRow
+    reason : str
+        Why nothing was found; empty if something was.
+    doubt : str
+        Why the posterior is not to be trusted; empty if it may be.
+    fit : Fit or None
+        Trajectories and residuals, of method annealed.
+    details : dict
+        For the report.
+    """
+
+    values: Array
+    covariance: Array
+    particles: Array
+    log_weights: Array
+    history: tuple[HistoryRow, ...]
+    reason: str = ""
+    doubt: str = ""
+    fit: Fit | None = None
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+def seed_for(loaded: LoadedConfig, key: int) -> np.random.SeedSequence:
+    """Random numbers of a purpose."""
+    return np.random.SeedSequence(loaded.config.seed, spawn_key=(key,))

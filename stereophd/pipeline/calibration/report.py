@@ -1,0 +1,131 @@
+"""The report of a calibration: cameras, parameters and observability, with units in the names of keys."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.calibration import CalibrationConfig
+from stereophd.core.calibration.posterior import (
+    DETERMINED,
+    PARTLY,
+    UNDETERMINED,
+    UNDETERMINED_RATIO,
+    Observability,
+    observability,
+    pose_spread,
+)
+from stereophd.pipeline.calibration.inputs import CalibrationProblem
+from stereophd.pipeline.calibration.outcome import Outcome
+
+Array = NDArray[np.float64]
+
+# Parameters that make up this part of a direction (in units of prior standard deviations) are named.
+NAMED_PART = 0.3
+
+
+def status_of(problem: CalibrationProblem, outcome: Outcome) -> tuple[str, str, Observability | None]:
+    """Status, what is wrong if anything, and the observability if there is a posterior."""
+    if outcome.reason:
+        return UNDETERMINED, outcome.reason, None
+    found = observability(problem.parameters, problem.reference, outcome.values, outcome.covariance)
+    if outcome.doubt:
+        return UNDETERMINED, outcome.doubt, found
+    if found.status == DETERMINED:
+        return DETERMINED, "", found
+    count = int((found.ratios > UNDETERMINED_RATIO).sum())
+    why = f"the data leave {count} of {problem.parameters.size} directions of the parameters as the prior has them"
+    return (PARTLY if found.status == PARTLY else UNDETERMINED), why, found
+
+
+def build_report(
+    section: CalibrationConfig, problem: CalibrationProblem, outcome: Outcome, length_unit: str
+) -> dict[str, Any]:
+    """Return the report without provenance."""
+    status, reason, found = status_of(problem, outcome)
+    report: dict[str, Any] = {
+        "report_version": 1,
+        "length_unit": length_unit,
+        "method": section.method,
+        "posterior": section.posterior if section.method == "annealed" else "particles",
+        "status": status,
+        "reason": reason,
+        "input": problem.counts,
+    }
+    if found is not None:
+        report["scale"] = _scale(section, found)
+        if status != UNDETERMINED:
+            report["cameras"] = _cameras(problem, outcome)
+        report["parameters"] = _parameters(problem, outcome, found, status, length_unit)
+        report["observability"] = _observability(problem, found)
+    return {**report, **outcome.details}
+
+
+def _scale(section: CalibrationConfig, found: Observability) -> dict[str, Any]:
+    kind = section.scale.kind
+    if math.isnan(found.scale_ratio):
+        return {"kind": kind, "determined_by": "known cameras", "posterior_over_prior_std": None}
+    by_data = found.scale_ratio <= UNDETERMINED_RATIO
+    return {
+        "kind": kind,
+        "determined_by": "prior" if not by_data else kind if kind != "none" else "data",
+        "posterior_over_prior_std": found.scale_ratio,
+    }
+
+
+def _cameras(problem: CalibrationProblem, outcome: Outcome) -> dict[str, Any]:
+    """Standard deviations of rotation, direction of translation, scale and centre of every unknown camera."""
+    names = dict.fromkeys(p.camera for p in problem.parameters.parameters)
+    out = {}
+    for name in names:
+        spread = pose_spread(problem.parameters, problem.reference, outcome.values, outcome.covariance, name)
+        out[name] = {
+            "rotation_std_deg": math.degrees(spread.rotation),
+            "direction_std_deg": _finite(math.degrees(spread.direction)),
+            "scale_std": _finite(spread.scale),
+            "center_std": spread.center,
+        }
+    return out
+
+
+def _parameters(
+    problem: CalibrationProblem, outcome: Outcome, found: Observability, status: str, length_unit: str
+) -> list[dict[str, Any]]:
+    rows = []
+    for index, (name, parameter) in enumerate(
+        zip(problem.parameters.names, problem.parameters.parameters, strict=True)
+    ):
+        rows.append(
+            {
+                "name": name,
+                "unit": length_unit if parameter.unit == "length" else parameter.unit,
+                "prior_std": parameter.std,
+                "mean": None if status == UNDETERMINED else float(outcome.values[index]),
+                "std": float(np.sqrt(outcome.covariance[index, index])),
+                "posterior_over_prior_std": float(found.parameter_ratios[index]),
+                "determined_by_data": bool(found.parameter_ratios[index] <= UNDETERMINED_RATIO),
+            }
+        )
+    return rows
+
+
+def _observability(problem: CalibrationProblem, found: Observability) -> dict[str, Any]:
+    names = problem.parameters.names
+    directions = []
+    for ratio, direction in zip(found.ratios.tolist(), found.directions, strict=True):
+        order = np.argsort(-np.abs(direction), kind="stable")
+        parts = {names[i]: float(direction[i]) for i in order if abs(direction[i]) >= NAMED_PART}
+        directions.append({"posterior_over_prior_std": ratio, "direction": parts})
+    return {
+        "information_bits": found.information_bits,
+        "determined_directions": int((found.ratios <= UNDETERMINED_RATIO).sum()),
+        "of_directions": len(names),
+        "directions": directions,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

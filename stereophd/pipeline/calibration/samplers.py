@@ -1,0 +1,157 @@
+"""The samplers of `calibrate`: method sequential, and posterior smc."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.config.calibration import CalibrationConfig
+from stereophd.core.calibration import sequential, tempered
+from stereophd.core.calibration.annealed import RIVAL_DISTANCE, disagreement, explained
+from stereophd.core.calibration.batch import FilterBatch
+from stereophd.core.calibration.fits import fit_from
+from stereophd.core.calibration.likelihood import Evidence
+from stereophd.core.calibration.modes import Modes
+from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
+from stereophd.core.calibration.task import Fit
+from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
+from stereophd.pipeline.calibration.checkpoint import Checkpoint
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter, thinned
+from stereophd.pipeline.calibration.outcome import (
+    SEQUENTIAL_KEY,
+    SMC_KEY,
+    Array,
+    HistoryRow,
+    Outcome,
+    Progress,
+    seed_for,
+)
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+
+def sequential_outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """Method sequential: the paper's particle filter over cameras."""
+    settings = section.sequential
+    cameras, parameters = problem.parameters.cameras, problem.parameters
+    template = (
+        phd_filter(loaded, cameras, settings.samples) if settings.likelihood == "phd" else pmb_filter(loaded, cameras)
+    )
+    per_unit = {"length": settings.center_noise, "rad": float(np.deg2rad(settings.rotation_noise_deg))}
+    walk = np.array([per_unit[p.unit] for p in parameters.parameters])
+    events = problem.scans.events
+
+    def after(number: int, state: Any, history: Any) -> None:
+        checkpoint.keep("sequential", (state, list(history)))
+        if progress is not None:
+            progress(number, len(events))
+
+    result = sequential.run(
+        parameters,
+        events,
+        FilterBatch(template, jobs),
+        sequential.SequentialSettings(
+            settings.particles, settings.resample_below, settings.roughening, walk if walk.any() else None
+        ),
+        seed_for(loaded, SEQUENTIAL_KEY),
+        checkpoint.get("sequential"),
+        after,
+    )
+    mean, covariance = weighted_mean_covariance(result.state.values, result.state.log_weights)
+    sizes = [info.effective_sample_size for info in result.history]
+    details = {
+        "log_evidence": result.state.log_evidence,
+        "effective_sample_size": effective_sample_size(result.state.log_weights),
+        "least_effective_sample_size": min(sizes),
+        "resampled": sum(info.resampled for info in result.history),
+    }
+    history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
+    doubt = _doubt(loaded, section, problem, mean, covariance, details)
+    return Outcome(mean, covariance, result.state.values, result.state.log_weights, history, "", doubt, None, details)
+
+
+def _doubt(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    values: Array,
+    covariance: Array,
+    details: dict[str, Any],
+) -> str:
+    """Why particles are not to be trusted: tracks that two cameras share move the cameras far away, or are missing.
+
+    Particles that settled on wrong cameras are narrow, and still far from the optimum next to them.
+    """
+    task = annealed_task(loaded, section, problem)
+    fit = fit_from(task, values)
+    details["explained"] = 0.0 if fit is None else explained(task, fit)
+    if fit is None:
+        return "no tracks are shared by two cameras"
+    if (why := disagreement(task, fit)) is not None:
+        return why
+    difference = fit.adjustment.values - values
+    joint = np.linalg.inv(covariance + fit.adjustment.covariance)
+    moved = float(np.sqrt(difference @ joint @ difference / len(difference)))
+    details["standard_deviations_to_optimum"] = moved
+    if moved <= RIVAL_DISTANCE:
+        return ""
+    return f"the optimum next to the particles lies {moved:.0f} standard deviations away: they settled on wrong cameras"
+
+
+def smc_outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    scale: ScaleMeasurement | None,
+    modes: Modes,
+    fit: Fit,
+    history: tuple[HistoryRow, ...],
+    details: dict[str, Any],
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """Full posterior by tempered particles about the modes found."""
+    settings = section.smc
+    cameras = problem.parameters.cameras
+    template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
+    evidence = Evidence(
+        problem.parameters,
+        thinned(problem.scans, settings.max_events).events,
+        FilterBatch(template, jobs),
+        problem.reference if scale_is_free(problem.parameters) else None,
+        scale,
+    )
+    sampler = tempered.TemperedSampler(
+        problem.parameters,
+        evidence,
+        modes,
+        tempered.TemperedSettings(settings.particles, settings.resample_below, settings.moves, settings.spread),
+        seed_for(loaded, SMC_KEY),
+    )
+
+    def after(state: Any, steps: Any) -> None:
+        checkpoint.keep("smc", (state, list(steps)))
+        if progress is not None:
+            progress(int(1000 * state.temperature), 1000)
+
+    result = tempered.run(sampler, checkpoint.get("smc"), after)
+    mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
+    details["smc"] = {
+        "evidence": settings.evidence,
+        "log_evidence": result.log_evidence,
+        "acceptance": result.acceptance,
+        "effective_sample_size": result.effective_sample_size,
+        "ancestors": result.ancestors,
+        "modes": len(modes.weights),
+    }
+    return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)

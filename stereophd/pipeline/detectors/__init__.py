@@ -1,0 +1,1 @@
+"""Estimation of the detectors of cameras from a log."""

@@ -1,0 +1,235 @@
+"""Estimate the detectors of cameras from a log (``detector: estimate``), in a few passes of the filter."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import make_event
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.io.logs import LogReader
+from stereophd.pipeline.detectors.statistics import DetectorEstimate, DetectorSums, estimate_detector, observe
+from stereophd.pipeline.tracking.loop import PROGRESS_EVERY, Attribution, Progress
+
+# Frames of a pass: more say nothing new, and time stays bounded for logs of any length.
+MOST_FRAMES = 20_000
+# Passes end when no value changes by more than this share (probabilities of detection: of the misses) or this part
+# of its standard error.
+MOST_PASSES = 5
+CONVERGED = 0.02
+CONVERGED_ERRORS = 0.5
+
+# A detector that never misses ends a track at its first miss, and would never be found to miss.
+MOST_P_DETECT = 0.99
+
+# Correlation of successive residuals from which errors cannot pass for white noise.
+LASTING = 0.3
+
+LOGGER = logging.getLogger("stereophd")
+
+
+class _Settled:
+    """Labels that are confirmed and were seen by two cameras; what frames said of them since their last detection."""
+
+    def __init__(self) -> None:
+        self.seen_by: dict[int, set[int]] = {}
+        self.confirmed: set[int] = set()
+        self._waiting: dict[int, dict[int, list[float]]] = {}
+
+    def labels(self) -> NDArray[np.int64]:
+        """Return the labels that are confirmed and were seen by two cameras."""
+        found = [label for label in self.confirmed if len(self.seen_by.get(label, ())) > 1]
+        return np.array(found, dtype=np.int64)
+
+    def count(self, label: int, camera: int, detected: float, missed: float, sums: list[DetectorSums]) -> None:
+        """Keep what a frame said of a track until the track is detected again."""
+        if detected + missed <= 0.0:  # of a camera that never misses, given so: nothing can be said
+            return
+        waiting = self._waiting.setdefault(label, {}).setdefault(camera, [0.0, 0.0])
+        # seen again later, it existed all the time
+        waiting[0] += detected / (detected + missed)
+        waiting[1] += missed / (detected + missed)
+        if detected > missed:
+            for index, (hits, misses) in self._waiting.pop(label).items():
+                sums[index].detected += hits
+                sums[index].missed += misses
+
+    def keep(self, labels: Collection[int]) -> None:
+        """Forget all labels but these."""
+        self.confirmed &= set(labels)
+        self.seen_by = {label: cameras for label, cameras in self.seen_by.items() if label in labels}
+        self._waiting = {label: waiting for label, waiting in self._waiting.items() if label in labels}
+
+
+def _pass(
+    multi_filter: DisparityFilter, reader: LogReader, progress: Progress | None
+) -> tuple[list[DetectorSums], bool]:
+    """Run over the log once; return the sums of every camera, and whether the log states its own noise."""
+    cameras = multi_filter.rig.cameras
+    index = {camera.name: k for k, camera in enumerate(cameras)}
+    sums = [DetectorSums() for _ in cameras]
+    settled, attribution = _Settled(), Attribution()
+    state = multi_filter.init()
+    own_noise = False
+    for number, frame in enumerate(islice(reader, MOST_FRAMES)):
+        camera = cameras[frame.camera]
+        frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
+        event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
+        own_noise |= frame.sigma is not None
+        prediction = multi_filter.predict(state, event)
+        sighting = observe(
+            sums[frame.camera], prediction, event, frozen, multi_filter.birth.per_frame, settled.labels(),
+            frame.sigma is None,
+        )  # fmt: skip
+        state, info = multi_filter.update(state, prediction, event)
+        state, estimates = multi_filter.extract(state)
+        probabilities = zip(sighting.detected.tolist(), sighting.missed.tolist(), strict=True)
+        for label, (detected, missed) in zip(sighting.labels.tolist(), probabilities, strict=True):
+            settled.count(label, frame.camera, detected, missed, sums)
+        for label in info.detected.tolist():
+            settled.seen_by.setdefault(label, set()).add(frame.camera)
+        settled.confirmed.update(estimates.labels.tolist())
+        mine = sums[frame.camera]
+        mine.frames += 1
+        mine.detections += len(event.points)
+        for counts in attribution.update(camera.name, info.detected, estimates).values():
+            for name, count in counts.items():
+                sums[index[name]].attributed += count
+        if number % PROGRESS_EVERY == 0:
+            alive = set(state.mixture.labels.tolist())
+            settled.keep(alive)
+            for each in sums:
+                each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
+            attribution.keep(state.mixture.labels)
+            if progress is not None:
+                progress(reader.counts["rows"], reader.num_rows)
+    return sums, own_noise
+
+
+def estimate_detectors(
+    cameras: tuple[Camera, ...],
+    estimated: Collection[str],
+    build_filter: Callable[[tuple[Camera, ...]], DisparityFilter],
+    make_reader: Callable[[], LogReader],
+    progress: Progress | None = None,
+) -> tuple[tuple[Camera, ...], dict[str, Any]]:
+    """Estimate noise, probability of detection and clutter of cameras from a log.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera
+        With the values to start from.
+    estimated : collection of str
+        Names of the cameras whose detectors are estimated; the others stay as they are.
+    build_filter : callable
+        Makes a labelled filter of cameras.
+    make_reader : callable
+        Opens the log.
+    progress : callable, optional
+        Called with the rows done and their total, in every pass anew.
+
+    Returns
+    -------
+    cameras : tuple of Camera
+        With the estimates in place.
+    report : dict
+        For ``report.json``: by camera the values, their standard errors and the numbers behind them.
+    """
+    used = tuple(_start(camera) if camera.name in estimated else camera for camera in cameras)
+    found: dict[str, DetectorEstimate] = {}
+    passes, converged, own_noise = 0, False, False
+    while passes < MOST_PASSES and not converged:
+        passes += 1
+        sums, own_noise = _pass(build_filter(used), make_reader(), progress)
+        converged = True
+        updated = []
+        for camera, mine in zip(cameras, sums, strict=True):
+            detector = camera.detector
+            if camera.name in estimated:
+                estimate = found[camera.name] = estimate_detector(mine, detector)
+                converged = converged and _agree(detector, estimate)
+                detector = estimate.detector
+            updated.append(replace(camera, detector=detector))
+        cameras = used = tuple(updated)
+        texts = [_text(name, estimate) for name, estimate in found.items()]
+        LOGGER.info("detectors, pass %d: %s", passes, "; ".join(texts))
+    if not converged:
+        LOGGER.warning("detectors: still changing after %d passes", passes)
+    _warn(found, own_noise)
+    report = {name: _report(estimate) for name, estimate in found.items()}
+    return cameras, {"passes": passes, "converged": converged, "cameras": report}
+
+
+def _start(camera: Camera) -> Camera:
+    """Return a camera whose detector can be found to miss."""
+    given = camera.detector
+    if given.p_detect <= MOST_P_DETECT:
+        return camera
+    return replace(camera, detector=Detector(given.sigma, MOST_P_DETECT, given.clutter_per_frame))
+
+
+def _warn(found: Mapping[str, DetectorEstimate], own_noise: bool) -> None:
+    """Say which noise could not be estimated, and which is none."""
+    for name, estimate in found.items():
+        if estimate.correlation is not None and estimate.correlation.max() > LASTING:
+            LOGGER.warning(
+                "detector of %s: errors last from frame to frame (correlation %.2f, %.2f along u, v): of pose, clock "
+                "or lens, or of smoothed labels; with noise estimated from them tracks will be overconfident",
+                name,
+                *estimate.correlation,
+            )
+        if estimate.sigma_error is None and not own_noise:
+            LOGGER.warning(
+                "detector of %s: %.0f detections of tracks that two cameras saw: too few to estimate the noise, "
+                "which stays as given",
+                name,
+                estimate.residuals,
+            )
+
+
+def _agree(present: Detector, estimate: DetectorEstimate) -> bool:
+    """Whether a pass has changed nothing that matters."""
+    new = estimate.detector
+
+    def close(old: float, value: float, scale: float, error: float | None) -> bool:
+        return error is None or abs(old - value) <= max(CONVERGED * scale, CONVERGED_ERRORS * error)
+
+    sigma_error = (None, None) if estimate.sigma_error is None else estimate.sigma_error.tolist()
+    sigmas = zip(present.sigma.tolist(), new.sigma.tolist(), new.sigma.tolist(), sigma_error, strict=True)
+    clutter = new.clutter_per_frame
+    return (
+        all(close(*sigma) for sigma in sigmas)
+        and close(present.p_detect, new.p_detect, 1.0 - new.p_detect, estimate.p_detect_error)
+        and close(present.clutter_per_frame, clutter, clutter, estimate.clutter_error)
+    )
+
+
+def _text(name: str, estimate: DetectorEstimate) -> str:
+    detector = estimate.detector
+    return (
+        f"{name} sigma {detector.sigma[0]:.3g}, {detector.sigma[1]:.3g} px, p_detect {detector.p_detect:.3f}, "
+        f"clutter {detector.clutter_per_frame:.3g} a frame"
+    )
+
+
+def _report(estimate: DetectorEstimate) -> dict[str, Any]:
+    detector = estimate.detector
+    return {
+        "sigma_px": detector.sigma.tolist(),
+        "p_detect": detector.p_detect,
+        "clutter_per_frame": detector.clutter_per_frame,
+        "sigma_px_standard_error": None if estimate.sigma_error is None else estimate.sigma_error.tolist(),
+        "p_detect_standard_error": estimate.p_detect_error,
+        "clutter_per_frame_standard_error": estimate.clutter_error,
+        "residual_correlation": None if estimate.correlation is None else estimate.correlation.tolist(),
+        "residuals": estimate.residuals,
+        "in_view": estimate.in_view,
+        "frames": estimate.frames,
+    }

@@ -1,0 +1,252 @@
+"""What the detectors of the cameras do, estimated from what settled tracks say about a log.
+
+A track that at least two cameras have seen predicts where the next camera will see it. With the predicted pixel
+H m and its covariance C = H P H^T, the residual of its detection has the covariance S = C + R, so the state's own
+uncertainty is accounted for; frames that have a track in view and do not detect it say how probable a detection
+is; and what no confirmed track ever claimed is clutter. All three are gathered as sums, event by event, while a
+Poisson multi-Bernoulli filter runs with the present values, and a new run starts from the new values until they
+agree (a fixed point: at the true values every expectation below holds).
+
+Noise. Filter covariances scale nearly as the noise does, so S is taken as proportional to R between two runs:
+with residuals e and weights w = p R / S (the probability p of the pair, and the information that it has on R),
+
+    R_new / R = sum(w e^2 / S) / sum(w),
+
+per axis of the distorted image. Its standard error treats C as known, which is on the safe side:
+sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S.
+
+Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
+the frame, and M that it exists and made none. Frames count up to the last detection of the track only: what
+comes after is the object's end, not misses.
+
+Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame.
+
+Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
+of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
+white noise describes them; estimated as if they were, tracks become overconfident.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.moments import IN_VIEW
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.multi.association import pair_likelihoods
+from stereophd.core.multi.base import Prediction
+from stereophd.core.multi.belief import association_marginals
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A track whose alternatives are still undecided (the heaviest has less than this share) says nothing yet.
+DECIDED_SHARE = 0.9
+# A detection that is more probably a track's than not counts as its next residual.
+LIKELY = 0.5
+# Estimates from fewer residuals, or frames with a track in view, are not trusted.
+FEWEST_RESIDUALS = 50.0
+FEWEST_IN_VIEW = 50.0
+
+
+@dataclass
+class DetectorSums:
+    """Running sums of one camera, over events.
+
+    Attributes
+    ----------
+    residuals, weights, squares, shares : arrays (2,)
+        Sums of w e^2 / S, of w, of w^2 and of w R / S along u and v.
+    pairs : float
+        Expected number of detections behind them.
+    detected, missed : float
+        Sums of D and M.
+    frames, detections, attributed : int
+        Frames, detections, and those of confirmed tracks.
+    products, norms : arrays (2,)
+        Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for residuals r = e / sqrt(S).
+    successions : int
+        Number of terms in these.
+    previous : dict
+        Label -> residual r (2,) of its last detection.
+    """
+
+    residuals: Array = field(default_factory=lambda: np.zeros(2))
+    weights: Array = field(default_factory=lambda: np.zeros(2))
+    squares: Array = field(default_factory=lambda: np.zeros(2))
+    shares: Array = field(default_factory=lambda: np.zeros(2))
+    pairs: float = 0.0
+    detected: float = 0.0
+    missed: float = 0.0
+    frames: int = 0
+    detections: int = 0
+    attributed: int = 0
+    products: Array = field(default_factory=lambda: np.zeros(2))
+    norms: Array = field(default_factory=lambda: np.zeros(2))
+    successions: int = 0
+    previous: dict[int, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DetectorEstimate:
+    """A detector estimated from a run, and how well; what could not be estimated has no standard error.
+
+    Attributes
+    ----------
+    detector : Detector
+    sigma_error : array (2,) or None
+        Standard errors of sigma, px.
+    p_detect_error, clutter_error : float or None
+    correlation : array (2,) or None
+        Of the residuals of successive frames along u and v: 0 of white noise.
+    residuals, in_view : float
+        Expected numbers of detections behind sigma, and of frames with a track in view behind p_detect.
+    frames : int
+    """
+
+    detector: Detector
+    sigma_error: Array | None
+    p_detect_error: float | None
+    clutter_error: float | None
+    correlation: Array | None
+    residuals: float
+    in_view: float
+    frames: int
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What a frame says of the settled tracks in its view.
+
+    Attributes
+    ----------
+    labels : array (k,) of int
+    detected, missed : arrays (k,)
+        Probabilities that the track made a detection of the frame, and that it exists and made none.
+    """
+
+    labels: Integers
+    detected: Array
+    missed: Array
+
+
+def observe(
+    sums: DetectorSums,
+    prediction: Prediction,
+    event: Event,
+    camera: Camera,
+    births_per_frame: float,
+    settled: Integers,
+    with_noise: bool = True,
+) -> Sighting:
+    """Add the residuals of a frame to the sums of its camera, and tell which settled tracks it detected.
+
+    Parameters
+    ----------
+    sums : DetectorSums
+        Of the camera; the residuals are added.
+    prediction : Prediction
+        Before the update with the event.
+    event : Event
+    camera : Camera
+        At the time of the event, with the present detector.
+    births_per_frame : float
+    settled : array of int
+        Labels of tracks that are confirmed and were seen by at least two cameras.
+    with_noise : bool
+        Whether the noise is the detector's (a log may state that of each detection).
+    """
+    chosen, existence = _decided(prediction, settled)
+    moved = prediction.moved
+    means, covariances = moved.means[chosen], moved.covariances[chosen]
+    owners, targets, densities = pair_likelihoods(
+        means, covariances, np.ones(len(chosen), dtype=np.bool_), event.points, event.covariances, event.areas,
+        event.delays,
+    )  # fmt: skip
+    detector = camera.detector
+    expected = detector.p_detect * existence
+    background = (detector.clutter_per_frame + detector.p_detect * births_per_frame) / (camera.width * camera.height)
+    missed = np.maximum(1.0 - expected, 1e-9)
+    odds = expected[owners] * densities / (missed[owners] * max(background, 1e-300))
+    share, untouched, _, _ = association_marginals(owners, targets, odds, len(chosen), len(event.points))
+    labels = prediction.mixture.labels[chosen]
+    if with_noise and len(owners):
+        _add_residuals(sums, means[owners], covariances[owners], event, targets, share, camera, labels[owners])
+    return Sighting(labels, 1.0 - untouched, untouched * existence * (1.0 - detector.p_detect) / missed)
+
+
+def _decided(prediction: Prediction, settled: Integers) -> tuple[Integers, Array]:
+    """Return the components that stand for settled tracks wholly in view, and the existence of each."""
+    mixture = prediction.mixture
+    rows = np.flatnonzero(np.isin(mixture.labels, settled))
+    labels, member = np.unique(mixture.labels[rows], return_inverse=True)
+    existence = np.bincount(member, weights=mixture.weights[rows], minlength=len(labels))
+    good = mixture.weights[rows] > DECIDED_SHARE * existence[member]
+    good &= (prediction.moved.status[rows] == IN_VIEW) & (prediction.moved.inside[rows] == 1.0)
+    return rows[good], np.minimum(existence[member[good]], 1.0)
+
+
+def _add_residuals(
+    sums: DetectorSums,
+    means: Array,
+    covariances: Array,
+    event: Event,
+    targets: Integers,
+    share: Array,
+    camera: Camera,
+    labels: Integers,
+) -> None:
+    """Add pairs of components (p, d) and detections, of these probabilities, in distorted pixels."""
+    observation = np.zeros((len(targets), 2, means.shape[1]))
+    observation[:, 0, 0] = observation[:, 1, 1] = 1.0
+    if event.delays is not None and means.shape[1] == 6:
+        observation[:, 0, 3] = observation[:, 1, 4] = event.delays[targets]
+    predicted = np.einsum("pij,pj->pi", observation, means)
+    spread = observation @ covariances @ np.swapaxes(observation, 1, 2)
+    points = event.points[targets]
+    to_image = camera.distort_pixels(points)[1]
+    residuals = np.einsum("pij,pj->pi", to_image, points - predicted)
+    spread = to_image @ spread @ np.swapaxes(to_image, 1, 2)
+    noise = np.asarray(camera.detector.sigma) ** 2
+    total = np.stack([spread[:, 0, 0], spread[:, 1, 1]], axis=1) + noise
+    weights = share[:, None] * noise / total
+    sums.residuals += (weights * residuals**2 / total).sum(axis=0)
+    sums.weights += weights.sum(axis=0)
+    sums.squares += (weights**2).sum(axis=0)
+    sums.shares += (weights * noise / total).sum(axis=0)
+    sums.pairs += float(share.sum())
+    for pair in np.flatnonzero(share > LIKELY):
+        residual = residuals[pair] / np.sqrt(total[pair])
+        before = sums.previous.get(int(labels[pair]))
+        sums.previous[int(labels[pair])] = residual
+        if before is not None:
+            sums.products += residual * before
+            sums.norms += (residual**2 + before**2) / 2.0
+            sums.successions += 1
+
+
+def estimate_detector(sums: DetectorSums, present: Detector) -> DetectorEstimate:
+    """Return the detector that the sums of a run with the `present` one say."""
+    sigma, p_detect, clutter = np.asarray(present.sigma), present.p_detect, present.clutter_per_frame
+    sigma_error, p_error, clutter_error = None, None, None
+    if sums.pairs >= FEWEST_RESIDUALS:
+        ratio = sums.residuals / sums.weights
+        sigma = sigma * np.sqrt(ratio)
+        relative = np.sqrt(2.0 * sums.squares) / sums.weights / (sums.shares / sums.weights)
+        sigma_error = sigma * relative / 2.0
+    in_view = sums.detected + sums.missed
+    if in_view >= FEWEST_IN_VIEW:
+        # one miss and one detection more than counted, by halves: never 0 or 1, which nothing can revise
+        p_detect = (sums.detected + 0.5) / (in_view + 1.0)
+        p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / in_view))
+    if sums.frames > 0:
+        clutter = (max(sums.detections - sums.attributed, 0) + 0.5) / sums.frames
+        clutter_error = float(np.sqrt(clutter / sums.frames))
+    correlation = sums.products / sums.norms if sums.successions >= FEWEST_RESIDUALS else None
+    return DetectorEstimate(
+        Detector(sigma, p_detect, clutter), sigma_error, p_error, clutter_error, correlation, sums.pairs, in_view,
+        sums.frames,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Evaluation: inputs, options and reports."""

@@ -1,0 +1,95 @@
+"""Cramer-Rao bounds of a simulated calibration, as figures of a report."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.loading import LoadedConfig
+from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.posterior import PoseSpread, pose_spread
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.simulation.detections import Scene
+from stereophd.errors import InputError
+from stereophd.pipeline.calibration.inputs import build_parameters, build_scale
+from stereophd.pipeline.simulation import build_scene
+
+Array = NDArray[np.float64]
+
+
+def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
+    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0)."""
+    parameters, reference = build_parameters(loaded)
+    by_name = {camera.name: camera for camera in true}
+    truth = ParameterSet(tuple(by_name[c.name] for c in parameters.cameras), parameters.parameters)
+    covariance = scenario_bound(loaded, truth, reference, 0)
+    names = dict.fromkeys(p.camera for p in parameters.parameters)
+    values = np.zeros(parameters.size)
+    spreads = {name: pose_spread(truth, reference, values, covariance, name) for name in names}
+    std = np.sqrt(np.diag(covariance))
+    return {
+        "cameras": {name: spread_figures(spread) for name, spread in spreads.items()},
+        "parameters": dict(zip(parameters.names, std.tolist(), strict=True)),
+    }
+
+
+def spread_figures(spread: PoseSpread) -> dict[str, Any]:
+    """Root mean square errors of a `PoseSpread`, as the errors are named."""
+    return {
+        "rotation_deg": _finite(math.degrees(spread.rotation)),
+        "direction_deg": _finite(math.degrees(spread.direction)),
+        "scale": _finite(spread.scale),
+        "center": _finite(spread.center),
+    }
+
+
+def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, run: int) -> Array:
+    """Bound on the covariance (m, m) of a calibration of the simulated run of a configuration.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With ``simulate`` and ``calibration``.
+    truth : ParameterSet
+        With the true cameras: their values are zero.
+    reference : int
+    run : int
+        Whose objects, as `stereophd.commands.simulate.simulate` draws them.
+    """
+    settings = loaded.config.simulate
+    if settings is None:
+        raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
+    object_seed, _ = np.random.SeedSequence(loaded.config.seed, spawn_key=(run,)).spawn(2)
+    scene = build_scene(loaded.config, truth.cameras, object_seed)
+    objects, cameras, times, positions = scene_positions(scene)
+    std = np.broadcast_to(np.asarray(settings.acceleration_std, dtype=float), 3)
+    return calibration_bound(
+        truth, np.zeros(truth.size), reference, ConstantVelocity(std), objects, cameras, times, positions,
+        build_scale(loaded, truth),
+    )  # fmt: skip
+
+
+def scene_positions(
+    scene: Scene,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
+    """True position of every object at every frame of every camera."""
+    objects, cameras, times, positions = [], [], [], []
+    for window in scene.windows():
+        for number, schedule in enumerate(scene.grid.frames):
+            _, instants = schedule.window(window.lower_s, window.upper_s)
+            states = window.states[:, np.searchsorted(window.times_s, instants)]
+            row, instant = np.nonzero(~np.isnan(states[:, :, 0]))
+            objects.append(window.object_id[row])
+            cameras.append(np.full(len(row), number))
+            times.append(instants[instant])
+            positions.append(states[row, instant, :3])
+    return np.concatenate(objects), np.concatenate(cameras), np.concatenate(times), np.concatenate(positions)
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,275 @@
+"""Files that `stereophd.commands.evaluate` reads: tracks and scans, truth, log, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from stereophd.core.metrics.alignment import Events, Truth
+from stereophd.core.metrics.assignment import FloatArray, IntArray
+from stereophd.core.metrics.events import EventKeys, find_events, first_repeated, first_rows_of_events
+from stereophd.core.metrics.visibility import Sightings
+from stereophd.errors import InputError
+from stereophd.io.provenance import from_metadata, length_unit
+from stereophd.io.tables import (
+    COVARIANCE,
+    FLOAT,
+    INTEGER,
+    STRING,
+    check_columns,
+    damaged_is_input_error,
+    open_parquet,
+    read_table,
+)
+
+if TYPE_CHECKING:
+    from stereophd.core.geometry.camera import Camera
+
+# The table of events that `track` writes beside its tracks.
+SCANS_NAME = "scans.parquet"
+
+KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
+POSITION = {"x": FLOAT, "y": FLOAT, "z": FLOAT}
+VELOCITY = {"vx": FLOAT, "vy": FLOAT, "vz": FLOAT}
+
+# Rows of the covariances (36 numbers each) that are held at once; only their position parts are kept.
+COVARIANCE_ROWS = 16_384
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Reported objects of a run, one row an estimate, in the order of the events.
+
+    Attributes
+    ----------
+    events : Events
+        Events of the run; without ``scans.parquet`` only those that reported an object.
+    all_events : bool
+        Whether events that reported nothing are among them.
+    position, velocity : (n, 3) arrays
+        In the world.
+    covariance : (n, 3, 3) array
+        Of the position.
+    track_id : (n,) array
+        Identities, negative if the filter gives none.
+    metadata : dict or None
+        Provenance that the file carries.
+    length_unit : str or None
+        Unit that the file names.
+    """
+
+    events: Events
+    all_events: bool
+    position: FloatArray
+    velocity: FloatArray
+    covariance: FloatArray
+    track_id: IntArray
+    metadata: Mapping[str, Any] | None
+    length_unit: str | None
+
+
+def read_tracks(path: Path) -> Tracks:
+    """Read ``tracks.parquet`` and, where it is there, ``scans.parquet`` beside it.
+
+    Raises
+    ------
+    InputError
+        A file is not what it should be: columns, types, values that are not finite, times out of order, an
+        event in two pieces, or tracks of events that the scans do not have.
+    """
+    table = read_table(path, {**KEY, "track_id": INTEGER, **POSITION, **VELOCITY}, what="table of tracks")
+    position, velocity = _vectors(table, POSITION, path), _vectors(table, VELOCITY, path)
+    cameras: dict[str, int] = {}
+    rows = _keys(table, path, cameras)
+    starts = first_rows_of_events(rows)
+    ends = np.append(starts[1:], table.num_rows).astype(np.int64)[: len(starts)]
+    keys = rows.take(starts)
+    all_events = path.with_name(SCANS_NAME).exists()
+    if all_events:
+        events = _events_of_scans(keys, starts, ends, path, cameras)
+    else:
+        repeated = first_repeated(keys)
+        if repeated is not None:
+            raise _split_event(path, int(starts[repeated]))
+        events = Events(keys.time_s, starts, ends)
+    return Tracks(
+        events=events,
+        all_events=all_events,
+        position=position,
+        velocity=velocity,
+        covariance=_position_covariances(path),
+        track_id=_integers(table, "track_id"),
+        metadata=from_metadata(table.schema.metadata),
+        length_unit=length_unit(table.schema.metadata),
+    )
+
+
+def read_truth(path: Path) -> tuple[Truth, str | None]:
+    """Read ``truth.parquet``: the true objects, and the unit of length that the file names.
+
+    Raises
+    ------
+    InputError
+        Not a table of truth, no rows, values that are not finite, an object twice at one time, or only some
+        of vx, vy, vz.
+    """
+    table = read_table(
+        path,
+        {"time_s": FLOAT, "object_id": INTEGER, **POSITION},
+        optional=VELOCITY,
+        what="table of true positions",
+    )
+    if table.num_rows == 0:
+        raise InputError(f"{path}: expected a table of true positions, found one without rows")
+    given = [name for name in VELOCITY if name in table.column_names]
+    if given and len(given) < len(VELOCITY):
+        raise InputError(f"{path}: expected all or none of the columns vx, vy, vz, found {', '.join(given)}")
+    time_s, object_id = _finite(table, "time_s", path), _integers(table, "object_id")
+    position = _vectors(table, POSITION, path)
+    velocity = _vectors(table, VELOCITY, path) if given else None
+    order = np.lexsort((time_s, object_id))
+    time_s, object_id = time_s[order], object_id[order]
+    twice = np.flatnonzero((np.diff(time_s) == 0) & (np.diff(object_id) == 0))
+    if twice.size:
+        row, other = sorted((int(order[twice[0]]), int(order[twice[0] + 1])))
+        what = f"object {object_id[twice[0]]} at {time_s[twice[0]]} s"
+        raise InputError(f"{path}: row {other}: {what} is there already in row {row}")
+    truth = Truth(time_s, object_id, position[order], None if velocity is None else velocity[order])
+    return truth, length_unit(table.schema.metadata)
+
+
+def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
+    """Read from a detection log when each camera detected something.
+
+    Parameters
+    ----------
+    path : Path
+        The log. Its rows need not be in order: bad rows are the tracker's business.
+    cameras : sequence of Camera or None
+        Their clocks turn times of the log into true times; None: the log is on true time.
+
+    Raises
+    ------
+    InputError
+        Not a detection log, times that are not finite, or a camera that is not among the cameras.
+    """
+    table = read_table(
+        path,
+        {"time_s": FLOAT, "camera": STRING},
+        optional={"u_px": FLOAT, "object_id": INTEGER},
+        what="detection log",
+    )
+    if "u_px" not in table.column_names:
+        raise InputError(f"{path}: missing column u_px; expected a detection log")
+    # A null pixel is an empty frame, which is not a sighting.
+    table = table.filter(pc.is_valid(table["u_px"]))
+    time_s = _finite(table, "time_s", path)
+    camera, names = _names(table)
+    if cameras is not None:
+        clocks = {one.name: one.clock for one in cameras}
+        unknown = [name for name in names if name not in clocks]
+        if unknown:
+            raise InputError(f"{path}: expected the cameras {', '.join(clocks)}, found {unknown[0]}")
+        offset = np.array([clocks[name].offset_s for name in names])
+        rate = np.array([clocks[name].rate for name in names])
+        time_s = offset[camera] + rate[camera] * time_s
+    object_id = None
+    if "object_id" in table.column_names:
+        object_id = np.array(pc.fill_null(table["object_id"], -1), dtype=np.int64)
+    return Sightings(time_s, camera, object_id)
+
+
+def cameras_of_record(record: Mapping[str, Any] | None) -> list[Camera] | None:
+    """Return the cameras of the configuration in a provenance, None if it holds none that can be read."""
+    from pydantic import ValidationError
+
+    from stereophd.config.cameras import CameraConfig
+
+    described = ((record or {}).get("config") or {}).get("cameras")
+    if not isinstance(described, dict) or not described:
+        return None
+    try:
+        return [CameraConfig.model_validate(value).build(name) for name, value in described.items()]
+    except (ValidationError, ValueError):
+        # Written by another version: the tracks can be scored all the same.
+        return None
+
+
+def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
+    """Return the keys of the rows; `cameras` numbers the names, and grows by new ones."""
+    time_s = _finite(table, "time_s", path)
+    backwards = np.flatnonzero(np.diff(time_s) < 0)
+    if backwards.size:
+        row = int(backwards[0]) + 1
+        raise InputError(
+            f"{path}: row {row}: expected times in order, found time_s {time_s[row]} after {time_s[row - 1]}"
+        )
+    camera, names = _names(table)
+    number = np.array([cameras.setdefault(name, len(cameras)) for name in names], dtype=np.int64)
+    return EventKeys(time_s, number[camera], _integers(table, "frame"))
+
+
+def _events_of_scans(keys: EventKeys, starts: IntArray, ends: IntArray, path: Path, cameras: dict[str, int]) -> Events:
+    """Return the events of ``scans.parquet`` and the rows of tracks that belong to each."""
+    scans_path = path.with_name(SCANS_NAME)
+    scans = _keys(read_table(scans_path, KEY, what="table of scans"), scans_path, cameras)
+    twice = first_repeated(scans)
+    if twice is not None:
+        raise InputError(f"{scans_path}: row {twice}: this event (time_s, camera, frame) is there already")
+    event = find_events(keys, scans)
+    unknown = np.flatnonzero(event < 0)
+    if unknown.size:
+        event_text = "its event (time_s, camera, frame)"
+        raise InputError(f"{path}: row {starts[unknown[0]]}: {event_text} is not in {SCANS_NAME} beside it")
+    disorder = np.flatnonzero(np.diff(event) <= 0)
+    if disorder.size:
+        raise _split_event(path, int(starts[disorder[0] + 1]))
+    row_start, row_end = np.zeros((2, len(scans.time_s)), dtype=np.int64)
+    row_start[event], row_end[event] = starts, ends
+    return Events(scans.time_s, row_start, row_end)
+
+
+def _split_event(path: Path, row: int) -> InputError:
+    return InputError(f"{path}: row {row}: expected all rows of an event together and in the order of the events")
+
+
+def _integers(table: pa.Table, name: str) -> IntArray:
+    return np.array(table[name], dtype=np.int64)
+
+
+def _names(table: pa.Table) -> tuple[IntArray, list[str]]:
+    """Return the camera of each row as an index into a list of names."""
+    encoded = pa.concat_arrays(table["camera"].chunks or [pa.array([], STRING)]).dictionary_encode()
+    return np.asarray(encoded.indices, dtype=np.int64), encoded.dictionary.to_pylist()
+
+
+def _finite(table: pa.Table, name: str, path: Path) -> FloatArray:
+    values = np.array(table[name], dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
+    return values
+
+
+def _vectors(table: pa.Table, names: Mapping[str, Any], path: Path) -> FloatArray:
+    return np.stack([_finite(table, name, path) for name in names], axis=1)
+
+
+def _position_covariances(path: Path) -> FloatArray:
+    """Read the position part (n, 3, 3) of the covariances, piece by piece."""
+    pieces = [np.zeros((0, 3, 3))]
+    with open_parquet(path, "table of tracks") as parquet, damaged_is_input_error(path):
+        check_columns(parquet.schema_arrow, {"covariance": COVARIANCE}, {}, path)
+        for batch in parquet.iter_batches(batch_size=COVARIANCE_ROWS, columns=["covariance"]):
+            column = batch.column(0)
+            if column.null_count or column.flatten().null_count:
+                raise InputError(f"{path}: column covariance: expected values, found null")
+            full = np.asarray(column.flatten(), dtype=np.float64).reshape(-1, 6, 6)
+            pieces.append(full[:, :3, :3].copy())
+    return np.concatenate(pieces)

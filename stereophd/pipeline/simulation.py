@@ -1,0 +1,79 @@
+"""The scene of a configuration, its objects drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereophd.config.model import Config
+from stereophd.config.simulate import SimulateConfig
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.simulation.detections import Scene
+from stereophd.core.simulation.drawing import Drawing, draw_objects
+from stereophd.core.simulation.objects import MovingObject
+from stereophd.core.simulation.timing import Schedule, TimeGrid
+from stereophd.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+
+# Key of the random numbers of the guess among those of a run.
+GUESS_KEY = 2
+
+
+def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedSequence) -> Scene:
+    """Return the scene of a configuration, its objects drawn.
+
+    Parameters
+    ----------
+    config : Config
+        With a ``simulate`` section.
+    cameras : sequence of Camera
+    seed : numpy.random.SeedSequence
+        For the objects.
+
+    Raises
+    ------
+    InputError
+        An object's death lies before its birth, or no object fits into the view.
+    """
+    settings = config.simulate
+    assert settings is not None
+    start_s, end_s = settings.start_s, settings.start_s + settings.duration_s
+    schedules = tuple(
+        Schedule(camera.frame_rate_hz or settings.frame_rate_hz, start_s, end_s, camera.phase_s) for camera in cameras
+    )
+    truth = None if settings.truth_rate_hz is None else Schedule(settings.truth_rate_hz, start_s, end_s)
+    grid = TimeGrid(schedules, truth)
+    acceleration_std = np.broadcast_to(np.asarray(settings.acceleration_std, dtype=float), (3,))
+    given_seed, drawn_seed = seed.spawn(2)
+    objects = _given_objects(settings, grid.start_s, given_seed)
+    if settings.objects is not None:
+        box = settings.objects.box
+        drawing = Drawing(
+            count=settings.objects.count,
+            low=np.array([box.x[0], box.y[0], box.z[0]]),
+            high=np.array([box.x[1], box.y[1], box.z[1]]),
+            velocity_std=settings.objects.velocity_std,
+            stay_in_view=settings.objects.stay_in_view,
+            births_per_s=settings.objects.births_per_s,
+            mean_lifetime_s=settings.objects.mean_lifetime_s,
+        )
+        objects += draw_objects(drawing, cameras, grid, acceleration_std, drawn_seed, len(objects))
+    return Scene(tuple(cameras), grid, objects, acceleration_std)
+
+
+def _given_objects(settings: SimulateConfig, start_s: float, seed: np.random.SeedSequence) -> tuple[MovingObject, ...]:
+    noise_seeds = np.random.default_rng(seed).integers(0, np.iinfo(np.int64).max, len(settings.given))
+    objects = []
+    for index, given in enumerate(settings.given):
+        birth_s = start_s if given.birth_s is None else given.birth_s
+        death_s = np.inf if given.death_s is None else given.death_s
+        if death_s < birth_s:
+            raise InputError(f"simulate.given.{index}: expected birth_s <= death_s, found {birth_s:g} > {death_s:g}")
+        position, velocity = np.array(given.position), np.array(given.velocity)
+        objects.append(MovingObject(index, birth_s, float(death_s), position, velocity, int(noise_seeds[index])))
+    return tuple(objects)

@@ -1,0 +1,1 @@
+"""Events through a filter or an estimator, to records."""

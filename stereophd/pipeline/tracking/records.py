@@ -1,0 +1,232 @@
+"""What `stereophd.commands.track` writes: rows of events and estimates, figures of each identity, smoothed tracks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.models import Motion
+from stereophd.core.multi.intensity import Estimates
+from stereophd.core.trajectories.reaching_back import Extended, reach_back
+from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
+from stereophd.core.trajectories.stitching import stitch
+from stereophd.io.tables import TableWriter
+from stereophd.pipeline.tracking.loop import Record
+
+STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
+
+# A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
+# more probable than not.
+SEEN_EXISTENCE = 0.5
+
+
+@dataclass
+class _Identity:
+    """Running figures of one track."""
+
+    first_s: float
+    last_s: float
+    n_estimates: int = 0
+    existence: float = 0.0
+
+
+def write_records(
+    records: Iterable[Record],
+    tracks: TableWriter,
+    scans: TableWriter,
+    cameras: Sequence[str],
+    max_position_std: float | None = None,
+) -> dict[str, Any]:
+    """Write what is to be reported as it comes; return the figures of the run for ``report.json``.
+
+    Parameters
+    ----------
+    records : iterable of Record
+    tracks, scans : TableWriter
+    cameras : sequence of str
+        Names, in order, for the numbers of detections of each track.
+    max_position_std : float, optional
+        Estimates of a less certain position are left out.
+    """
+    identities: dict[int, _Identity] = {}
+    detections: dict[int, Counter[str]] = {}
+    events, log_likelihood = 0, 0.0
+    # since the last row: what happened between two reports belongs to the second
+    new_detections, new_log_likelihood = 0, 0.0
+    for record in records:
+        events += record.is_event
+        log_likelihood += record.info.log_likelihood
+        new_detections += record.n_detections
+        new_log_likelihood += record.info.log_likelihood
+        for track_id, counts in record.attributed.items():
+            detections.setdefault(track_id, Counter()).update(counts)
+        if not record.reported:
+            continue
+        estimates = record.estimates
+        if max_position_std is not None:
+            estimates = estimates.certain(max_position_std)
+        key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
+        scans.append(
+            {
+                **key,
+                "n_detections": np.array([new_detections]),
+                "cardinality_mean": record.info.cardinality_mean,
+                "cardinality_estimate": len(estimates.track_ids),
+                "log_likelihood": new_log_likelihood,
+                "n_components": record.info.n_components,
+            }
+        )
+        new_detections, new_log_likelihood = 0, 0.0
+        if len(estimates.track_ids):
+            tracks.append({**key, **_columns(estimates)})
+        _summarise(identities, estimates, record.time_s)
+    return {
+        "events": events,
+        "reports": scans.rows,
+        "estimates": tracks.rows,
+        "log_likelihood": log_likelihood,
+        "tracks": [
+            {
+                "track_id": track_id,
+                "first_s": identity.first_s,
+                "last_s": identity.last_s,
+                "n_estimates": identity.n_estimates,
+                "n_detections": {name: detections.get(track_id, Counter())[name] for name in cameras},
+                "mean_existence": identity.existence / identity.n_estimates,
+            }
+            for track_id, identity in sorted(identities.items())
+        ],
+    }
+
+
+def _columns(estimates: Estimates) -> dict[str, Any]:
+    """Columns of ``tracks.parquet`` of one event."""
+    return {
+        "track_id": estimates.track_ids,
+        **{name: estimates.states[:, axis] for axis, name in enumerate(STATE_COLUMNS)},
+        "covariance": estimates.covariances,
+        "existence": estimates.existence,
+    }
+
+
+def _summarise(identities: dict[int, _Identity], estimates: Estimates, time_s: float) -> None:
+    for track_id, existence in zip(estimates.track_ids.tolist(), estimates.existence.tolist(), strict=True):
+        identity = identities.setdefault(track_id, _Identity(time_s, time_s))
+        identity.last_s = time_s
+        identity.n_estimates += 1
+        identity.existence += existence
+
+
+def smoothed_records(
+    records: Iterable[Record], cameras: Sequence[Camera], motion: Motion, max_gap_s: float
+) -> Iterator[Record]:
+    """Yield the records of a whole run with smoothed estimates in place of the filtered ones.
+
+    Every track reaches back to its first detection (beyond the filter's, if records carry their events), ends
+    where it was last more probable than not, and is stitched to the track that it continues, if any. Predictions
+    to the times of a grid are smoothed as events are that measure nothing: the state between two events given
+    both, by the motion model.
+    """
+    whole = list(records)
+    times = np.array([record.time_s for record in whole])
+    labels = np.array([record.first_label for record in whole], dtype=np.int64)
+    trajectories = [_smooth_back(t, label, times, labels, motion) for t, label in _trajectories(whole, times)]
+    extended = _reach_back(trajectories, [record.event for record in whole], times, cameras, motion, max_gap_s)
+    trajectories = [one.trajectory for one in extended]
+    continued = stitch(trajectories, motion, max_gap_s)
+
+    def name(track_id: int) -> int:
+        while track_id in continued:
+            track_id = continued[track_id]
+        return track_id
+
+    rows: list[list[tuple[int, Trajectory, int]]] = [[] for _ in whole]
+    for trajectory in trajectories:
+        for k, number in enumerate(trajectory.events.tolist()):
+            rows[number].append((name(trajectory.track_id), trajectory, k))
+    detections: list[dict[int, Counter[str]]] = [{} for _ in whole]
+    for number, record in enumerate(whole):
+        for track_id, counts in record.attributed.items():
+            detections[number].setdefault(name(track_id), Counter()).update(counts)
+    for one in extended:
+        for number in one.detected:
+            track_id = name(one.trajectory.track_id)
+            detections[number].setdefault(track_id, Counter())[whole[number].camera] += 1
+    for record, found, attributed in zip(whole, rows, detections, strict=True):
+        found.sort(key=lambda row: row[0])
+        yield replace(record, estimates=_estimates(found), attributed=attributed)
+
+
+def _reach_back(
+    trajectories: Sequence[Trajectory],
+    events: Sequence[Event | None],
+    times: NDArray[np.float64],
+    cameras: Sequence[Camera],
+    motion: Motion,
+    max_gap_s: float,
+) -> list[Extended]:
+    """Continue all tracks back to the first detections that their objects probably made."""
+    begins = np.array([t.times[0] for t in trajectories])
+    ends = np.array([t.times[-1] for t in trajectories])
+    out = []
+    for k, trajectory in enumerate(trajectories):
+        about = np.flatnonzero((begins < begins[k]) & (ends >= begins[k] - max_gap_s))
+        others = [trajectories[other] for other in about.tolist()]
+        out.append(reach_back(trajectory, others, events, times, cameras, motion, max_gap_s))
+    return out
+
+
+def _trajectories(records: Sequence[Record], times: NDArray[np.float64]) -> list[tuple[Trajectory, int]]:
+    """Filtered states of every track, in order of identity, with the label of its first report."""
+    events: dict[int, list[tuple[int, int]]] = {}
+    for number, record in enumerate(records):
+        for row, track_id in enumerate(record.estimates.track_ids.tolist()):
+            events.setdefault(track_id, []).append((number, row))
+    out = []
+    for track_id, places in sorted(events.items()):
+        found = [records[number].estimates for number, _ in places]
+        rows = [row for _, row in places]
+        existence = np.array([e.existence[row] for e, row in zip(found, rows, strict=True)])
+        seen = np.flatnonzero(existence >= min(SEEN_EXISTENCE, existence.max()))
+        last = int(seen[-1]) + 1
+        numbers = np.array([number for number, _ in places[:last]])
+        trajectory = Trajectory(
+            track_id,
+            numbers,
+            times[numbers],
+            np.array([e.states[row] for e, row in zip(found, rows, strict=True)][:last]),
+            np.array([e.covariances[row] for e, row in zip(found, rows, strict=True)][:last]),
+            existence[:last],
+        )
+        out.append((trajectory, int(found[0].labels[rows[0]])))
+    return out
+
+
+def _smooth_back(
+    trajectory: Trajectory,
+    label: int,
+    times: NDArray[np.float64],
+    first_labels: NDArray[np.int64],
+    motion: Motion,
+) -> Trajectory:
+    """Smooth a track and continue it back to the event of its first detection."""
+    born = int(np.searchsorted(first_labels, label, side="right")) - 1
+    earlier = np.arange(max(born, 0), int(trajectory.events[0]))
+    return extend_back(smooth(trajectory, motion), earlier, times[earlier], motion)
+
+
+def _estimates(rows: list[tuple[int, Trajectory, int]]) -> Estimates:
+    return Estimates(
+        np.array([name for name, _, _ in rows], dtype=np.int64),
+        np.array([t.states[k] for _, t, k in rows]).reshape(-1, 6),
+        np.array([t.covariances[k] for _, t, k in rows]).reshape(-1, 6, 6),
+        np.array([t.existence[k] for _, t, k in rows]),
+        np.full(len(rows), -1),
+    )

@@ -1,0 +1,367 @@
+"""`stereophd calibrate` from the files in to the files out: results, resume, bad input, scoring."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from stereophd.commands.calibrate import calibrate, checkpoint_path
+from stereophd.commands.evaluate_cameras import evaluate_calibration
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.errors import GateError, InputError
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"
+THREE = CONFIG.parent.parent / "three_cameras_calibration.yaml"
+# a shorter scene with less clutter, to be quick; two starts at most
+QUICK = (
+    "simulate.duration_s=50",
+    "calibration.annealed.starts=2",
+    *(f"cameras.{name}.detector.clutter_per_frame=3" for name in ("left", "right")),
+)
+
+Made = tuple[Path, tuple[str, ...]]
+
+
+def loaded(scene: Path, overrides: tuple[str, ...] = QUICK, config: Path = CONFIG) -> LoadedConfig:
+    return load_config(config, overrides, cameras_path=scene / "guess.yaml")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("calibrate") / "scene"
+    simulate(load_config(CONFIG, QUICK), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(scene: Path) -> Path:
+    out = scene.parent / "result"
+    calibrate(loaded(scene), scene / "detections.parquet", out, plots=False)
+    return out
+
+
+def test_cameras_are_found_to_the_bound_and_the_scale_is_left_to_the_prior(scene: Path, result: Path) -> None:
+    report = json.loads((result / "report.json").read_text())
+    assert report["status"] == "determined"
+    assert report["scale"]["determined_by"] == "prior"
+    assert report["scale"]["posterior_over_prior_std"] > 0.7
+    assert report["fit"]["trajectories"] == 6
+    truth = load_config(CONFIG, QUICK, cameras_path=scene / "cameras.yaml")
+    scores = evaluate_calibration(result / "cameras.yaml", scene / "cameras.yaml", loaded=truth)
+    errors, bounds = scores["cameras"]["right"], scores["bounds"]["cameras"]["right"]
+    for key in ("rotation_deg", "direction_deg"):
+        assert errors[key] < 5.0 * bounds[key]
+        # what the posterior claims is what the bound allows
+        claimed = report["cameras"]["right"][key.replace("_deg", "_std_deg")]
+        assert 0.7 * bounds[key] < claimed < 2.0 * bounds[key]
+    assert scores["posterior"]["nees"] < 1.0 + 5.0 * np.sqrt(2.0 / 6.0)
+    # the motion of all cameras together does not count, their scale is a figure of its own
+    assert errors["center_after_scale"] < errors["center"] + 1e-9
+
+
+def test_outputs_are_those_of_track_and_depend_on_nothing_else(scene: Path, result: Path) -> None:
+    from stereophd.config.loading import load_cameras
+
+    names = {path.name for path in result.iterdir()}
+    expected = {
+        "cameras.yaml",
+        "posterior.parquet",
+        "history.parquet",
+        "tracks.parquet",
+        "scans.parquet",
+        "report.json",
+    }
+    assert names == expected
+    assert list(load_cameras(result / "cameras.yaml").cameras) == ["left", "right"]
+    posterior, history = pq.read_table(result / "posterior.parquet"), pq.read_table(result / "history.parquet")
+    assert posterior.column_names[0] == "weight"
+    assert posterior.column_names[1:] == history.column_names[1:-1]
+    assert np.sum(posterior["weight"].to_numpy()) == pytest.approx(1.0)
+    spread = history["right.rotation_y"].to_numpy()
+    assert np.isfinite(spread).all()
+    again = result.parent / "again"
+    calibrate(loaded(scene), scene / "detections.parquet", again, jobs=2, plots=False)
+    for name in sorted(names):
+        assert (again / name).read_bytes() == (result / name).read_bytes(), name
+
+
+# what each way needs beside QUICK, and the step after which it is interrupted
+WAYS = {
+    "annealed": (("calibration.method=annealed",), 1),
+    "sequential": (("calibration.method=sequential", "calibration.sequential.particles=12"), 30),
+    "smc": (
+        (
+            "calibration.posterior=smc",
+            "calibration.smc={particles: 16, moves: 1}",
+            "calibration.scale={kind: baseline, cameras: [left, right], distance: 40, std: 0.5}",
+        ),
+        4,
+    ),
+}
+
+
+@pytest.mark.parametrize("method", WAYS)
+def test_an_interrupted_run_continues_to_the_same_result(scene: Path, tmp_path: Path, method: str) -> None:
+    chosen, stop_at = WAYS[method]
+    overrides = (*QUICK, *chosen)
+    log = scene / "detections.parquet"
+    calls = 0
+
+    def interrupt(done: int, total: int) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == stop_at:
+            # what a signal may become in compiled code
+            raise KeyboardInterrupt if method == "annealed" else SystemError
+
+    with pytest.raises((KeyboardInterrupt, SystemError)):
+        calibrate(loaded(scene, overrides), log, tmp_path / "out", plots=False, progress=interrupt)
+    assert not (tmp_path / "out").exists()
+    assert checkpoint_path(tmp_path / "out").exists()
+    calibrate(loaded(scene, overrides), log, tmp_path / "out", plots=False, resume=True, progress=lambda *_: None)
+    assert not checkpoint_path(tmp_path / "out").exists()
+    calibrate(loaded(scene, overrides), log, tmp_path / "whole", plots=False)
+    for path in sorted((tmp_path / "whole").iterdir()):
+        assert path.read_bytes() == (tmp_path / "out" / path.name).read_bytes(), path.name
+    if method == "smc":
+        report = json.loads((tmp_path / "whole" / "report.json").read_text())
+        # the particles know of the distance too
+        assert report["scale"]["posterior_over_prior_std"] < 0.3
+        assert report["smc"]["ancestors"] > 1
+    if method == "sequential":
+        # so few particles settle on wrong cameras, and do not get away with it
+        report = json.loads((tmp_path / "whole" / "report.json").read_text())
+        assert report["status"] == "undetermined"
+        assert not (tmp_path / "whole" / "cameras.yaml").exists()
+
+
+def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None:
+    log = scene / "detections.parquet"
+    with pytest.raises(InputError, match="expected a checkpoint"):
+        calibrate(loaded(scene), log, tmp_path / "out", resume=True)
+    checkpoint_path(tmp_path / "out").write_bytes(b"not a checkpoint")
+    with pytest.raises(InputError, match="expected a checkpoint"):
+        calibrate(loaded(scene), log, tmp_path / "out", resume=True)
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(loaded(scene), log, tmp_path / "out", progress=stop)
+    with pytest.raises(InputError, match="found another's"):
+        calibrate(loaded(scene, (*QUICK, "seed=2")), log, tmp_path / "out", resume=True)
+
+
+def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:
+    table = pq.read_table(scene / "detections.parquet")
+    columns = {
+        "camera": np.array(table["camera"].to_pylist()),
+        "time_s": table["time_s"].to_numpy(),
+        "object_id": table["object_id"].to_numpy(),
+    }
+    pq.write_table(table.filter(pa.array(keep(columns))), out)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("calibration.priors={}",), "calibration.priors"),
+        (("calibration.priors.right={center_std: 0, rotation_std_deg: 0}",), "expected a standard deviation above 0"),
+        (("calibration.priors={rihgt: {center_std: 1, rotation_std_deg: 1}}",), "expected one of the cameras"),
+        (("calibration.reference=middle",), "expected one of the cameras"),
+        (("calibration=null",), "expected a section"),
+        (("calibration.scale={kind: baseline, cameras: [left, left], distance: 40, std: 1}",), "expected two of"),
+        (("filter=null",), "expected a filter section"),
+    ],
+)
+def test_configurations_that_cannot_be_calibrated(
+    scene: Path, tmp_path: Path, overrides: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        calibrate(loaded(scene, (*QUICK, *overrides)), scene / "detections.parquet", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_single_camera_cannot_be_calibrated(scene: Path, tmp_path: Path) -> None:
+    whole = load_config(CONFIG, QUICK)
+    left = json.dumps(whole.resolved["cameras"]["left"])
+    one = load_config(CONFIG, [f"cameras={{left: {left}}}"])
+    with pytest.raises(InputError, match="expected two or more"):
+        calibrate(one, scene / "detections.parquet", tmp_path / "out")
+
+
+def test_cameras_that_share_no_time(scene: Path, tmp_path: Path) -> None:
+    log = cut(scene, tmp_path / "log.parquet", lambda c: (c["camera"] == "left") == (c["time_s"] < 25))
+    with pytest.raises(InputError, match="overlap with another in time"):
+        calibrate(loaded(scene), log, tmp_path / "out")
+    log = cut(scene, tmp_path / "log.parquet", lambda c: c["camera"] == "left")
+    with pytest.raises(InputError, match="camera right, which is unknown, found none"):
+        calibrate(loaded(scene), log, tmp_path / "out")
+
+
+def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path) -> None:
+    log = cut(scene, tmp_path / "log.parquet", lambda c: c["object_id"] < 0)
+    report = calibrate(loaded(scene), log, tmp_path / "out", plots=False)
+    assert report["status"] == "undetermined"
+    assert "none of 2 starts" in report["reason"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json"}
+
+
+@pytest.mark.parametrize("model", ["constant_velocity", "static"])
+def test_one_object_that_stands_still_leaves_the_cameras_undetermined(tmp_path: Path, model: str) -> None:
+    overrides = (*QUICK, "simulate.objects=null", "simulate.given=[{position: [0, 0, 150]}]", f"motion.model={model}")
+    simulate(load_config(CONFIG, overrides), tmp_path / "scene")
+    report = calibrate(
+        loaded(tmp_path / "scene", overrides), tmp_path / "scene" / "detections.parquet", tmp_path / "out", plots=False
+    )
+    assert report["status"] == "undetermined"
+    assert not (tmp_path / "out" / "cameras.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    "scale",
+    ["{kind: baseline, cameras: [left, right], distance: 40, std: 0.1}", "{kind: speed, speed: 1.5, std: 0.01}"],
+)
+def test_a_known_scale_is_kept(tmp_path: Path, scale: str) -> None:
+    given = [
+        {"position": [x, y, z], "velocity": velocity}
+        for x, y, z, velocity in (
+            (-20, 10, 130, [1.2, -0.9, 0.0]),
+            (10, -15, 150, [-0.9, 0.0, 1.2]),
+            (20, 15, 170, [-1.2, -0.9, 0.0]),
+            (-10, -10, 200, [0.9, 0.0, -1.2]),
+        )
+    ]
+    overrides = (*QUICK, "simulate.duration_s=40", "simulate.objects=null", f"simulate.given={json.dumps(given)}")
+    simulate(load_config(CONFIG, overrides), tmp_path / "scene")
+    chosen = loaded(tmp_path / "scene", (*overrides, f"calibration.scale={scale}"))
+    calibrate(chosen, tmp_path / "scene" / "detections.parquet", tmp_path / "out", plots=False)
+    scores = evaluate_calibration(tmp_path / "out" / "cameras.yaml", tmp_path / "scene" / "cameras.yaml")
+    # the distance of the objects, and so their speed, is known to about 1 %
+    assert scores["joint"]["scale_ratio"] == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_known_length_between_two_objects_is_kept(tmp_path: Path) -> None:
+    rod = [{"position": [x, 10, 130], "velocity": [0.9, -0.6, 0.3]} for x in (-25, -10)]
+    other = {"position": [15, -15, 180], "velocity": [-1.2, 0.3, -0.6]}
+    overrides = (*QUICK, "simulate.objects=null", f"simulate.given={json.dumps([*rod, other])}")
+    simulate(load_config(CONFIG, overrides), tmp_path / "scene")
+    log, outcomes = tmp_path / "scene" / "detections.parquet", {}
+    for length in (18.0, 30.0):
+        scale = f"calibration.scale={{kind: length, length: {length}, std: 0.1}}"
+        chosen = loaded(tmp_path / "scene", (*overrides, scale))
+        outcomes[length] = calibrate(chosen, log, tmp_path / str(length), plots=False)
+    # a fifth too long: everything is found a fifth too large
+    scores = evaluate_calibration(tmp_path / "18.0" / "cameras.yaml", tmp_path / "scene" / "cameras.yaml")
+    assert scores["joint"]["scale_ratio"] == pytest.approx(1.2, rel=0.03)
+    assert outcomes[18.0]["scale"]["determined_by"] == "length"
+    # twice the true one does not go with the prior of the cameras
+    assert outcomes[30.0]["status"] == "undetermined"
+    assert "standard deviations from the prior" in outcomes[30.0]["reason"]
+
+
+def test_more_clutter_than_stated_is_told_from_objects(scene: Path, tmp_path: Path) -> None:
+    # a tenth of what there is: two thirds of the detections would be expected to be of objects, a third are
+    overrides = (*QUICK, *(f"cameras.{name}.detector.clutter_per_frame=0.3" for name in ("left", "right")))
+    log = scene / "detections.parquet"
+    guess = (scene / "guess.yaml").read_text().replace("clutter_per_frame: 3.0", "clutter_per_frame: 0.3")
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "guess.yaml").write_text(guess)
+    report = calibrate(loaded(tmp_path / "scene", overrides), log, tmp_path / "out", plots=False)
+    assert report["status"] == "determined"
+    assert report["fit"]["explained"] == pytest.approx(1.0, abs=0.2)
+    log = cut(scene, tmp_path / "log.parquet", lambda c: c["object_id"] < 0)
+    report = calibrate(loaded(tmp_path / "scene", overrides), log, tmp_path / "clutter", plots=False)
+    assert report["status"] == "undetermined"
+
+
+def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
+    overrides = (
+        "simulate.duration_s=10",
+        "simulate.frame_rate_hz=5",
+        "simulate.objects.velocity_std=8",
+        "motion.max_speed=40",
+        "filter.birth.velocity_std=8",
+        "calibration.annealed.starts=2",
+        *(f"cameras.{name}.detector.clutter_per_frame=1" for name in ("left", "right")),
+    )
+    rolling = (*overrides, *(f"cameras.{n}.readout_s={s}" for n, s in (("left", 0.15), ("right", -0.15))))
+    simulate(load_config(CONFIG, rolling), tmp_path / "scene")
+    log, true = tmp_path / "scene" / "detections.parquet", tmp_path / "scene" / "cameras.yaml"
+    report = calibrate(loaded(tmp_path / "scene", rolling), log, tmp_path / "out", plots=False)
+    assert report["status"] == "determined"
+    assert report["fit"]["rms_residual_sigmas"] == pytest.approx(1.0, abs=0.1)
+    scores = evaluate_calibration(
+        tmp_path / "out" / "cameras.yaml", true, loaded=load_config(CONFIG, rolling, cameras_path=true)
+    )
+    errors, bounds = scores["cameras"]["right"], scores["bounds"]["cameras"]["right"]
+    for key in ("rotation_deg", "direction_deg"):
+        assert errors[key] < 5.0 * bounds[key]
+    guess = tmp_path / "scene" / "guess.yaml"
+    lines = [line for line in guess.read_text().splitlines() if "readout_s" not in line]
+    guess.write_text("\n".join(lines) + "\n")
+    ignored = calibrate(loaded(tmp_path / "scene", overrides), log, tmp_path / "ignored", plots=False)
+    assert ignored["fit"]["log_evidence"] < report["fit"]["log_evidence"] - 10.0
+
+
+def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:
+    quick = ("simulate.duration_s=40", "calibration.annealed.starts=2")
+    simulate(load_config(THREE, quick), tmp_path / "scene")
+    report = calibrate(
+        loaded(tmp_path / "scene", quick, THREE),
+        tmp_path / "scene" / "detections.parquet",
+        tmp_path / "out",
+        plots=False,
+    )
+    assert report["status"] == "determined"
+    truth = load_config(THREE, quick, cameras_path=tmp_path / "scene" / "cameras.yaml")
+    scores = evaluate_calibration(tmp_path / "out" / "cameras.yaml", tmp_path / "scene" / "cameras.yaml", loaded=truth)
+    for name in ("right", "above"):
+        for key in ("rotation_deg", "direction_deg"):
+            assert scores["cameras"][name][key] < 5.0 * scores["bounds"]["cameras"][name][key]
+
+
+def test_scoring_refuses_and_gates(scene: Path, result: Path, tmp_path: Path) -> None:
+    estimate, true = result / "cameras.yaml", scene / "cameras.yaml"
+    with pytest.raises(GateError, match=r"joint\.rotation_deg"):
+        evaluate_calibration(estimate, true, fail_above={"joint.rotation_deg": 0.0})
+    with pytest.raises(InputError, match="expected one of joint"):
+        evaluate_calibration(estimate, true, fail_above={"joint.rotation": 1.0})
+    with pytest.raises(InputError, match="as reference"):
+        evaluate_calibration(estimate, true, reference="middle")
+    report = evaluate_calibration(true, true, tmp_path / "out", reference="left")
+    assert report["joint"]["rotation_deg"] == pytest.approx(0.0, abs=1e-6)
+    assert report["joint"]["center"] == 0.0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["provenance"]["command"] == "evaluate"
+
+
+def test_plots_are_made(scene: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    calibrate(loaded(scene), scene / "detections.parquet", tmp_path / "out", plots=True)
+    for name in ("history", "posterior", "residuals"):
+        assert (tmp_path / "out" / f"{name}.png").stat().st_size > 5000
+        assert (tmp_path / "out" / f"{name}.svg").stat().st_size > 5000
+
+
+def test_all_cores_are_used_by_default(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from stereophd.cli.app import run
+
+    words = ["calibrate", str(CONFIG), str(scene / "detections.parquet"), "--cameras", str(scene / "guess.yaml")]
+    words += ["--set", "calibration.method=sequential", "--set", "calibration.sequential={particles: 30, samples: 32}"]
+    run([*words, "--out", str(tmp_path / "out"), "--no-plots"])
+    assert "internal error" not in capsys.readouterr().err
+    one = calibrate(
+        loaded(scene, ("calibration.method=sequential", "calibration.sequential={particles: 30, samples: 32}")),
+        scene / "detections.parquet", tmp_path / "one", plots=False,
+    )  # fmt: skip
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["status"] == one["status"]
+    with pytest.raises(InputError, match="jobs"):
+        calibrate(loaded(scene), scene / "detections.parquet", tmp_path / "none", jobs=0)

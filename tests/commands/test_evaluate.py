@@ -1,0 +1,536 @@
+"""`evaluate` on hand-made tables: which scans are scored, and the figures that come out."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from stereophd.commands.evaluate import evaluate
+from stereophd.errors import GateError, InputError
+from stereophd.io.tables import TRACKS
+
+CAMERA = """\
+    image_size_px: [800, 600]
+    intrinsics: {fx: 900.0, fy: 900.0, cx: 400.0, cy: 300.0}
+    pose: {center: [0.0, 0.0, 0.0]}
+    detector: {sigma_px: [1.0, 1.0], p_detect: 0.95, clutter_per_frame: 10.0}
+"""
+
+
+def write(path: Path, columns: dict, metadata: dict | None = None) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns).replace_schema_metadata(metadata), path)
+    return path
+
+
+def write_tracks(path: Path, rows: list[tuple], *, std: float = 1.0, metadata: dict | None = None) -> Path:
+    """Rows: (time, camera, frame, track, x); all points lie on the x axis and move at 1/s."""
+    time, camera, frame, track, x = map(list, zip(*rows, strict=True)) if rows else ([],) * 5
+    zeros, count = np.zeros(len(rows)), len(rows)
+    # Position and velocity differ, and so do the axes, so that the right part has to be read.
+    variance = np.array([std, 2 * std, 3 * std, 7, 8, 9]) ** 2
+    covariance = np.tile(np.diag(variance), (count, 1, 1)).reshape(-1)
+    columns = {
+        "time_s": pa.array(time, pa.float64()),
+        "camera": pa.array(camera, pa.string()),
+        "frame": pa.array(frame, pa.int64()),
+        "track_id": pa.array(track, pa.int64()),
+        "x": pa.array(x, pa.float64()),
+        **dict.fromkeys(("y", "z"), zeros),
+        "vx": zeros + 1.0,
+        **dict.fromkeys(("vy", "vz"), zeros),
+        "covariance": pa.FixedSizeListArray.from_arrays(pa.array(covariance), type=TRACKS.field("covariance").type),
+        "existence": zeros + 1.0,
+    }
+    return write(path, columns, metadata)
+
+
+def write_scans(path: Path, events: list[tuple]) -> Path:
+    time, camera, frame = map(list, zip(*events, strict=True))
+    return write(path, {"time_s": [float(t) for t in time], "camera": camera, "frame": frame})
+
+
+def write_truth(path: Path, rows: list[tuple], *, velocity: bool = False, metadata: dict | None = None) -> Path:
+    """Rows: (time, object, x)."""
+    time, label, x = (np.array(column) for column in zip(*rows, strict=True))
+    zeros = np.zeros(len(rows))
+    columns = {"time_s": time.astype(float), "object_id": label, "x": x.astype(float), "y": zeros, "z": zeros}
+    if velocity:
+        columns |= {"vx": zeros + 1.0, "vy": zeros, "vz": zeros}
+    return write(path, columns, metadata)
+
+
+def per_scan(folder: Path) -> dict:
+    return pq.read_table(folder / "per_scan.parquet").to_pydict()
+
+
+@pytest.fixture
+def run(tmp_path):
+    """One object that moves along x at 1/s for 10 s, seen by two cameras each second."""
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t) for t in range(10)])
+    rows = [(float(t), camera, t, 8, t + 0.5) for t in range(10) for camera in ("a", "b")]
+    return write_tracks(tmp_path / "run" / "tracks.parquet", rows), truth, tmp_path
+
+
+def test_figures_of_a_constant_offset(run):
+    tracks, truth, folder = run
+    report = evaluate(tracks, truth, folder / "out", plots=False)
+    assert report["ospa"] == {
+        "mean": pytest.approx(0.5),
+        "localisation": pytest.approx(0.5),
+        "cardinality": 0.0,
+        "order": 2.0,
+        "cutoff": 20.0,
+        "base": "euclidean",
+    }
+    assert report["gospa"]["mean"] == pytest.approx(0.5)
+    assert report["rmse"] == {"position": pytest.approx(0.5), "velocity": pytest.approx(0.0, abs=1e-12)}
+    assert report["position_error"] == {"median": pytest.approx(0.5), "p90": pytest.approx(0.5), "n": 10}
+    assert report["cardinality"]["bias"] == report["cardinality"]["mae"] == 0.0
+    assert report["identity_switches"] == 0
+    assert report["nees"]["position"] == pytest.approx(0.25)
+    assert report["scans"]["scored"] == 10
+    assert report["report_version"] == 1
+    assert json.loads((folder / "out" / "report.json").read_text()) == report
+    columns = per_scan(folder / "out")
+    assert columns["time_s"] == list(range(10))
+    assert columns["ospa"] == pytest.approx([0.5] * 10)
+    assert sorted(os.listdir(folder / "out")) == ["per_scan.parquet", "report.json"]
+
+
+def test_each_time_is_scored_after_its_last_event(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(2)])
+    rows = [(0.0, "a", 0, 1, 4.0), (0.0, "b", 0, 1, 1.0), (1.0, "a", 1, 1, 3.0), (1.0, "b", 1, 1, 2.0)]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows)
+    assert evaluate(tracks, truth)["ospa"]["mean"] == pytest.approx(1.5)
+    events = evaluate(tracks, truth, at="events")
+    assert events["scans"]["scored"] == 4
+    assert events["ospa"]["mean"] == pytest.approx(2.5)
+
+
+def test_events_that_reported_nothing_are_known_from_the_scans(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(4)])
+    # After the event of b at time 1 nothing is reported any more: time 1 is a miss, though a reported.
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(0.0, "b", 0, 1, 0.0), (1.0, "a", 1, 1, 0.0)])
+    write_scans(tmp_path / "scans.parquet", [(0, "a", 0), (0, "b", 0), (1, "a", 1), (1, "b", 1), (2.5, "a", 2)])
+    report = evaluate(tracks, truth, tmp_path / "out", plots=False)
+    columns = per_scan(tmp_path / "out")
+    assert columns["n_estimates"] == [1, 0, 0]
+    assert columns["rmse_position"] == columns["nees_position"] == [0.0, None, None]
+    assert report["ospa"]["mean"] == pytest.approx(40 / 3)
+    assert report["pairs"] == {"matched": 1, "missed": 2, "false": 0}
+    assert evaluate(tracks, truth, at="events")["scans"]["scored"] == 5
+
+
+def test_without_scans_the_times_of_the_truth_stand_in(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(4)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(1.0, "a", 1, 1, 0.0), (3.0, "a", 3, 1, 0.0)])
+    assert evaluate(tracks, truth)["cardinality"]["bias"] == pytest.approx(-0.5)
+    between = write_tracks(tmp_path / "tracks.parquet", [(1.5, "a", 1, 1, 0.0)])
+    assert evaluate(between, truth)["scans"]["scored"] == 1
+
+
+def test_tracks_without_rows(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(4)])
+    report = evaluate(write_tracks(tmp_path / "tracks.parquet", []), truth)
+    assert report["ospa"]["mean"] == 20.0
+    assert report["rmse"] == {"position": None, "velocity": None}
+    assert report["nees"]["position"] is None
+    assert report["identity_switches"] == 0
+
+
+def test_truth_on_another_grid_gaps_and_ends(tmp_path):
+    times = [0, 1, 2, 6, 7]
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 2 * t) for t in times])
+    scored = [0.5, 1.75, 6.5]
+    rows = [(t, "a", i, 1, 2 * t) for i, t in enumerate([0.5, 1.75, 3.0, 5.0, 6.5, 7.5])]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows)
+    report = evaluate(tracks, truth, tmp_path / "out", plots=False)
+    columns = per_scan(tmp_path / "out")
+    assert columns["time_s"] == scored
+    assert columns["rmse_position"] == pytest.approx([0.0] * 3, abs=1e-12)
+    assert columns["rmse_velocity"] == pytest.approx([1.0] * 3)
+    assert report["scans"] == {
+        "scored": 3,
+        "not_scored": 3,
+        "outside_truth": 1,
+        "truth_gap": 2,
+        "unseen": 0,
+    }
+    assert report["ospa"]["mean"] == pytest.approx(0.0, abs=1e-12)
+    assert report["rmse"]["velocity"] == pytest.approx(1.0)  # the truth moves at 2/s
+    assert evaluate(tracks, truth, max_gap_s=4.0)["scans"]["scored"] == 5
+
+
+def test_window(run):
+    tracks, truth, _ = run
+    assert evaluate(tracks, truth, from_s=5)["scans"]["scored"] == 5
+    assert evaluate(tracks, truth, from_s=5, to_s=6.5)["scans"] == {
+        "scored": 2,
+        "not_scored": 0,
+        "outside_truth": 0,
+        "truth_gap": 0,
+        "unseen": 0,
+    }
+    with pytest.raises(InputError, match="nothing to score"):
+        evaluate(tracks, truth, from_s=20)
+
+
+def test_mahalanobis_base(run):
+    _, truth, folder = run
+    rows = [(float(t), "a", t, 8, t + 0.5) for t in range(10)]
+    sharp = write_tracks(folder / "sharp" / "tracks.parquet", rows, std=0.1)
+    report = evaluate(sharp, truth, base="mahalanobis")
+    assert report["ospa"]["mean"] == pytest.approx(5.0)
+    assert report["nees"]["position"] == pytest.approx(25.0)
+    flat = write_tracks(folder / "flat" / "tracks.parquet", rows, std=0.0)
+    with pytest.raises(InputError, match="row 0: column covariance"):
+        evaluate(flat, truth, base="mahalanobis")
+    assert evaluate(flat, truth)["nees"]["n"] == 0
+
+
+def test_identity_switches(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, k, 100 * k) for t in range(4) for k in (0, 1)])
+    tracks = [[5, 6], [5, 6], [6, 5], [6, 7]]
+    rows = [(float(t), "a", t, tracks[t][k], 100.0 * k) for t in range(4) for k in (0, 1)]
+    report = evaluate(write_tracks(tmp_path / "tracks.parquet", rows), truth, tmp_path / "out", plots=False)
+    assert report["identity_switches"] == 3
+    assert per_scan(tmp_path / "out")["identity_switches"] == [0, 0, 2, 1]
+    assert report["tracks"] == 3
+    # Track 5 follows object 0 twice, then object 1; 6 object 1 twice, then object 0 twice; 7 object 1.
+    assert report["purity"]["mean"] == pytest.approx((2 / 3 + 1 / 2 + 1) / 3)
+    assert report["purity"]["table"][0] == {
+        "track_id": 5,
+        "object_id": 0,
+        "estimates": 3,
+        "matched": 3,
+        "matched_dominant": 2,
+        "purity": pytest.approx(2 / 3),
+    }
+    assert report["completeness"]["table"][1] == {
+        "object_id": 1,
+        "track_id": 6,
+        "scans": 4,
+        "matched": 4,
+        "matched_dominant": 2,
+        "completeness": 1.0,
+        "completeness_dominant": 0.5,
+        "fragmentation": 3,
+        "identity_switches": 2,
+    }
+    means = {key: value for key, value in report["completeness"].items() if key != "table"}
+    assert means == {"mean": 1.0, "mean_dominant": 0.5, "fragmentation": 2.5}
+    # Scan 2: each track is right at 2 of 3 scans, base c/3.
+    assert per_scan(tmp_path / "out")["ospa2"][:3] == pytest.approx([0.0, 0.0, 20 / 3])
+
+
+def test_without_identities_there_are_no_figures_of_tracks(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 4, 0) for t in range(4)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, -1, 0.0) for t in range(3)])
+    write_scans(tmp_path / "scans.parquet", [(t, "a", t) for t in range(4)])
+    report = evaluate(tracks, truth, tmp_path / "out", plots=False)
+    assert report["identity_switches"] is report["ospa2"]["mean"] is None
+    assert per_scan(tmp_path / "out")["ospa2"] == [None] * 4
+    assert report["purity"] == {"mean": None, "table": []}
+    assert report["completeness"] == {
+        "mean": 0.75,
+        "mean_dominant": None,
+        "fragmentation": None,
+        "table": [
+            {
+                "object_id": 4,
+                "track_id": None,
+                "scans": 4,
+                "matched": 3,
+                "matched_dominant": None,
+                "completeness": 0.75,
+                "completeness_dominant": None,
+                "fragmentation": None,
+                "identity_switches": None,
+            }
+        ],
+    }
+
+
+def test_ospa2_over_windows_of_scored_scans(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(6)])
+    rows = [(float(t), "a", t, 1 if t < 3 else 2, 0.0) for t in range(6)]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows)
+    options = {"cutoff": 6.0, "order": 1.0, "plots": False}
+    report = evaluate(tracks, truth, tmp_path / "out", ospa2_window=2, **options)
+    # Only the window of times 2 and 3 holds both tracks: (c / 2 + c) / 2.
+    assert per_scan(tmp_path / "out")["ospa2"] == pytest.approx([0, 0, 0, 4.5, 0, 0])
+    assert report["ospa"]["mean"] == 0.0
+    assert report["ospa2"] == {
+        "mean": pytest.approx(4.5 / 6),
+        "localisation": pytest.approx(1.5 / 6),
+        "cardinality": pytest.approx(3 / 6),
+        "window_scans": 2,
+    }
+    assert report["provenance"]["config"]["ospa2_window"] == 2
+    assert evaluate(tracks, truth, ospa2_window=1, **options)["ospa2"]["mean"] == 0.0
+    assert evaluate(tracks, truth, **options)["ospa2"]["window_scans"] == 10
+    with pytest.raises(GateError, match=r"ospa2\.mean is 0\.75"):
+        evaluate(
+            tracks, truth, ospa2_window=2, fail_above={"ospa2.mean": 0.7, "completeness.fragmentation": 2}, **options
+        )
+
+
+def documented_keys(section: str) -> set[str]:
+    """Return what the first column of the tables of a section of docs/formats.md names, without braces."""
+    text = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    body = text.split(f"### {section}\n")[1].split("\n#")[0]
+    keys: set[str] = set()
+    for cell in re.findall(r"^\| (`.*?`) \|", body, re.MULTILINE):
+        for name in re.findall(r"`([^`]+)`", cell):
+            head, brace, tail = name.partition("{")
+            keys |= {head + one for one in tail.rstrip("}").split(",")} if brace else {head}
+    return keys
+
+
+def keys_of(report: dict) -> set[str]:
+    keys: set[str] = set()
+    for key, value in report.items():
+        if isinstance(value, dict) and key != "provenance":
+            for inner, part in value.items():
+                rows = part if inner == "table" else []
+                keys |= {f"{key}.table.{name}" for row in rows for name in row} or {f"{key}.{inner}"}
+        else:
+            keys.add(key)
+    return keys
+
+
+def test_all_keys_and_columns_are_documented(run):
+    tracks, truth, folder = run
+    log = write(folder / "log.parquet", log_columns([(t, "a", 3) for t in range(10)], False))
+    report = evaluate(tracks, truth, folder / "out", plots=False, log_path=log, seen_by=1, within_s=0.5)
+    assert documented_keys("`report.json` of `evaluate`") == keys_of(report)
+    assert documented_keys("`per_scan.parquet`") == set(per_scan(folder / "out"))
+
+
+def log_columns(rows: list[tuple], object_id: bool) -> dict:
+    time, camera, label = map(list, zip(*rows, strict=True))
+    columns = {"time_s": [float(t) for t in time], "camera": camera, "frame": list(range(len(rows)))}
+    pixels = [None if one is None else 1.0 for one in label]
+    columns |= {"u_px": pa.array(pixels, pa.float64()), "v_px": pa.array(pixels, pa.float64())}
+    return columns | ({"object_id": pa.array(label, pa.int64())} if object_id else {})
+
+
+@pytest.mark.parametrize(("object_id", "scored"), [(True, [0, 3]), (False, [0, 1, 3])])
+def test_only_objects_seen_by_enough_cameras(tmp_path, object_id, scored):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(5)])
+    rows = [(float(t), "a", t, 1, t + 1.0) for t in range(5)]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows)
+    # Time 0 and 3: both cameras. 1: b has clutter only. 2: b an empty frame. 4: b too long ago.
+    seen = [(-0.2, "a", 3), (0, "b", 3), (1, "a", 3), (1, "b", -1), (2, "a", 3), (2, "b", None)]
+    seen += [(2.8, "b", 3), (3, "a", 3), (3.7, "b", 3), (4, "a", 3)]
+    log = write(tmp_path / "log.parquet", log_columns(seen, object_id))
+    options = {"log_path": log, "seen_by": 2, "within_s": 0.2, "plots": False}
+    report = evaluate(tracks, truth, tmp_path / "out", **options)
+    assert per_scan(tmp_path / "out")["time_s"] == scored
+    assert report["scans"]["unseen"] == 5 - len(scored)
+    assert report["ospa"]["mean"] == pytest.approx(np.mean(scored) + 1)
+    assert report["seen_by"] == {"cameras": 2, "within_s": 0.2}
+
+
+def test_clocks_of_the_cameras_apply_to_the_log(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(5)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, 1, 1.0) for t in range(5)])
+    log = write(tmp_path / "log.parquet", log_columns([(102.0, "a", 3), (2.0, "b", 3)], False))
+    cameras = tmp_path / "cameras.yaml"
+    clock = "    clock: {offset_s: -100.0, rate: 1.0}\n"
+    cameras.write_text(f"units: {{length: m}}\ncameras:\n  a:\n{CAMERA}{clock}  b:\n{CAMERA}")
+    options = {"log_path": log, "seen_by": 2, "within_s": 0.5}
+    report = evaluate(tracks, truth, cameras_path=cameras, **options)
+    assert (report["scans"]["scored"], report["length_unit"]) == (1, "m")
+    with pytest.raises(InputError, match="nothing to score"):
+        evaluate(tracks, truth, **options)
+    cameras.write_text(f"units: {{length: m}}\ncameras:\n  a:\n{CAMERA}")
+    with pytest.raises(InputError, match="found b"):
+        evaluate(tracks, truth, cameras_path=cameras, **options)
+
+
+def test_limits_of_figures(run):
+    tracks, truth, folder = run
+    assert evaluate(tracks, truth, fail_above={"ospa.mean": 0.51, "identity_switches": 0})
+    with pytest.raises(GateError, match=r"ospa\.mean is 0\.5, limit 0\.4"):
+        evaluate(tracks, truth, folder / "out", fail_above={"ospa.mean": 0.4}, plots=False)
+    assert json.loads((folder / "out" / "report.json").read_text())["ospa"]["mean"] == pytest.approx(0.5)
+    with pytest.raises(InputError, match=r"ospa\.meen.*did you mean ospa\.mean"):
+        evaluate(tracks, truth, folder / "new", fail_above={"ospa.meen": 0.4})
+    assert not (folder / "new").exists()
+    with pytest.raises(GateError, match=r"rmse\.position is null"):
+        evaluate(write_tracks(folder / "no" / "tracks.parquet", []), truth, fail_above={"rmse.position": 9})
+
+
+def test_an_earlier_evaluation_is_kept_unless_forced(run):
+    tracks, truth, folder = run
+    evaluate(tracks, truth, folder / "out", plots=False)
+    with pytest.raises(InputError, match="--force"):
+        evaluate(tracks, truth, folder / "out", plots=False)
+    evaluate(tracks, truth, folder / "out", plots=False, force=True, cutoff=3.0)
+    assert json.loads((folder / "out" / "report.json").read_text())["ospa"]["cutoff"] == 3.0
+
+
+def test_the_same_inputs_give_the_same_bytes(run):
+    tracks, truth, folder = run
+    pytest.importorskip("matplotlib")
+    for name in ("one", "two"):
+        evaluate(tracks, truth, folder / name)
+    files = sorted(os.listdir(folder / "one"))
+    assert len(files) == 10
+    for file in files:
+        assert (folder / "one" / file).read_bytes() == (folder / "two" / file).read_bytes(), file
+
+
+def test_plots_without_matplotlib(run, monkeypatch):
+    tracks, truth, folder = run
+    monkeypatch.setattr("stereophd.commands.evaluate.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'stereophd\[plot\]'"):
+        evaluate(tracks, truth, folder / "out", plots=True)
+    assert not (folder / "out").exists()
+    evaluate(tracks, truth, folder / "out")
+    assert not list((folder / "out").glob("*.png"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"order": 0.5}, "order"),
+        ({"cutoff": 0.0}, "cutoff"),
+        ({"cutoff": float("nan")}, "cutoff"),
+        ({"base": "manhattan"}, "base"),
+        ({"at": "frames"}, "at"),
+        ({"from_s": 3.0, "to_s": 2.0}, "not after --to"),
+        ({"max_gap_s": -1.0}, "max_gap_s"),
+        ({"ospa2_window": 0}, "ospa2-window"),
+        ({"seen_by": 2}, "together"),
+        ({"seen_by": 2, "within_s": 0.2}, "together"),
+        ({"fail_above": {"ospa.mean": float("nan")}}, "expected a number"),
+    ],
+)
+def test_options_out_of_range(run, options, message):
+    tracks, truth, _ = run
+    with pytest.raises(InputError, match=message):
+        evaluate(tracks, truth, **options)
+
+
+def test_units_must_agree(tmp_path):
+    rows = [(float(t), "a", t, 1, 0.0) for t in range(3)]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata={"length_unit": "cm"})
+    truth_rows = [(t, 3, 0) for t in range(3)]
+    silent = write_truth(tmp_path / "silent.parquet", truth_rows)
+    assert evaluate(tracks, silent)["length_unit"] == "cm"
+    metres = write_truth(tmp_path / "metres.parquet", truth_rows, metadata={"length_unit": "m"})
+    with pytest.raises(InputError, match="lengths in cm"):
+        evaluate(tracks, metres)
+
+
+GOOD = [(0.0, "a", 0, 1, 0.0), (0.0, "a", 0, 2, 9.0), (1.0, "a", 1, 1, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([*GOOD, (0.5, "a", 2, 1, 0.0)], "row 3: expected times in order"),
+        ([*GOOD, (2.0, "a", 2, 1, float("nan"))], "row 3: column x: expected a finite number"),
+        (
+            [*GOOD, (1.0, "b", 1, 1, 0.0), (1.0, "a", 1, 1, 0.0)],
+            "row 4: expected all rows of an event together",
+        ),
+    ],
+)
+def test_bad_tracks(tmp_path, rows, message):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(3)])
+    with pytest.raises(InputError, match=message):
+        evaluate(write_tracks(tmp_path / "tracks.parquet", rows), truth)
+
+
+@pytest.mark.parametrize(
+    ("events", "message"),
+    [
+        ([(0, "a", 0), (1, "b", 1)], "row 2: its event"),
+        ([(0, "a", 0), (1, "a", 1), (1, "a", 1)], "row 2: this event"),
+        ([(1, "a", 1), (0, "a", 0)], "expected times in order"),
+    ],
+)
+def test_scans_of_another_run(tmp_path, events, message):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(3)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", GOOD)
+    write_scans(tmp_path / "scans.parquet", events)
+    with pytest.raises(InputError, match=message):
+        evaluate(tracks, truth)
+
+
+def test_bad_truth(tmp_path):
+    tracks = write_tracks(tmp_path / "tracks.parquet", GOOD)
+    twice = write_truth(tmp_path / "twice.parquet", [(0, 3, 0), (1, 3, 0), (0, 3, 0)])
+    with pytest.raises(InputError, match=r"row 2: object 3 at 0\.0 s is there already in row 0"):
+        evaluate(tracks, twice)
+    with pytest.raises(InputError, match="row 1: column x"):
+        evaluate(tracks, write_truth(tmp_path / "nan.parquet", [(0, 3, 0), (1, 3, np.nan)]))
+    zeros = [0.0]
+    columns = {"time_s": zeros, "object_id": [1], "x": zeros, "y": zeros, "z": zeros}
+    with pytest.raises(InputError, match="all or none of the columns vx"):
+        evaluate(tracks, write(tmp_path / "half.parquet", {**columns, "vx": zeros}))
+    del columns["z"]
+    with pytest.raises(InputError, match="missing column z"):
+        evaluate(tracks, write(tmp_path / "flat.parquet", columns))
+    text = tmp_path / "text.parquet"
+    text.write_text("time_s,object_id\n")
+    with pytest.raises(InputError, match="not Parquet"):
+        evaluate(tracks, text)
+    with pytest.raises(InputError, match="no such file"):
+        evaluate(tracks, tmp_path / "nowhere.parquet")
+
+
+def test_truth_velocity_and_order_of_rows(tmp_path):
+    rows = [(t, k, 50 * k + t) for t in range(5) for k in (1, 0)]
+    shuffled = [rows[i] for i in np.random.default_rng(1).permutation(len(rows))]
+    truth = write_truth(tmp_path / "truth.parquet", shuffled, velocity=True)
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, k, 50.0 * k + t) for t, k, _ in rows])
+    report = evaluate(tracks, truth)
+    assert report["ospa"]["mean"] == report["rmse"]["velocity"] == 0.0
+
+
+def shared_data() -> Path:
+    folder = Path(os.environ.get("STEREOPHD_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip("no shared data: set STEREOPHD_DATA to their folder")
+    return folder
+
+
+def test_real_truth_and_log(tmp_path):
+    """RTK truth at 5 Hz and four unsynchronised cameras: tracks on the truth come out on the truth."""
+    drone = shared_data() / "drone" / "1"
+    truth = pq.read_table(drone / "truth.parquet").to_pydict()
+    log = pq.read_table(drone / "detections.parquet").to_pydict()
+    rows, times = [], np.array(truth["time_s"])
+    seen_at: dict[str, float] = {}
+    expected = 0
+    for frame, (time, camera, u) in enumerate(zip(log["time_s"], log["camera"], log["u_px"], strict=True)):
+        rows.append((time, camera, frame, 1, float(np.interp(time, times, truth["x"])) + 0.01))
+        if u is not None:  # else an empty frame
+            seen_at[camera] = time
+        expected += sum(time - last <= 0.2 for last in seen_at.values()) >= 2
+    flat = write(
+        tmp_path / "truth.parquet",
+        {**{name: truth[name] for name in ("time_s", "object_id", "x")}, "y": 0 * times, "z": 0 * times},
+    )
+    report = evaluate(
+        write_tracks(tmp_path / "tracks.parquet", rows),
+        flat,
+        log_path=drone / "detections.parquet",
+        seen_by=2,
+        within_s=0.2,
+        at="events",
+    )
+    assert report["position_error"]["median"] == pytest.approx(0.01, abs=1e-9)
+    assert report["position_error"]["n"] == report["scans"]["scored"] == expected

@@ -1,0 +1,78 @@
+"""A calibration problem that the tests share: two cameras, the right one unknown, three objects."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.disparity.events import Event, make_event, make_rig
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.multi.birth import BirthPrior
+from stereophd.core.multi.phd import PhdFilter, PhdSettings
+from stereophd.core.multi.pmb import PmbFilter, PmbSettings
+from stereophd.core.numerics.samples import draw_sample_sets
+from tests.core.disparity.cases import make_camera
+
+Array = NDArray[np.float64]
+
+PRIOR_STD = (5.0, 5.0, 5.0, 0.02, 0.13, 0.02)
+
+
+def make_parameters(angle: float = 0.26) -> ParameterSet:
+    """Pose of the right of two cameras at -20 and 20, turned inward."""
+    left = replace(make_camera((0.0, -angle, 0.0), (-20.0, 0.0, 0.0)), name="left")
+    right = replace(make_camera((0.0, angle, 0.0), (20.0, 0.0, 0.0)), name="right")
+    names = CENTER + ROTATION
+    parameters = [Parameter(n, "right", QUANTITIES[n], 0.0, s) for n, s in zip(names, PRIOR_STD, strict=True)]
+    return ParameterSet((left, right), tuple(parameters))
+
+
+def make_template(
+    cameras: tuple[Camera, ...],
+    kind: str = "phd",
+    motion: Motion | None = None,
+    samples: int = 64,
+    region: Array | None = None,
+    **settings: object,
+) -> PhdFilter | PmbFilter:
+    """The filter of given cameras."""
+    motion = ConstantVelocity([0.05] * 3, 12.0) if motion is None else motion
+    rows = 3 if isinstance(motion, Static) else 12
+    sets = draw_sample_sets("qmc", samples, rows, np.random.SeedSequence(7))
+    rig = make_rig(cameras, 1.0, "horizontal", region)
+    birth = BirthPrior(per_frame=0.1, disparity=(7.0, 3.0), depth_range=None, velocity_std=2.0)
+    if kind == "pmb":
+        return PmbFilter(rig, motion, sets, PmbSettings(0.99, birth, **settings))  # type: ignore[arg-type]
+    return PhdFilter(rig, motion, sets, PhdSettings(0.99, birth, **settings))  # type: ignore[arg-type]
+
+
+def make_events(cameras: tuple[Camera, ...], count: int, seed: int = 3, clutter: float = 3.0) -> list[Event]:
+    """Three moving objects that cross the edges of the views, clutter and misses; cameras in turn."""
+    rng = np.random.default_rng(seed)
+    start = np.array([[5.0, 3.0, 100.0], [-30.0, -8.0, 140.0], [35.0, 6.0, 180.0]])
+    velocity = np.array([[4.0, 0.0, 1.0], [0.0, 5.0, -0.5], [-1.0, 0.5, 0.0]])
+    events = []
+    for k in range(count):
+        number, time_s = k % len(cameras), 0.5 * (k // len(cameras))
+        camera = cameras[number]
+        pixels = camera.project(start + velocity * time_s)
+        pixels = pixels + 1.3 * rng.standard_normal(pixels.shape)
+        seen = ((pixels > 0.0) & (pixels < [799.0, 599.0])).all(axis=1) & (rng.random(len(pixels)) < 0.95)
+        false = rng.uniform([0.0, 0.0], [799.0, 599.0], (rng.poisson(clutter), 2))
+        events.append(make_event(camera, number, time_s, np.concatenate([pixels[seen], false])))
+    return events
+
+
+def to_bytes(value: object) -> bytes:
+    """Every bit of nested dataclasses, tuples, arrays and numbers (pickles depend on what shares memory)."""
+    if is_dataclass(value):
+        return b"".join(to_bytes(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, (tuple, list)):
+        return b"".join(to_bytes(item) for item in value)
+    if isinstance(value, (str, type(None))):
+        return repr(value).encode()
+    return np.asarray(value).tobytes()

@@ -1,0 +1,68 @@
+"""Small calibration problems for the tests: straight objects before two or three cameras, association known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment import Observations
+from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+
+Array = NDArray[np.float64]
+
+STDS = (5.0, 5.0, 5.0, np.pi / 180, np.pi / 24, np.pi / 180)
+SIGMA = 1.4
+
+
+@dataclass(frozen=True)
+class MadeUp:
+    """Truth and detections: the values that lead from the guess to the truth, and what was seen."""
+
+    parameters: ParameterSet
+    truth: Array
+    observations: Observations
+    positions: Array
+
+
+def camera(name: str, center: tuple[float, float, float], vector: tuple[float, float, float]) -> Camera:
+    """A camera of the paper's experiments."""
+    pose = Pose(rotation_from_vector(vector), center)
+    return Camera(name, 800, 600, 899.0, 889.0, 400.0, 300.0, pose, Lens(), Detector((SIGMA, SIGMA), 0.95, 10.0))
+
+
+def make_problem(seed: int, objects: int = 6, frames: int = 60, three: bool = False, still: bool = False) -> MadeUp:
+    """Draw objects, detections and a guess of the cameras."""
+    rng = np.random.default_rng(seed)
+    cameras = [camera("left", (-20, 0, 0), (0, -0.26, 0)), camera("right", (20, 0, 0), (0, 0.26, 0))]
+    if three:
+        cameras.append(camera("above", (0, -25, 0), (0.166, 0, 0)))
+    unknown = [c.name for c in cameras[1:]]
+    parameters = tuple(
+        Parameter(name, c, QUANTITIES[name], 0.0, std)
+        for c in unknown
+        for name, std in zip(CENTER + ROTATION, STDS, strict=True)
+    )
+    true = ParameterSet(tuple(cameras), parameters)
+    truth = true.sample(rng, 1)[0]
+    guess = ParameterSet(true.guess(truth), parameters)
+    start = rng.uniform([-25, -20, 100], [25, 20, 220], (objects, 3))
+    velocity = np.zeros((objects, 3)) if still else rng.normal(0.0, 0.4, (objects, 3))
+    rows = [
+        (j, k, float(t), *(start[j] + t * velocity[j]))
+        for j in range(objects)
+        for t in range(frames)
+        for k in range(len(cameras))
+    ]
+    table = np.array(rows)
+    indices, numbers, times, points = table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2], table[:, 3:]
+    pixels = np.empty((len(table), 2))
+    for k, c in enumerate(cameras):
+        pixels[numbers == k] = c.project(points[numbers == k])
+    pixels += SIGMA * rng.standard_normal(pixels.shape)
+    precisions = np.tile(np.eye(2) / SIGMA**2, (len(table), 1, 1))
+    return MadeUp(guess, truth, Observations(indices, numbers, times, pixels, precisions), points)

@@ -1,0 +1,86 @@
+"""Filters and mixtures that the tests of many objects share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stereophd.core.disparity.events import Rig, make_rig
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.multi.birth import BirthPrior
+from stereophd.core.multi.extract import Hysteresis
+from stereophd.core.multi.intensity import GaussianMixture
+from stereophd.core.multi.phd import PhdFilter, PhdSettings
+from stereophd.core.numerics.samples import draw_sample_sets
+from tests.core.disparity.cases import make_camera, random_covariance
+
+PRIOR = BirthPrior(per_frame=0.1, disparity=(7.0, 3.0), depth_range=None, velocity_std=1.5)
+
+
+def make_filter(
+    cameras: list[Camera] | None = None,
+    motion: Motion | None = None,
+    method: str = "qmc",
+    samples: int = 64,
+    birth: BirthPrior = PRIOR,
+    baseline: float = 1.0,
+    hysteresis: Hysteresis | None = None,
+    threads: int = 1,
+    **settings: object,
+) -> PhdFilter:
+    """A filter; by default of two cameras at -20 and 20, turned inward by 15 degrees."""
+    if cameras is None:
+        cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
+    motion = ConstantVelocity([0.01] * 3, 6.0) if motion is None else motion
+    rig: Rig = make_rig(cameras, baseline, "horizontal")
+    rows = 3 if isinstance(motion, Static) else 12
+    sets = draw_sample_sets(method, samples, rows, np.random.SeedSequence(7))  # type: ignore[arg-type]
+    values = {"survival_per_s": 0.99, "birth": birth, "hysteresis": hysteresis or Hysteresis(0.5, 0.5), **settings}
+    return PhdFilter(rig, motion, sets, PhdSettings(**values), threads)  # type: ignore[arg-type]
+
+
+def make_mixture(
+    weights: ArrayLike,
+    means: ArrayLike | None = None,
+    covariances: ArrayLike | None = None,
+    cameras: ArrayLike | None = None,
+    times: ArrayLike | None = None,
+    labels: ArrayLike | None = None,
+    tracks: ArrayLike | None = None,
+    reported: ArrayLike | None = None,
+    size: int = 6,
+) -> GaussianMixture:
+    """A mixture; what is not given is camera 0, time 0, labels 0, 1, 2..., never reported."""
+    weights = np.asarray(weights, dtype=float)
+    count = len(weights)
+
+    def integers(values: ArrayLike | None, default: np.ndarray) -> np.ndarray:
+        return default if values is None else np.asarray(values, dtype=np.int64)
+
+    return GaussianMixture(
+        weights,
+        np.zeros((count, size)) if means is None else np.asarray(means, dtype=float),
+        np.stack([np.eye(size)] * count) if covariances is None else np.asarray(covariances, dtype=float),
+        integers(cameras, np.zeros(count, dtype=np.int64)),
+        np.zeros(count) if times is None else np.asarray(times, dtype=float),
+        integers(labels, np.arange(count)),
+        integers(tracks, np.full(count, -1)),
+        np.zeros(count, dtype=bool) if reported is None else np.asarray(reported, dtype=bool),
+    )
+
+
+def random_mixture(
+    rng: np.random.Generator, count: int, size: int = 6, charts: int = 3, spread: float = 3.0
+) -> GaussianMixture:
+    """Overlapping components, at home in some cameras at some times."""
+    return make_mixture(
+        rng.gamma(0.5, 0.4, count),
+        rng.standard_normal((count, size)) * spread,
+        [random_covariance(rng, rng.uniform(0.3, 2.0, size)) for _ in range(count)],
+        rng.integers(0, charts, count),
+        rng.integers(0, 2, count).astype(float),
+        rng.integers(0, count, count),
+        rng.integers(-1, count, count),
+        rng.random(count) < 0.5,
+    )

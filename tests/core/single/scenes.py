@@ -1,0 +1,52 @@
+"""The paper's single-object experiments (sections VIII-A and VIII-B), lengths in cm."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from stereophd.core.disparity.events import Rig, make_rig
+from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.motion.models import ConstantVelocity
+from stereophd.experiments.single_object.runs import LocalisationScenario, TrackingScenario
+
+SIGMA = math.sqrt(2.0)
+
+
+def camera(name: str, x: float, yaw: float, readout_s: float = 0.0, **intrinsics: float) -> Camera:
+    """A camera of Table I on the x axis, turned about y."""
+    values = {"fx": 8.0 / 8.9e-3, "fy": 8.0 / 9.0e-3, "cx": 400.0, "cy": 300.0} | intrinsics
+    pose = Pose(rotation_from_vector(np.array([0.0, yaw, 0.0])), np.array([x, 0.0, 0.0]))
+    detector = Detector((SIGMA, SIGMA), 1.0, 0.0)
+    return Camera(name, 800, 600, **values, pose=pose, lens=Lens("none"), detector=detector, readout_s=readout_s)
+
+
+def rig(*cameras: Camera) -> Rig:
+    return make_rig(cameras, 1.0, "horizontal")
+
+
+def table_two(depth: float, mean: float, variance: float) -> LocalisationScenario:
+    cameras = rig(camera("left", 0.0, 0.0), camera("right", 30.0, math.pi / 12))
+    return LocalisationScenario(cameras, np.array([0.0, 0.0, depth]), InitialPrior((mean, math.sqrt(variance))), (0, 1))
+
+
+def figure_ten(steps: int = 20) -> LocalisationScenario:
+    cameras = rig(camera("left", 0.0, 0.0), camera("right", 80.0, math.pi / 4))
+    sequence = tuple(step % 2 for step in range(steps))
+    return LocalisationScenario(cameras, np.array([0.0, 0.0, 150.0]), InitialPrior((12.5, 4.2)), sequence)
+
+
+def figure_eleven(steps: int = 300) -> TrackingScenario:
+    cameras = rig(camera("left", -20.0, -math.pi / 12), camera("right", 20.0, math.pi / 12))
+    return TrackingScenario(
+        cameras,
+        np.array([0.0, 0.0, 100.0, 0.0, 0.0, 6.0]),
+        ConstantVelocity([0.05, 0.05, 0.1]),
+        InitialPrior((12.5, 4.2), velocity_std=3.0),
+        np.repeat(0.5 * np.arange(steps), 2),
+        np.tile([0, 1], steps),
+    )

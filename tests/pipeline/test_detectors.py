@@ -1,0 +1,206 @@
+"""Noise, probability of detection and clutter of cameras, estimated from logs of known ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
+from stereophd.core.geometry.camera import Detector
+from stereophd.errors import InputError
+from stereophd.pipeline.detectors.statistics import DetectorSums, estimate_detector
+from tests.commands.test_track import SCENE
+
+# what the cameras do, and where the estimation starts: far from it
+TRUE = {"left": ((1.4, 1.4), 0.8, 3.0), "right": ((2.5, 0.7), 0.9, 6.0)}
+START = ((5.0, 5.0), 0.95, 10.0)
+SIMULATED = (
+    "simulate.duration_s=100.0",
+    "filter.kind=pmb",
+    "filter.extraction={confirm: 0.95, release: 0.01}",
+)
+
+
+def detector(values: tuple[tuple[float, float], float, float]) -> str:
+    sigma, p_detect, clutter = values
+    return f"{{sigma_px: {list(sigma)}, p_detect: {p_detect}, clutter_per_frame: {clutter}}}"
+
+
+def given(values: dict[str, tuple[tuple[float, float], float, float]]) -> tuple[str, ...]:
+    return tuple(f"cameras.{name}.detector={detector(value)}" for name, value in values.items())
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four logs of three objects seen by two cameras for 100 s, and the configuration beside them."""
+    folder = tmp_path_factory.mktemp("detectors")
+    (folder / "scene.yaml").write_text(SCENE)
+    for seed in range(4):
+        simulate(load_config(folder / "scene.yaml", (*SIMULATED, *given(TRUE)), seed + 1), folder / f"log{seed}")
+    return folder
+
+
+def estimated(logs: Path, out: Path, number: int, *overrides: str) -> dict:
+    loaded = load_config(logs / "scene.yaml", (*SIMULATED, *overrides), number + 1)
+    return track(loaded, logs / f"log{number}" / "detections.parquet", out)
+
+
+def errors_in_deviations(found: dict, name: str) -> list[float]:
+    (sigma_u, sigma_v), p_detect, clutter = TRUE[name]
+    mine = found["cameras"][name]
+    values = [*mine["sigma_px"], mine["p_detect"], mine["clutter_per_frame"]]
+    deviations = [
+        *mine["sigma_px_standard_error"],
+        mine["p_detect_standard_error"],
+        mine["clutter_per_frame_standard_error"],
+    ]
+    return list(np.subtract(values, [sigma_u, sigma_v, p_detect, clutter]) / deviations)
+
+
+def test_the_true_values_are_found_from_a_start_far_away(logs: Path, tmp_path: Path) -> None:
+    """Every value within five of its stated standard errors, and their mean over logs and cameras within five of its.
+
+    Eight estimates of each kind: the mean error is below 5 / sqrt(8) = 1.8 deviations, and the root mean square of
+    all 32 between 0.5 and 1.6 (chi-square of 32 degrees of freedom, five of its deviations, for errors that are
+    stated right).
+    """
+    errors = []
+    for number in range(4):
+        found = estimated(logs, tmp_path / str(number), number, "detector=estimate", *given(dict.fromkeys(TRUE, START)))
+        assert found["detectors"]["converged"]
+        errors += [errors_in_deviations(found["detectors"], name) for name in TRUE]
+        for name in TRUE:
+            mine = found["detectors"]["cameras"][name]
+            assert mine["frames"] == 200
+            # three objects in view of both cameras for all but the first frames
+            assert 500 < mine["in_view"] < 600
+            assert 0.7 < mine["residuals"] / (mine["in_view"] * TRUE[name][1]) < 1.1
+            # white: five standard errors of a correlation from some 500 pairs
+            assert np.abs(mine["residual_correlation"]).max() < 5.0 / np.sqrt(mine["residuals"])
+            # an error of 4 % of the noise: the estimate is worth something
+            assert max(np.divide(mine["sigma_px_standard_error"], mine["sigma_px"])) < 0.07
+    values = np.array(errors)
+    assert np.abs(values).max() < 5.0
+    assert np.abs(values.mean(axis=0)).max() < 1.8
+    assert 0.5 < np.sqrt((values**2).mean()) < 1.6
+
+
+def test_tracks_with_estimated_detectors_are_as_with_the_true_ones(logs: Path, tmp_path: Path) -> None:
+    """Median error of all but the first fifth: within a tenth of what the true values give. NEES within 0.5.
+
+    From noise of 5 px, claimed where there are 1.4 and less, covariances are several times too large.
+    """
+    scores = {}
+    for name, overrides in {
+        "true": given(TRUE),
+        "start": given(dict.fromkeys(TRUE, START)),
+        "estimated": ("detector=estimate", *given(dict.fromkeys(TRUE, START))),
+    }.items():
+        estimated(logs, tmp_path / name, 0, *overrides)
+        report = evaluate(tmp_path / name / "tracks.parquet", logs / "log0" / "truth.parquet", cutoff=20.0, from_s=20.0)
+        scores[name] = (report["position_error"]["median"], report["nees"]["position"])
+    assert scores["estimated"][0] < 1.1 * scores["true"][0]
+    assert abs(scores["estimated"][1] - scores["true"][1]) < 0.5
+    assert scores["start"][1] < 0.5 * scores["true"][1]
+
+
+@pytest.mark.parametrize("start", [((3.0, 3.0), 1.0, 0.0), ((0.7, 0.7), 0.6, 0.5)], ids=["too good", "too sharp"])
+def test_from_other_starts(logs: Path, tmp_path: Path, start: tuple[tuple[float, float], float, float]) -> None:
+    """Detectors said never to miss and never to be wrong, or much sharper than they are: the same values."""
+    overrides = ("detector=estimate", *given(dict.fromkeys(TRUE, start)))
+    found = estimated(logs, tmp_path / "out", 0, *overrides)["detectors"]
+    for name in TRUE:
+        assert np.abs(errors_in_deviations(found, name)).max() < 5.0
+
+
+def test_only_the_cameras_that_ask_for_it(logs: Path, tmp_path: Path) -> None:
+    overrides = (*given({"left": TRUE["left"]}), "cameras.right.detector=estimate")
+    found = estimated(logs, tmp_path / "out", 1, *overrides)["detectors"]
+    assert list(found["cameras"]) == ["right"]
+    assert np.abs(errors_in_deviations(found, "right")).max() < 5.0
+    assert estimated(logs, tmp_path / "given", 1, *given(TRUE))["detectors"] is None
+
+
+def test_for_a_phd_filter_too_and_the_same_again(logs: Path, tmp_path: Path) -> None:
+    overrides = ("filter.kind=phd", "simulate.duration_s=100.0", "detector=estimate")
+    first = estimated(logs, tmp_path / "one", 2, *overrides)
+    again = estimated(logs, tmp_path / "two", 2, *overrides)
+    assert first == again
+    assert (tmp_path / "one" / "tracks.parquet").read_bytes() == (tmp_path / "two" / "tracks.parquet").read_bytes()
+    assert json.loads((tmp_path / "one" / "report.json").read_text())["detectors"] == first["detectors"]
+
+
+def test_noise_that_the_log_states_is_not_estimated(logs: Path, tmp_path: Path) -> None:
+    log = pq.read_table(logs / "log3" / "detections.parquet")
+    for name, k in (("sigma_u_px", 0), ("sigma_v_px", 1)):
+        values = [TRUE[camera][0][k] for camera in log["camera"].to_pylist()]
+        log = log.append_column(name, pa.array(values))
+    pq.write_table(log, tmp_path / "log.parquet")
+    loaded = load_config(logs / "scene.yaml", (*SIMULATED, "detector=estimate", *given(dict.fromkeys(TRUE, START))), 4)
+    found = track(loaded, tmp_path / "log.parquet", tmp_path / "out")["detectors"]["cameras"]
+    for name, (_, p_detect, clutter) in TRUE.items():
+        assert found[name]["sigma_px"] == [5.0, 5.0]
+        assert found[name]["sigma_px_standard_error"] is None
+        assert abs(found[name]["p_detect"] - p_detect) < 5 * found[name]["p_detect_standard_error"]
+        assert abs(found[name]["clutter_per_frame"] - clutter) < 5 * found[name]["clutter_per_frame_standard_error"]
+
+
+def test_too_little_to_estimate_from(logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One camera alone: no track that two saw; the given noise stays, and a warning says so."""
+    log = pq.read_table(logs / "log0" / "detections.parquet")
+    log = log.filter(pa.array([name == "left" for name in log["camera"].to_pylist()]))
+    pq.write_table(log, tmp_path / "log.parquet")
+    loaded = load_config(logs / "scene.yaml", (*SIMULATED, "detector=estimate", *given(TRUE)))
+    found = track(loaded, tmp_path / "log.parquet", tmp_path / "out")["detectors"]["cameras"]
+    for name, (sigma, p_detect, _) in TRUE.items():
+        assert found[name]["sigma_px"] == list(sigma)
+        assert found[name]["p_detect"] == p_detect
+        assert found[name]["sigma_px_standard_error"] is None
+    assert found["right"]["frames"] == 0
+    assert "too few to estimate the noise" in caplog.text
+
+
+def test_errors_that_last_are_not_taken_for_noise(logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A camera that leans by 0.3 degrees sees all objects 5 px off: residuals of successive frames agree."""
+    rotation = "cameras.right.pose.rotation_vector_deg=[0.3, 10.0, 0.0]"
+    found = estimated(logs, tmp_path / "out", 0, "detector=estimate", rotation, *given(TRUE))["detectors"]["cameras"]
+    assert max(found[name]["residual_correlation"][1] for name in TRUE) > 0.5
+    assert "errors last from frame to frame" in caplog.text
+
+
+def test_values_from_sums() -> None:
+    """By hand: two kinds of residuals, twice as large as expected; a quarter missed; clutter what is left over."""
+    present = Detector((2.0, 3.0), 0.9, 1.0)
+    sums = DetectorSums(pairs=100.0, detected=75.0, missed=25.0, frames=50, detections=200, attributed=150)
+    # shares R / S of 0.8 and 0.4, fifty residuals each, e^2 = 4 S
+    for share in (0.8, 0.4):
+        sums.residuals += 50 * share * 4.0
+        sums.weights += 50 * share
+        sums.squares += 50 * share**2
+        sums.shares += 50 * share * share
+    found = estimate_detector(sums, present)
+    np.testing.assert_allclose(found.detector.sigma, [4.0, 6.0])
+    # standard error of R_new / R: sqrt(2 * 50 * (0.64 + 0.16)) / 60, over the mean share (0.64 + 0.16) / 1.2
+    relative = np.sqrt(2 * 50 * 0.8) / 60 / (0.8 / 1.2)
+    assert found.sigma_error is not None
+    np.testing.assert_allclose(found.sigma_error, np.array([4.0, 6.0]) * relative / 2)
+    assert found.detector.p_detect == pytest.approx(75.5 / 101.0)
+    assert found.detector.clutter_per_frame == pytest.approx(50.5 / 50.0)
+    nothing = estimate_detector(DetectorSums(), present)
+    assert nothing.detector == present
+    assert (nothing.sigma_error, nothing.p_detect_error, nothing.clutter_error) == (None, None, None)
+
+
+def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE)
+    with pytest.raises(InputError, match="expected estimate or sigma_px, p_detect and clutter_per_frame, found guess"):
+        load_config(path, ["cameras.left.detector=guess"])
