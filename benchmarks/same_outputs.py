@@ -57,7 +57,7 @@ def commands(out: Path, data: Path | None) -> dict[str, list[str]]:
         "--cameras", "sample_data/hall/cameras.yaml",
     ]  # fmt: skip
     single = out / "simulate_single"
-    for kind in ("disparity", "inverse_depth", "particle", "cartesian_ekf", "cartesian_ukf"):
+    for kind in ("disparity", "inverse_depth", "particle", "cartesian"):
         runs[f"track_single_{kind}"] = [
             "track", SINGLE, str(single / "detections.parquet"), "--set", f"filter.estimator={{kind: {kind}}}",
         ]  # fmt: skip

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.config.model import Config
 from stereophd.config.single import SingleConfig
+from stereophd.core.disparity.move_kernels import carry_components
 from stereophd.core.motion.models import Motion
+from stereophd.core.numerics.kernel_cache import is_kept
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.log_checks import KINDS
@@ -124,8 +126,7 @@ def track(
 
 def _announce_compilation() -> None:
     """Say that the kernels are compiled first, where no compiled ones are found."""
-    folder = Path(__file__).parent / "disparity" / "__pycache__"
-    if not any(folder.glob("move_kernels.carry_components-*.nbi")):
+    if not is_kept(carry_components):
         LOGGER.info("first run: compiling the kernels, once, in about a minute")
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
+
+from stereophd.core.numerics.kernel_cache import KernelCache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -17,41 +16,12 @@ Function = TypeVar("Function", bound=Callable[..., object])
 FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
 
 
-STAMP_FILE = "kernels.stamp"
-
-
-def drop_outdated(package: Path) -> bool:
-    """Remove compiled kernels below a package if any of its sources is not as it was when they were compiled.
-
-    numba looks at the file of a kernel alone, and would go on using one that contains an older version of a
-    kernel of another file. Where the folders cannot be written nothing is done. Return whether sources had changed.
-    """
-    described = [
-        f"{path.relative_to(package)} {path.stat().st_size} {path.stat().st_mtime_ns}"
-        for path in sorted(package.rglob("*.py"))
-    ]
-    stamp = hashlib.sha256("\n".join(described).encode()).hexdigest()
-    file = package / "__pycache__" / STAMP_FILE
-    with suppress(OSError):
-        if file.read_text(encoding="utf-8") == stamp:
-            return False
-    with suppress(OSError):
-        for path in [*package.rglob("__pycache__/*.nbi"), *package.rglob("__pycache__/*.nbc")]:
-            path.unlink(missing_ok=True)
-        file.parent.mkdir(exist_ok=True)
-        file.write_text(stamp, encoding="utf-8")
-    return True
-
-
-drop_outdated(Path(__file__).parents[2])
-
-
 def compiled(function: Function) -> Function:
     """Compile a kernel: cached on disk, without the interpreter lock, IEEE division by zero.
 
     Returns the compiled dispatcher, with the type of `function`.
     """
-    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast("Function", _cached(numba.njit(nogil=True, error_model="numpy")(function)))
 
 
 def compiled_fast(function: Function) -> Function:
@@ -62,5 +32,11 @@ def compiled_fast(function: Function) -> Function:
     depend on the caller, and on which of the copies of it a process finds first: a run that compiles and one
     that finds compiled code would differ.
     """
-    decorate = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH)
-    return cast("Function", decorate(function))
+    decorate = numba.njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
+    return cast("Function", _cached(decorate(function)))
+
+
+def _cached(dispatcher: Any) -> Any:
+    """Return a dispatcher that keeps its compiled forms in a `KernelCache` (where numba's `cache=True` has its own)."""
+    dispatcher._cache = KernelCache(dispatcher.py_func)
+    return dispatcher
