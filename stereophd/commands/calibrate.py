@@ -25,7 +25,7 @@ from stereophd.pipeline.calibration.inputs import (
     calibration_section,
     pmb_filter,
     read_problem,
-    with_poses,
+    with_quantities,
 )
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
@@ -126,7 +126,7 @@ def calibrate(
         if report["status"] != UNDETERMINED:
             cameras = problem.parameters.build(outcome.values)
             write_cameras(
-                out.path(CAMERAS_FILE), with_poses(loaded.cameras, cameras), loaded.config.units.length, record
+                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )
             report["tracking"] = _write_tracks(loaded, cameras, log_path, out, to_metadata(record))
         report["provenance"] = record

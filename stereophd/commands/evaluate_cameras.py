@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
-from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet, pose_offsets
+from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.weights import weighted_mean_covariance
@@ -194,22 +194,10 @@ def read_posterior(path: Path) -> Posterior | None:
         return Posterior(parameters, reference, np.column_stack(columns), np.log(weights))
 
 
-def true_values(parameters: ParameterSet, true: list[Camera]) -> Array:
-    """Values (m,) that lead from the prior mean to the true cameras; what is not a parameter is left out."""
-    offsets = {
-        f"{mean.name}.{name}": float(value)
-        for mean in parameters.cameras
-        for camera in true
-        if camera.name == mean.name
-        for name, value in zip(CENTER + ROTATION, pose_offsets(mean, camera), strict=True)
-    }
-    return np.array([offsets[name] for name in parameters.names])
-
-
 def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any]:
     """NEES of the mean, and which parameters' 90 % intervals hold the truth."""
     parameters = posterior.parameters
-    truth = true_values(parameters, true)
+    truth = parameters.difference(true)
     mean, covariance = weighted_mean_covariance(posterior.particles, posterior.log_weights)
     weights = np.exp(posterior.log_weights)
     low = weighted_quantiles(posterior.particles, weights, 0.5 - CREDIBLE / 2)

@@ -18,10 +18,10 @@ import numpy as np
 from stereophd.config.experiment import CalibrationScenario
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
-from stereophd.core.calibration.association import Scans
-from stereophd.core.calibration.parameters import RADIANS, ParameterSet, pose_offsets
+from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread
-from stereophd.core.disparity.events import make_event
+from stereophd.core.calibration.quantities.base import RADIANS
+from stereophd.core.calibration.recording import RawFrame, Recording
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
@@ -69,12 +69,13 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     section = calibration_section(loaded)
     scene, guessed, parameters, reference, true = _setting(loaded, number)
     frame_seed = run_seed(loaded.config.seed, number).spawn(2)[1]
-    events = []
+    frames: list[RawFrame] = []
     for frame in simulate_frames(scene, frame_seed):
-        camera = parameters.cameras[frame.camera]
-        events.append(make_event(camera, frame.camera, camera.clock.to_true(frame.log_time_s), frame.pixels))
-    events.sort(key=lambda event: (event.time_s, event.camera))
-    problem = CalibrationProblem(parameters, reference, Scans.of(events), build_scale(guessed, parameters), {})
+        time_s = parameters.cameras[frame.camera].clock.to_true(frame.log_time_s)
+        frames.append((frame.camera, time_s, frame.pixels, None))
+    frames.sort(key=lambda frame: (frame[1], frame[0]))
+    recording = Recording.of(parameters.cameras, frames)
+    problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
         outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False), 1, None)
@@ -131,15 +132,7 @@ def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, Pa
     own = np.random.SeedSequence(config.seed, spawn_key=(number, METHOD_KEY)).generate_state(1)
     guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0])}), cameras=guess)
     parameters, reference = build_parameters(guessed)
-    offsets = {
-        f"{guess.name}.{name}": value
-        for guess, true in zip(parameters.cameras, true_cameras, strict=True)
-        for name, value in zip(OFFSETS, pose_offsets(guess, true).tolist(), strict=True)
-    }
-    return scene, guessed, parameters, reference, np.array([offsets[name] for name in parameters.names])
-
-
-OFFSETS = ("center_x", "center_y", "center_z", "rotation_x", "rotation_y", "rotation_z")
+    return scene, guessed, parameters, reference, parameters.difference(true_cameras)
 
 
 def _errors(

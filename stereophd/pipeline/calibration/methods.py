@@ -76,7 +76,7 @@ def annealed_outcome(
     details["fit"] = _fit_report(problem, best, fit)
     history = tuple(
         HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
-        for time_s in np.linspace(problem.scans.times[0], problem.scans.times[-1], HISTORY_TIMES + 1)[1:]
+        for time_s in np.linspace(problem.recording.times[0], problem.recording.times[-1], HISTORY_TIMES + 1)[1:]
         if (until := fit_until(task, fit, float(time_s))) is not None
     )
     if section.posterior == "smc":

@@ -17,7 +17,7 @@ from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.task import Fit
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter, thinned
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter
 from stereophd.pipeline.calibration.outcome import (
     SEQUENTIAL_KEY,
     SMC_KEY,
@@ -46,9 +46,9 @@ def sequential_outcome(
     template = (
         phd_filter(loaded, cameras, settings.samples) if settings.likelihood == "phd" else pmb_filter(loaded, cameras)
     )
-    per_unit = {"length": settings.center_noise, "rad": float(np.deg2rad(settings.rotation_noise_deg))}
-    walk = np.array([per_unit[p.unit] for p in parameters.parameters])
-    events = problem.scans.events
+    noises = {"center": settings.center_noise, "rotation": float(np.deg2rad(settings.rotation_noise_deg))}
+    walk = np.array([noises.get(p.quantity.name, 0.0) for p in parameters.parameters])
+    events = problem.scans().events
 
     def after(number: int, state: Any, history: Any) -> None:
         checkpoint.keep("sequential", (state, list(history)))
@@ -126,7 +126,7 @@ def smc_outcome(
     template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
     evidence = Evidence(
         problem.parameters,
-        thinned(problem.scans, settings.max_events).events,
+        problem.scans(settings.max_events).events,
         FilterBatch(template, jobs),
         problem.reference if scale_is_free(problem.parameters) else None,
         scale,
