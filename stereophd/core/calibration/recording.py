@@ -91,6 +91,12 @@ class Recording:
                 times[here] = camera.clock.to_true(self.log_times[here])
         return times
 
+    def not_invertible(self, cameras: Sequence[Camera]) -> int:
+        """Number of detections at which the lens models of cameras cannot be inverted."""
+        of_camera = self.cameras[self.frame_of]
+        found = [camera.undistort_pixels(self.pixels[of_camera == k])[0] for k, camera in enumerate(cameras)]
+        return sum(int((~np.isfinite(points).all(axis=1)).sum()) for points in found)
+
     def every(self, n: int) -> Integers:
         """Every n-th frame of each camera, in order."""
         place = np.empty(len(self.cameras), dtype=np.int64)

@@ -21,7 +21,7 @@ from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread
 from stereophd.core.calibration.quantities.base import RADIANS
-from stereophd.core.calibration.recording import RawFrame, Recording
+from stereophd.core.calibration.recording import Recording
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
@@ -42,6 +42,7 @@ from stereophd.pipeline.calibration.report import status_of
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.simulation import GUESS_KEY, build_scene
+from stereophd.pipeline.stream import frames_in_order
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -69,12 +70,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     section = calibration_section(loaded)
     scene, guessed, parameters, reference, true = _setting(loaded, number)
     frame_seed = run_seed(loaded.config.seed, number).spawn(2)[1]
-    frames: list[RawFrame] = []
-    for frame in simulate_frames(scene, frame_seed):
-        time_s = parameters.cameras[frame.camera].clock.to_true(frame.log_time_s)
-        frames.append((frame.camera, time_s, frame.pixels, None))
-    frames.sort(key=lambda frame: (frame[1], frame[0]))
-    recording = Recording.of(parameters.cameras, frames)
+    frames = frames_in_order(parameters.cameras, simulate_frames(scene, frame_seed))
+    recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
     problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():

@@ -26,8 +26,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.errors import InputError
-from stereophd.io.logs import LogReader
 from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.stream import open_stream
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -182,12 +182,11 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     """
     parameters, reference = build_parameters(loaded)
     scale = build_scale(loaded, parameters)
-    config = loaded.config
-    reader = LogReader(log_path, parameters.cameras, config.input.on_bad_row, config.input.image_margin_px)
-    frames = [(f.camera, f.time_s, f.pixels, f.sigma) for f in reader]
-    recording = Recording.of(parameters.cameras, frames)
+    stream = open_stream(loaded.config, parameters.cameras, log_path)
+    recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in stream.frames])
     _check_overlap(parameters, recording, log_path)
-    return CalibrationProblem(parameters, reference, recording, scale, dict(reader.counts))
+    counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
+    return CalibrationProblem(parameters, reference, recording, scale, counts)
 
 
 def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | str) -> None:

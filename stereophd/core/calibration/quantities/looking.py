@@ -116,5 +116,6 @@ def left_jacobians(vectors: Array) -> Array:
     cross = _cross_matrices(vectors)
     angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
     safe = np.where(angle < 1e-4, 1.0, angle)
+    second = np.where(angle < 1e-4, 0.5, (1.0 - np.cos(safe)) / safe**2)
     third = np.where(angle < 1e-4, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
-    return np.asarray(np.eye(3) + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * cross + third * cross @ cross)
+    return np.asarray(np.eye(3) + second * cross + third * cross @ cross)
