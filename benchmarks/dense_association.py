@@ -3,9 +3,9 @@
     python benchmarks/dense_association.py --tracks 2000
 
 Tracks stand at random places in a square; every track makes a detection, and a gate holds `neighbours` detections on
-average, so that from some three on nearly all are one cluster. Prints a Markdown table: seconds an
-event of belief propagation alone and of the package's association (the slowest of three events each), and which part
-of the pairs was solved exactly. Ends with 1 if an event takes more than the limit.
+average, so that from some three on nearly all are one cluster. Prints a Markdown table: seconds of belief propagation
+alone and of the package's association (the slowest of three events each), and the largest difference of a marginal
+between the two. Ends with 1 if an event takes more than the limit.
 """
 
 from __future__ import annotations

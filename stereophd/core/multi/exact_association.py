@@ -32,6 +32,8 @@ MOST_WIDTH = 12
 MOST_COST = 30_000.0
 # Larger clusters may cost more in all, but not more a pair: the cost of an event stays proportional to its pairs.
 MOST_COST_A_PAIR = 1_000.0
+# Products of as many larger odds as the frontier is wide leave the range of floating-point numbers.
+MOST_ODDS = 1e20
 # Below this cost it does not pay to try detections as rows in place of tracks.
 CHEAP = 300.0
 
@@ -150,8 +152,9 @@ def _solve(
     unclaimed: Array,
 ) -> tuple[bool, float]:
     """Fill in the marginals of one cluster; whether it was affordable, and the logarithm of its evidence."""
-    single_track, single_detection, total = True, True, 1.0
+    single_track, single_detection, total, largest = True, True, 1.0, 0.0
     for p in cluster:
+        largest = max(largest, odds[p])
         single_track = single_track and tracks[p] == tracks[cluster[0]]
         single_detection = single_detection and detections[p] == detections[cluster[0]]
         total += odds[p]
@@ -173,7 +176,7 @@ def _solve(
         if other.cost < plan.cost:
             table, index, plan, turned = other_table, other_index, other, True
     value = math.nan
-    if plan.cost <= max(MOST_COST, MOST_COST_A_PAIR * len(cluster)):
+    if largest <= MOST_ODDS and plan.cost <= max(MOST_COST, MOST_COST_A_PAIR * len(cluster)):
         share, idle, free, value = eliminate(table, plan)
         for i in range(len(index)):
             pair[cluster[index[i]]] = share[i]
