@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.model import Config
-from stereophd.config.single import SingleConfig
 from stereophd.core.disparity.move_kernels import carry_components
 from stereophd.core.motion.models import Motion
 from stereophd.core.numerics.kernel_cache import is_kept
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.log_checks import KINDS
 from stereophd.io.logs import LogReader
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import SCANS, TRACKS, TableWriter
-from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
+from stereophd.pipeline.build import build_filter, build_labelled_filter, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.tracking.loop import Progress, Record, ReportTimes, run_filter
 from stereophd.pipeline.tracking.records import smoothed_records, write_records
@@ -80,10 +80,10 @@ def track(
     cameras = loaded.build_cameras()
     motion, run = _prepare(config, cameras, loaded.path, threads)
     estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
-    if estimated and isinstance(config.filter, SingleConfig):
+    if estimated and isinstance(config.filter, SingleSettings):
         raise InputError(f"{loaded.path}: detector: expected given where filter.kind is single, found estimate")
     rolling = [camera for camera in cameras if camera.readout_s != 0.0]
-    if rolling and isinstance(config.filter, SingleConfig):
+    if rolling and isinstance(config.filter, SingleSettings):
         where = f"{loaded.path}: cameras.{rolling[0].name}.readout_s"
         raise InputError(f"{where}: expected 0 where filter.kind is single, found {rolling[0].readout_s:g}")
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, config.seed)
@@ -154,8 +154,8 @@ def _prepare(
     config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int
 ) -> tuple[Motion, Callable[[LogReader, ReportTimes, list[int], Progress | None], Iterator[Record]]]:
     """Return the motion model, and what runs the filter or the single-object estimator over a log."""
-    if isinstance(config.filter, SingleConfig):
-        motion, point = build_motion(config.motion), config.filter.point
+    if isinstance(config.filter, SingleSettings):
+        motion, point = config.motion.build(), config.filter.point
         estimator = build_single(config, motion, cameras, path)
         return motion, partial(run_single, estimator, point)
     multi_filter = build_filter(config, cameras, path, threads)
