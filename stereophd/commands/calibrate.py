@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED
 from stereophd.errors import InputError
-from stereophd.io.atomic import OutputFolder
+from stereophd.io.atomic import OutputFolder, output_lock
 from stereophd.io.cameras import write_cameras
 from stereophd.io.logs import LogReader
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
@@ -48,7 +49,9 @@ LOGGER = logging.getLogger("stereophd")
 
 def checkpoint_path(out_dir: Path | str) -> Path:
     """Where the checkpoint of a run into a folder lies: beside the folder."""
-    folder = Path(out_dir)
+    folder = Path(os.path.abspath(out_dir))  # a name of its own, of the current folder too
+    if not folder.name:
+        raise InputError(f"output folder {out_dir}: expected a folder in another, found the root folder")
     return folder.with_name(f"{folder.name}.checkpoint")
 
 
@@ -104,37 +107,38 @@ def calibrate(
     problem = read_problem(loaded, log_path)
     drawn = find_spec("matplotlib") is not None if plots is None else plots
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
-    checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
-    with OutputFolder(out_dir, FILES, force) as out:
-        try:
-            outcome = method(loaded, section, problem, checkpoint, jobs, progress)
-        except InputError:
-            raise
-        except BaseException:
-            # whatever it is called: compiled code may turn the exception of a signal into one of its own
-            if checkpoint.holds_anything:
-                checkpoint.save()
-                LOGGER.warning("stopped: continue with --resume from %s", checkpoint.path)
-            raise
-        report = build_report(section, problem, outcome, loaded.config.units.length)
-        record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
-        _write_posterior(out, problem, outcome, to_metadata(record))
-        if report["status"] != UNDETERMINED:
-            cameras = problem.parameters.build(outcome.values)
-            write_cameras(
-                out.path(CAMERAS_FILE), with_poses(loaded.cameras, cameras), loaded.config.units.length, record
-            )
-            report["tracking"] = _write_tracks(loaded, cameras, log_path, out, to_metadata(record))
-        report["provenance"] = record
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-        out.path("report.json").write_text(text, encoding="utf-8")
-        if drawn and not outcome.reason:
-            _draw(problem, outcome, out, loaded.config.units.length)
-    checkpoint.remove()
+    with output_lock(out_dir):
+        checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
+        with OutputFolder(out_dir, FILES, force) as out:
+            try:
+                outcome = method(loaded, section, problem, checkpoint, jobs, progress)
+            except InputError:
+                raise
+            except BaseException:
+                # whatever it is called: compiled code may turn the exception of a signal into one of its own
+                if checkpoint.holds_anything:
+                    checkpoint.save()
+                    LOGGER.warning("stopped: continue with --resume from %s", checkpoint.path)
+                raise
+            report = build_report(section, problem, outcome, loaded.config.units.length)
+            record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
+            _write_posterior(out, problem, outcome, to_metadata(record))
+            if report["status"] != UNDETERMINED:
+                cameras = problem.parameters.build(outcome.values)
+                write_cameras(
+                    out.path(CAMERAS_FILE), with_poses(loaded.cameras, cameras), loaded.config.units.length, record
+                )
+                report["tracking"] = _write_tracks(loaded, cameras, log_path, out, to_metadata(record))
+            report["provenance"] = record
+            text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+            out.path("report.json").write_text(text, encoding="utf-8")
+            if drawn and not outcome.reason:
+                _draw(problem, outcome, out, loaded.config.units.length)
+        checkpoint.remove()
     if report["status"] != DETERMINED:
         LOGGER.warning("%s: %s: %s", log_path, report["status"], report["reason"])
     return report
