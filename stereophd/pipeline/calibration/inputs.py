@@ -19,13 +19,13 @@ from stereophd.core.calibration.association import Scans
 from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import AnnealedSettings, Task
-from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.errors import InputError
-from stereophd.io.logs import LogReader
 from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.stream import open_stream
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -153,11 +153,10 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     """
     parameters, reference = build_parameters(loaded)
     scale = build_scale(loaded, parameters)
-    config = loaded.config
-    reader = LogReader(log_path, parameters.cameras, config.input.on_bad_row, config.input.image_margin_px)
-    events = [make_event(parameters.cameras[f.camera], f.camera, f.time_s, f.pixels, f.sigma) for f in reader]
+    stream = open_stream(loaded.config, parameters.cameras, log_path)
+    events = list(stream)
     _check_overlap(parameters.cameras, events, {p.camera for p in parameters.parameters}, log_path)
-    return CalibrationProblem(parameters, reference, Scans.of(events), scale, dict(reader.counts))
+    return CalibrationProblem(parameters, reference, Scans.of(events), scale, stream.counts)
 
 
 def _check_overlap(cameras: tuple[Camera, ...], events: list[Event], unknown: set[str], path: Path | str) -> None:
