@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +47,9 @@ LOGGER = logging.getLogger("stereophd")
 
 def checkpoint_path(out_dir: Path | str) -> Path:
     """Where the checkpoint of a run into a folder lies: beside the folder."""
-    folder = Path(out_dir)
+    folder = Path(os.path.abspath(out_dir))  # a name of its own, of the current folder too
+    if not folder.name:
+        raise InputError(f"output folder {out_dir}: expected a folder in another, found the root folder")
     return folder.with_name(f"{folder.name}.checkpoint")
 
 
@@ -102,12 +105,13 @@ def calibrate(
     problem = read_problem(loaded, log_path)
     drawn = whether_to_draw(plots)
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
-    checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
+        # Only here, where no other run can be at work on it.
+        checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
         try:
             outcome = method(loaded, section, problem, checkpoint, jobs, progress)
         except InputError:

@@ -17,8 +17,7 @@ from stereophd.experiments.single_object.series import (
     series_of_errors,
     single_config,
 )
-from stereophd.pipeline.build import build_motion
-from stereophd.pipeline.tracking.single import estimator_settings, initial_prior
+from stereophd.pipeline.tracking.single import estimator_settings
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -79,8 +78,8 @@ def _scenario(loaded: LoadedConfig) -> TrackingProblem:
     return TrackingProblem(
         rig,
         np.array([*settings.position, *settings.velocity]),
-        build_motion(loaded.config.motion),
-        initial_prior(single_config(loaded).prior),
+        loaded.config.motion.build(),
+        single_config(loaded).prior,
         times,
         np.tile(np.arange(count), settings.steps),
     )

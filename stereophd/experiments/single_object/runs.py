@@ -22,7 +22,7 @@ from stereophd.core.bounds.cramer_rao import (
     state_jacobian,
 )
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import Motion, Static
 from stereophd.core.single.base import AnyEstimator
@@ -238,11 +238,11 @@ def _state_prior_information(scenario: TrackingProblem) -> Array:
     to_disparity = state_jacobian(space, scenario.start)
     precision = np.zeros(6)
     precision[2] = prior.disparity_moments(space.packed())[1] ** -2
-    if prior.disparity_velocity_std is not None:
-        precision[3:] = np.array(prior.disparity_velocity_std) ** -2
+    if prior.disparity_velocity_std_px_s is not None:
+        precision[3:] = np.array(prior.disparity_velocity_std_px_s) ** -2
     information = to_disparity.T @ np.diag(precision) @ to_disparity
-    if prior.disparity_velocity_std is None:
-        information[3:, 3:] += np.eye(3) / prior.velocity_std**2
+    if prior.disparity_velocity_std_px_s is None:
+        information[3:, 3:] += np.eye(3) / prior.velocity_spread**2
     return np.asarray(information)
 
 
