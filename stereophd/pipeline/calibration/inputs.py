@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
 from stereophd.config.cameras import CameraConfig
-from stereophd.config.filter import MomentsConfig, PhdConfig, PmbConfig
 from stereophd.config.model import Config
-from stereophd.config.single import SingleConfig
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.quantities.base import Quantity
 from stereophd.core.calibration.quantities.registry import quantities
@@ -23,8 +21,13 @@ from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import AnnealedSettings, Task
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
+from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.numerics.samples import MomentsSettings
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import open_stream
@@ -220,8 +223,8 @@ def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int =
     """Return the PMB filter of a configuration; of a PHD one, that of the same births and survival."""
     config = loaded.config
     settings = _filter_section(loaded)
-    if not isinstance(settings, PmbConfig):
-        settings = PmbConfig(kind="pmb", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    if not isinstance(settings, PmbSettings):
+        settings = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
     built = build_filter(config.model_copy(update={"filter": settings}), cameras, loaded.path, threads)
     assert isinstance(built, PmbFilter)
     return built
@@ -233,11 +236,11 @@ def phd_filter(
     """Return the PHD filter of a configuration, with so many pseudo-random samples (default: the config's)."""
     config: Config = loaded.config
     settings = _filter_section(loaded)
-    if not isinstance(settings, PhdConfig):
-        settings = PhdConfig(kind="phd", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    if not isinstance(settings, PhdSettings):
+        settings = PhdSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
     update: dict[str, object] = {"filter": settings}
     if samples is not None:
-        update["moments"] = MomentsConfig(method="particle", samples=samples)
+        update["moments"] = MomentsSettings(method="particle", samples=samples)
     built = build_filter(config.model_copy(update=update), cameras, loaded.path, threads)
     assert isinstance(built, PhdFilter)
     return built
@@ -263,10 +266,10 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
     )
 
 
-def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:
+def _filter_section(loaded: LoadedConfig) -> FilterSettings:
     if loaded.config.filter is None:
         raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
-    if isinstance(loaded.config.filter, SingleConfig):
+    if isinstance(loaded.config.filter, SingleSettings):
         raise InputError(
             f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
         )

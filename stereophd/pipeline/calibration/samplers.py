@@ -15,18 +15,16 @@ from stereophd.core.calibration.likelihood import Evidence
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.task import Fit
+from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter
 from stereophd.pipeline.calibration.outcome import (
-    SEQUENTIAL_KEY,
-    SMC_KEY,
     Array,
     HistoryRow,
     Outcome,
-    Progress,
-    seed_for,
 )
+from stereophd.pipeline.progress import Progress
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -62,7 +60,7 @@ def sequential_outcome(
         sequential.SequentialSettings(
             settings.particles, settings.resample_below, settings.roughening, walk if walk.any() else None
         ),
-        seed_for(loaded, SEQUENTIAL_KEY),
+        SEQUENTIAL_PARTICLES.seed(loaded.config.seed),
         checkpoint.get("sequential"),
         after,
     )
@@ -136,7 +134,7 @@ def smc_outcome(
         evidence,
         modes,
         tempered.TemperedSettings(settings.particles, settings.resample_below, settings.moves, settings.spread),
-        seed_for(loaded, SMC_KEY),
+        TEMPERED_PARTICLES.seed(loaded.config.seed),
     )
 
     def after(state: Any, steps: Any) -> None:
