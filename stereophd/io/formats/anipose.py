@@ -36,7 +36,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
         stated = document.get("metadata", {}).get("length_unit")
         if recording.length_unit is None:
             is_stated = isinstance(stated, str) and options.length_unit is None
-            recording.length_unit = str(stated) if is_stated else unit(options, recording.assumed, path.name)
+            recording.length_unit = str(stated) if is_stated else unit(options, recording, path.name)
     return recording
 
 

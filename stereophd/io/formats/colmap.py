@@ -73,7 +73,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
         images = list(_binary_images(files[1]) if is_binary else _text_images(files[1]))
     except (ValueError, KeyError, IndexError, struct.error) as error:
         raise InputError(f"{folder}: expected a COLMAP model, found: {error!r}") from error
-    recording.length_unit = unit(options, recording.assumed, str(folder))
+    recording.length_unit = unit(options, recording, str(folder))
     for image in sorted(images, key=lambda item: item.name):
         name = options.name(str(PurePosixPath(image.name).with_suffix("")))
         recording.cameras[name] = _camera(name, intrinsics[image.camera], image, options, str(folder))

@@ -180,7 +180,7 @@ def _add_cameras(
         recording.assumed.append(
             "the world is left-handed (or the rows count from the other side): its z axis is reversed"
         )
-    recording.length_unit = unit(options, recording.assumed, where)
+    recording.length_unit = unit(options, recording, where)
     result = []
     for view, camera in zip(views, cameras, strict=True):
         size = image_size(view.name, _profile_size(found, view.name, views), options, where)

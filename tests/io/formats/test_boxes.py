@@ -44,8 +44,10 @@ def test_sequences_of_motchallenge(tmp_path: Path, imported: Import) -> None:
     assert report["cameras"]["north"]["rate_hz"] == pytest.approx(10)
     _, out = imported("mot", first, box_point="bottom", least_score=0.5)
     assert log_rows(out / "detections.parquet")[2] == (0.2, "north", 3, None, None)
-    with pytest.raises(InputError, match="expected a seqinfo.ini or a rate"):
-        imported("mot", write_sequence(tmp_path / "c", "1,-1,1,1,1,1,1\n") / "det" / "det.txt", tmp_path / "none.txt")
+    bare = tmp_path / "bare.txt"
+    bare.write_text("1,-1,1,1,1,1,1\n")
+    with pytest.raises(InputError, match=r"expected a seqinfo.ini or a rate"):
+        imported("mot", bare)
 
 
 def test_annotations_of_coco(tmp_path: Path, imported: Import) -> None:
