@@ -17,14 +17,14 @@ from typing import Any
 from stereophd.config.cameras import CameraConfig
 from stereophd.core.geometry.pose import rotation_to_vector
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import take_apart, unit
 from stereophd.io.interchange.toml_cameras import read_toml, toml_camera
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read cameras."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     for path in sources:
         document = read_toml(path)
         tables = _camera_tables(document)

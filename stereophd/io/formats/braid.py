@@ -24,7 +24,7 @@ import numpy as np
 
 from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, Format, ImportOptions, Piece, Recording
+from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, put_together
 from stereophd.io.interchange.projection import Decomposed, decompose, is_left_handed
 from stereophd.io.interchange.text_tables import numbers, read_batches
@@ -53,9 +53,9 @@ class _Correction:
         return result
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read recordings and calibrations."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     archives = [path for path in sources if zipfile.is_zipfile(path)]
     corrections: dict[str, _Correction] = {}
     for path in sources:
@@ -85,7 +85,7 @@ def _read_calibration(
     where: str,
     has_points: bool,
     options: ImportOptions,
-    recording: Recording,
+    recording: ForeignRecording,
     corrections: dict[str, _Correction],
 ) -> None:
     import xml.etree.ElementTree as ElementTree
@@ -136,7 +136,7 @@ def _with_lens(
     lens: dict[str, float],
     has_points: bool,
     where: str,
-    recording: Recording,
+    recording: ForeignRecording,
 ) -> tuple[Parts, _Correction | None]:
     """Return a camera whose lens is about the projection's own principal point, or what corrects its detections."""
     matrix = camera.matrix.copy()
@@ -159,7 +159,7 @@ def _with_lens(
 
 
 def _pieces(
-    archives: Sequence[Path], options: ImportOptions, corrections: dict[str, _Correction], recording: Recording
+    archives: Sequence[Path], options: ImportOptions, corrections: dict[str, _Correction], recording: ForeignRecording
 ) -> Iterator[Piece]:
     import io
 
@@ -183,7 +183,7 @@ def _uncommented(content: bytes) -> bytes:
 
 
 def _detections(
-    path: Path, names: dict[int, str], corrections: dict[str, _Correction], recording: Recording
+    path: Path, names: dict[int, str], corrections: dict[str, _Correction], recording: ForeignRecording
 ) -> Iterator[Piece]:
     import pyarrow as pa
 

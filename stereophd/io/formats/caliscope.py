@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, Format, ImportOptions, Piece, Recording
+from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches, split_line
 from stereophd.io.interchange.toml_cameras import read_toml, toml_camera
 
@@ -32,10 +32,10 @@ POINT, U, V, OBJECT = ("keypoint_id", "point_id"), ("img_loc_x",), ("img_loc_y",
 KEYPOINTS_OF_AN_OBJECT = 1000
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read cameras, points with their times, or both."""
     files = [file for source in sources for file in (_files_of(source) if source.is_dir() else [source])]
-    recording = Recording(files=files)
+    recording = ForeignRecording(files=files)
     tables = [path for path in files if path.suffix.lower() == ".csv"]
     for path in files:
         if path not in tables:
@@ -61,7 +61,7 @@ def _files_of(folder: Path) -> list[Path]:
     return kept
 
 
-def _read_cameras(path: Path, options: ImportOptions, recording: Recording) -> None:
+def _read_cameras(path: Path, options: ImportOptions, recording: ForeignRecording) -> None:
     tables = _camera_tables(read_toml(path))
     if not tables:
         raise InputError(f"{path}: expected tables [cameras.N] or [cam_N] with a matrix, found none")

@@ -20,21 +20,21 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Piece, Recording
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.pixels import native_pixels
 
 Annotation = Mapping[str, Any]
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read detections."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     recording.assumed.append(f"the detection is the {options.box_point} of its box")
     recording.pieces = _pieces(sources, options, recording)
     return recording
 
 
-def _pieces(sources: Sequence[Path], options: ImportOptions, recording: Recording) -> Iterator[Piece]:
+def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
     for path in sources:
         try:
             document = json.loads(path.read_text(encoding="utf-8-sig"))
@@ -51,7 +51,7 @@ def _split(
     images: Sequence[Annotation],
     annotations: Sequence[Annotation],
     options: ImportOptions,
-    recording: Recording,
+    recording: ForeignRecording,
 ) -> Iterator[Piece]:
     of_image: dict[Any, list[Annotation]] = {}
     for annotation in annotations:
@@ -72,7 +72,7 @@ def _split(
         yield Piece(camera, native_pixels(pixels, camera, options, recording), table[:, 0], extra=extra)
 
 
-def _frame_numbers(path: Path, images: Sequence[Annotation], recording: Recording) -> list[float]:
+def _frame_numbers(path: Path, images: Sequence[Annotation], recording: ForeignRecording) -> list[float]:
     for key in ("frame_id", "frame_index", "frame_number"):
         if all(key in image for image in images):
             return [float(image[key]) for image in images]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, put_together, take_apart, unit
 
 Floats = NDArray[np.float64]
@@ -56,7 +56,7 @@ class _Image:
     translation: Floats
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read the cameras of a model folder."""
     if len(sources) != 1:
         raise InputError(f"expected one folder of a COLMAP model, found {len(sources)}")
@@ -67,7 +67,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
     for path in files:
         if not path.is_file():
             raise InputError(f"{path}: expected cameras and images of a COLMAP model, found no such file")
-    recording = Recording(files=files)
+    recording = ForeignRecording(files=files)
     try:
         intrinsics = dict(_binary_cameras(files[0]) if is_binary else _text_cameras(files[0]))
         images = list(_binary_images(files[1]) if is_binary else _text_images(files[1]))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, Format, ImportOptions, Piece, Recording, need_extra
+from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece, need_extra
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.points import point_rows
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches
@@ -30,15 +30,15 @@ ADDED = re.compile(r"_?DLC_.*$|_?DLC$")
 Column = tuple[str, str]
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read the body parts of a file for each camera."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     recording.assumed.append("pixel (0, 0) is the centre of the top-left pixel")
     recording.pieces = _pieces(sources, options, recording)
     return recording
 
 
-def _pieces(sources: Sequence[Path], options: ImportOptions, recording: Recording) -> Iterator[Piece]:
+def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
     parts: list[str] = []
     for path in sources:
         is_hdf = path.suffix.lower() in (".h5", ".hdf5")

@@ -23,7 +23,7 @@ import numpy as np
 
 from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, Format, ImportOptions, Piece, Recording
+from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, unit
 from stereophd.io.interchange.pixels import ORIGINS
 from stereophd.io.interchange.points import point_rows
@@ -83,9 +83,9 @@ class _View:
         return result
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read points, cameras, or both."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     found = _classify(sources)
     where = ", ".join(path.name for path in sources)
     views = _views(found, options, recording, where)
@@ -122,7 +122,7 @@ def is_profile(table: Floats) -> bool:
     return table.shape[1] == PROFILE_COLUMNS and bool((table[:, 0] == np.arange(1, len(table) + 1)).all())
 
 
-def _views(found: _Sources, options: ImportOptions, recording: Recording, where: str) -> list[_View]:
+def _views(found: _Sources, options: ImportOptions, recording: ForeignRecording, where: str) -> list[_View]:
     """Return the conventions of each camera; cameras are counted in the coefficients, the profile, or the points."""
     if found.coefficients is not None:
         count = found.coefficients.shape[1]
@@ -165,7 +165,7 @@ def _with_lens(view: _View, stated: Floats) -> _View:
 
 
 def _add_cameras(
-    found: _Sources, views: Sequence[_View], options: ImportOptions, recording: Recording, where: str
+    found: _Sources, views: Sequence[_View], options: ImportOptions, recording: ForeignRecording, where: str
 ) -> list[_View]:
     """Take the coefficients apart into cameras; returns the views with their skews."""
     assert found.coefficients is not None
@@ -199,7 +199,7 @@ def _profile_size(found: _Sources, name: str, views: Sequence[_View]) -> tuple[i
     return int(row[2]), int(row[3])
 
 
-def _without_skew(view: _View, camera: Decomposed, has_points: bool, recording: Recording) -> _View:
+def _without_skew(view: _View, camera: Decomposed, has_points: bool, recording: ForeignRecording) -> _View:
     largest = abs(camera.skew_slope) * view.height / 2
     if largest < NEGLIGIBLE_SKEW_PX:
         return view
@@ -219,7 +219,9 @@ def _some_points(found: _Sources, views: Sequence[_View], projections: Sequence[
     return None
 
 
-def _pieces(found: _Sources, views: Sequence[_View], options: ImportOptions, recording: Recording) -> Iterator[Piece]:
+def _pieces(
+    found: _Sources, views: Sequence[_View], options: ImportOptions, recording: ForeignRecording
+) -> Iterator[Piece]:
     if len(found.points) > 1:
         raise InputError(f"expected one table of points, found {', '.join(map(str, found.points))}")
     path = found.points[0]

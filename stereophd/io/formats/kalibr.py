@@ -17,13 +17,13 @@ import numpy as np
 
 from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart
 
 LENSES = {"radtan": False, "equidistant": True, "none": False}
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read the cameras of a chain."""
     if len(sources) != 1:
         raise InputError(f"expected one camchain, found {len(sources)} files")
@@ -31,7 +31,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
     document = _document(path)
     if document is None:
         raise InputError(f"{path}: expected a camchain: cam0, cam1, ... with camera_model and intrinsics")
-    recording = Recording(files=[path], length_unit=options.length_unit or "m")
+    recording = ForeignRecording(files=[path], length_unit=options.length_unit or "m")
     recording.assumed.append("the world is the first camera of the chain")
     transform = np.eye(4)
     for index, (key, values) in enumerate(document.items()):

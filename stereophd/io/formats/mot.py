@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import ExportOptions, Floats, Format, ImportOptions, Piece, Recording
+from stereophd.io.interchange.base import ExportOptions, Floats, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches, separator_of, split_line
 from stereophd.io.interchange.tracks import on_grid, trajectories
@@ -27,9 +27,9 @@ from stereophd.io.interchange.tracks import on_grid, trajectories
 COLUMNS = ("frame", "id", "left", "top", "width", "height", "score")
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read detections, a file or folder for each camera."""
-    recording = Recording()
+    recording = ForeignRecording()
     files: dict[str, Path] = {}
     for source in sources:
         path = _file_of(source)
@@ -56,7 +56,7 @@ def _file_of(source: Path) -> Path:
     raise InputError(f"{source}: expected det/det.txt or gt/gt.txt in the folder, found neither")
 
 
-def _read_sequence_info(path: Path, camera: str, recording: Recording) -> None:
+def _read_sequence_info(path: Path, camera: str, recording: ForeignRecording) -> None:
     """Take the rate and the number of frames from ``seqinfo.ini``."""
     info = next((p / "seqinfo.ini" for p in (path.parent, path.parent.parent) if (p / "seqinfo.ini").is_file()), None)
     if info is None:
@@ -73,7 +73,7 @@ def _read_sequence_info(path: Path, camera: str, recording: Recording) -> None:
     recording.files.append(info)
 
 
-def _pieces(files: dict[str, Path], options: ImportOptions, recording: Recording) -> Iterator[Piece]:
+def _pieces(files: dict[str, Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
     import pyarrow as pa
 
     for camera, path in files.items():
@@ -91,7 +91,9 @@ def _pieces(files: dict[str, Path], options: ImportOptions, recording: Recording
             yield _piece(camera, row, keep, options, recording)
 
 
-def _piece(camera: str, row: dict[str, Floats], keep: Floats, options: ImportOptions, recording: Recording) -> Piece:
+def _piece(
+    camera: str, row: dict[str, Floats], keep: Floats, options: ImportOptions, recording: ForeignRecording
+) -> Piece:
     # a box covers the pixels left ... left + width - 1, all counted from 1
     u = row["left"] + (row["width"] - 1.0) / 2
     down = row["height"] - 1.0

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Piece, Recording
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, put_together
 
 Floats = NDArray[np.float64]
@@ -78,14 +78,14 @@ class _Orientation:
         return np.stack([scale * xd - np.sin(shear) * yd, np.cos(shear) * yd], axis=1)
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read what a ``ptv.par`` names."""
     if len(sources) != 1:
         raise InputError(f"expected one ptv.par, found {len(sources)} files")
     path = sources[0] / "parameters" / "ptv.par" if sources[0].is_dir() else sources[0]
     control = _read_control(path)
     folder = _folder(path, control)
-    recording = Recording(files=[path], length_unit=options.length_unit or "mm")
+    recording = ForeignRecording(files=[path], length_unit=options.length_unit or "mm")
     recording.assumed.append(f"lengths of the world are in {recording.length_unit}")
     orientations: dict[str, _Orientation] = {}
     for number, stem in enumerate(control.calibrations, start=1):
@@ -134,7 +134,7 @@ def _folder(path: Path, control: _Control) -> Path:
     raise InputError(f"{path}: expected {control.calibrations[0]}.ori in or above its folder, found none")
 
 
-def _read_orientation(ori: Path, addpar: Path, recording: Recording) -> _Orientation:
+def _read_orientation(ori: Path, addpar: Path, recording: ForeignRecording) -> _Orientation:
     try:
         values = np.array(ori.read_text(encoding="utf-8-sig").split(), dtype=np.float64)
         added = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])

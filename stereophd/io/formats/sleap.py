@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Piece, Recording, need_extra
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_extra
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.points import point_rows
 
@@ -27,9 +27,9 @@ WANTED_AXES = ("frame", "track", "node", "xy")
 FRAMES_OF_A_PIECE = 20_000
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read the points of an analysis file for each camera."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     for path in sources:
         if path.suffix.lower() == ".slp":
             raise InputError(
@@ -39,7 +39,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
     return recording
 
 
-def _pieces(sources: Sequence[Path], options: ImportOptions, recording: Recording) -> Iterator[Piece]:
+def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
     try:
         import h5py
     except ImportError as error:
@@ -58,7 +58,7 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: Recordin
             ) from error
 
 
-def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: Recording) -> Iterator[Piece]:
+def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
     tracks = file["tracks"]
     axes = tuple(json.loads(tracks.attrs["dims"])) if "dims" in tracks.attrs else USUAL_AXES
     axes = tuple("xy" if axis == "xy" else axis.rstrip("s") for axis in axes)

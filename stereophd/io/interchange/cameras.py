@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stereophd.config.cameras import UNKNOWN_DETECTOR, CameraConfig
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 
 Floats = NDArray[np.float64]
 
@@ -178,7 +178,7 @@ def image_size(name: str, stated: tuple[int, int] | None, options: ImportOptions
     return size
 
 
-def unit(options: ImportOptions, recording: Recording, of: str) -> str:
+def unit(options: ImportOptions, recording: ForeignRecording, of: str) -> str:
     """Return the unit of length of a source that names none: the user's, else metres, which is noted as assumed."""
     if options.length_unit is not None:
         return options.length_unit
