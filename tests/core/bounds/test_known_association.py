@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.bounds.known_association import Sightings, sight, straight_lines
+from stereophd.core.bounds.known_association import AssociatedDetections, sight, straight_lines
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
@@ -39,7 +39,7 @@ def estimate(prior: BirthPrior, noise: float, seed: int, lens: Lens) -> tuple[np
             for row, point in zip(rows.tolist(), parts[-1][3], strict=True):
                 if first[row] is None:
                     first[row] = DisparitySpace(one), time_s, point
-    sightings = Sightings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    sightings = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
     return straight_lines(sightings, first, prior, TIMES)
 
 

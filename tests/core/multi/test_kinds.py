@@ -48,5 +48,5 @@ class TestEveryKind:
             state, info, estimates = built.step(state, make_event(camera, k % 2, 0.5 * (k // 2), pixels))
             assert np.isfinite(info.log_likelihood)
         assert estimates is not None
-        assert len(estimates.means) == 1
-        np.testing.assert_allclose(estimates.means[0, :3], OBJECT, atol=3.0)
+        assert len(estimates.states) == 1
+        np.testing.assert_allclose(estimates.states[0, :3], OBJECT, atol=3.0)
