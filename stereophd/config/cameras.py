@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from stereophd.config.base import Finite, Model, NonNegative, Positive, Units, Vector3
 from stereophd.core.geometry.camera import Camera, Clock, Detector
-from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.lens import PARAMETERS, Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.errors import InputError
 
 # A rotation matrix typed by hand with six digits passes; a reflection or a scaled matrix does not.
 ROTATION_TOLERANCE = 1e-5
@@ -203,6 +204,45 @@ class CameraConfig(Model):
             clock=Clock(self.clock.offset_s, self.clock.rate),
             readout_s=self.readout_s,
         )
+
+
+def camera_config(camera: Camera) -> CameraConfig:
+    """Return the configuration that builds a camera.
+
+    Raises
+    ------
+    InputError
+        A value lies outside what a configuration allows.
+    """
+    lens = {name: getattr(camera.lens, name) for name in PARAMETERS[camera.lens.model]}
+    pose = camera.pose
+    values = {
+        "image_size_px": [camera.width, camera.height],
+        "intrinsics": {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy},
+        "pose": {
+            "center": pose.center.tolist(),
+            "rotation_matrix": pose.rotation.tolist(),
+            "velocity": pose.velocity.tolist(),
+            "rotation_rate_deg_s": np.degrees(pose.rotation_rate).tolist(),
+            "time_s": pose.time_s,
+        },
+        "detector": {
+            "sigma_px": camera.detector.sigma.tolist(),
+            "p_detect": camera.detector.p_detect,
+            "clutter_per_frame": camera.detector.clutter_per_frame,
+        },
+        "distortion": {"model": camera.lens.model, **lens},
+        "frame_rate_hz": camera.frame_rate_hz,
+        "phase_s": camera.phase_s,
+        "clock": {"offset_s": camera.clock.offset_s, "rate": camera.clock.rate},
+        "readout_s": camera.readout_s,
+    }
+    try:
+        return CameraConfig.model_validate(values)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InputError(f"camera {camera.name}: {where}: {first['msg']}") from None
 
 
 class CamerasFile(Model):
