@@ -22,10 +22,10 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import (
     EXTRA_COLUMNS,
     ExportOptions,
+    ForeignRecording,
     Format,
     ImportOptions,
     Piece,
-    Recording,
 )
 from stereophd.io.interchange.pixels import native_pixels
 
@@ -49,14 +49,14 @@ NULLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "None"]
 AXES = ("x", "y", "z", "vx", "vy", "vz")
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read tables of detections."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     recording.pieces = _pieces(recording, sources, options)
     return recording
 
 
-def _pieces(recording: Recording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
+def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
     for path in sources:
         separator, header = _header(path)
         columns = _find_columns(path, header, options)
@@ -132,7 +132,7 @@ def _batches(path: Path, separator: str, columns: Mapping[str, str]) -> Iterator
 
 
 def _split(
-    path: Path, batch: pa.RecordBatch, columns: Mapping[str, str], options: ImportOptions, recording: Recording
+    path: Path, batch: pa.RecordBatch, columns: Mapping[str, str], options: ImportOptions, recording: ForeignRecording
 ) -> Iterator[Piece]:
     """Yield the rows of a batch camera by camera."""
     values = {

@@ -23,7 +23,7 @@ import numpy as np
 from stereophd.config.cameras import CameraConfig
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart, unit
 from stereophd.io.interchange.opencv_storage import read_document, write_yaml
 
@@ -55,9 +55,9 @@ _TAG = r"(?:cam(?:era)?)?\d+|left|right|l|r"
 _RECTIFICATION = ("Q", "P1", "P2")
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read the cameras of calibration files."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     cameras: dict[str, dict[str, Any]] = {}
     for path in sources:
         for name, values in _cameras_of(path).items():
@@ -83,7 +83,9 @@ def _shared(pair: Mapping[str, Any]) -> dict[str, Any]:
     return {key: pair[key] for key in ("size", "width", "height", "fisheye") if key in pair}
 
 
-def _place_pair(cameras: dict[str, dict[str, Any]], pair: Mapping[str, Any], where: str, recording: Recording) -> None:
+def _place_pair(
+    cameras: dict[str, dict[str, Any]], pair: Mapping[str, Any], where: str, recording: ForeignRecording
+) -> None:
     """Place a stereo pair: the first camera at the origin."""
     if len(cameras) == 1:
         next(iter(cameras.values())).update(pair)
@@ -144,7 +146,7 @@ def _quantity(key: str) -> tuple[str | None, str]:
 
 
 def _camera(
-    name: str, values: Mapping[str, Any], options: ImportOptions, where: str, recording: Recording
+    name: str, values: Mapping[str, Any], options: ImportOptions, where: str, recording: ForeignRecording
 ) -> CameraConfig:
     if "rotation" not in values or "translation" not in values:
         kind = "intrinsics only"
