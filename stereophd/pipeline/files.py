@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from stereophd.config.cameras import camera_config
+from stereophd.config.from_camera import camera_config
 from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
