@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from stereophd.config.camera_files import read_camera_tree
 from stereophd.config.cameras import CameraConfig, CamerasFile
 from stereophd.config.errors import describe, nearest
 from stereophd.config.model import Config
@@ -202,14 +203,14 @@ def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> L
 
 
 def load_cameras(path: Path | str) -> CamerasFile:
-    """Load a ``cameras.yaml`` by itself.
+    """Load a file of cameras by itself: a ``cameras.yaml``, or one of another program that its content shows.
 
     Raises
     ------
     InputError
         As `load_config`.
     """
-    return _validate(CamerasFile, read_yaml(Path(path))[0])
+    return _validate(CamerasFile, read_camera_tree(Path(path)).tree)
 
 
 def json_schema() -> dict[str, Any]:
@@ -255,12 +256,12 @@ def _check_camera_of_reports(config: Config, tree: Tree) -> None:
         raise InputError(f"{where}: expected the name of a camera, found {times.camera}{close}")
 
 
-def _inline_cameras(tree: Tree, path: Path) -> tuple[str, str]:
-    """Put the cameras of a file into the tree; return their unit of length and the file's hash."""
-    cameras, content = read_yaml(path)
-    checked = _validate(CamerasFile, cameras)
-    _apply(tree, ("cameras",), cameras, ("cameras",))
-    return checked.units.length, hashlib.sha256(content).hexdigest()
+def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
+    """Put the cameras of a file into the tree; return their unit of length, if stated, and the file's hash."""
+    read = read_camera_tree(path)
+    checked = _validate(CamerasFile, read.tree)
+    _apply(tree, ("cameras",), read.tree, ("cameras",))
+    return checked.units.length if read.has_unit else None, read.sha256
 
 
 def _parse_override(text: str) -> tuple[KeyPath, Tree]:

@@ -1,10 +1,10 @@
 """OpenCV calibrations: YAML (also with the line ``%YAML:1.0``), XML, JSON as ``FileStorage`` writes them, and NPZ.
 
 Quantities are found by their usual names, in any case: the camera matrix (``K``, ``camera_matrix``, ``mtx``, ``M``),
-lens coefficients (``D``, ``dist``, ``distortion_coefficients``), and the pose by ``rvec`` and ``tvec`` or by ``R`` and
-``T``. A camera is a mapping of its name, a part of the names (``K1``, ``left_K``, ``K_left``), or a file of its own,
-named as the file. Where two cameras are there and one R, T without a name, as ``stereoCalibrate`` returns them, the
-first camera is at the origin and R, T lead from its axes to those of the second.
+lens coefficients (``D``, ``dist``, ``distortion_coefficients``), and the pose by ``rvec`` and ``tvec`` or by ``R``
+and ``T``. A camera is a mapping of its name, a part of the names (``K1``, ``left_K``, ``K_left``), or a file of its
+own, named as the file. Where two cameras are there and one R, T without a name, as ``stereoCalibrate`` returns them,
+the first camera is at the origin and R, T lead from its axes to those of the second.
 
 Conventions: pixels and camera axes are the native ones. ``x_camera = R x_world + T``, so the centre is ``-R^T T``.
 Coefficients: k1, k2, p1, p2, k3, k4, k5, k6; four of a fisheye where ``fisheye_model`` (or a key like it) says so.
@@ -70,7 +70,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     if pair and {"rotation", "translation"} <= pair.keys() and not any("rotation" in c for c in cameras.values()):
         _place_pair(cameras, pair, where, recording)
     stated = pair.get("unit") if options.length_unit is None else None
-    recording.length_unit = str(stated) if stated else unit(options, recording.assumed, where)
+    recording.length_unit = str(stated) if stated else unit(options, recording, where)
     recording.assumed.append("poses lead from the world to the camera: x_camera = R x_world + T")
     for name, values in cameras.items():
         native = options.name(name)

@@ -145,6 +145,8 @@ class ForeignRecording:
         Its cameras, by native name.
     length_unit
         Unit of the camera centres; None without cameras.
+    unit_is_assumed
+        Whether neither the source nor the user states that unit.
     assumed
         Sentences: what the source does not say, and what was taken instead. Complete once `pieces` are consumed.
     warnings
@@ -160,6 +162,7 @@ class ForeignRecording:
     pieces: Iterable[Piece] | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     length_unit: str | None = None
+    unit_is_assumed: bool = False
     assumed: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     labels: dict[int, str] = field(default_factory=dict)
