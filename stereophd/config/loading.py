@@ -139,6 +139,40 @@ def load_config(
     return _loaded(config, source, inputs, tree)
 
 
+def make_config(values: Mapping[str, Any], name: str = "configuration") -> LoadedConfig:
+    """Make a configuration from values in memory, as a file holds them.
+
+    Parameters
+    ----------
+    values
+        Sections and keys, such as ``{"filter": {"kind": "pmb", ...}}``; arrays and tuples count as lists.
+    name
+        What messages call the configuration.
+
+    Raises
+    ------
+    InputError
+        A value is not valid: as `load_config`.
+    """
+    tree = Tree(_as_data(values), {(): Place(name)})
+    _require_mapping(tree)
+    inputs: dict[str, str] = {}
+    if isinstance(tree.data.get("cameras"), str):
+        _, inputs["cameras"] = _inline_cameras(tree, Path(tree.data["cameras"]))
+    config = _validate(Config, tree)
+    _check_camera_of_reports(config, tree)
+    return _loaded(config, Path(name), inputs, tree)
+
+
+def _as_data(value: Any) -> Any:
+    """Return values as a file holds them: mappings, lists and scalars."""
+    if isinstance(value, Mapping):
+        return {str(key): _as_data(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_data(one) for one in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
 def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any]]]) -> LoadedConfig:
     """Return a configuration with some values changed.
 
