@@ -13,7 +13,8 @@ from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.config.single import SingleConfig
 from stereophd.core.disparity.events import make_rig
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.models import MODELS
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.birth import BirthPrior
 from stereophd.core.multi.extract import Hysteresis
@@ -45,11 +46,10 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     if isinstance(settings, SingleConfig):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
     motion = build_motion(config.motion)
-    rows = 3 if isinstance(motion, Static) else 12
     # spawned by purpose: the simulation's random numbers have keys of their own
     seed = np.random.SeedSequence(config.seed, spawn_key=(SAMPLES_KEY,))
     moments = config.moments
-    sets = draw_sample_sets(moments.method, moments.samples, rows, seed, moments.max_nonlinearity)
+    sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     birth = _birth_prior(settings.birth)
     _check_birth_rate(settings, cameras, path)
@@ -115,10 +115,8 @@ def report_times(config: ReportConfig) -> ReportTimes:
 
 def build_motion(config: MotionConfig) -> Motion:
     """Return the motion model of a configuration."""
-    if config.model == "static":
-        return Static()
-    std = np.broadcast_to(np.asarray(config.acceleration_std, dtype=float), 3)
-    return ConstantVelocity(std, config.max_speed)
+    model = MODELS[config.model]
+    return model(**{name: getattr(config, name) for name in model.settings()})
 
 
 def build_region(config: RegionConfig | None) -> NDArray[np.float64] | None:

@@ -2,10 +2,10 @@
 
 Minimised is half of
 
-    sum_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + x^T M x / s^2 + ((scale measured - h) / std)^2,
+    sum_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + m(x) / s^2 + ((scale measured - h) / std)^2,
 
 with the reprojection error e_n of every detection and its precision P_n (undistorted pixels), the priors of the
-camera parameters, the motion model M of the trajectories' knots x (positions and velocities have no prior), and the
+camera parameters, the motion model m(x) of the trajectories' knots x (positions and velocities have no prior), and the
 scale s of the scene (`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
 
     [ A   C ] [dx]   [a]
@@ -26,7 +26,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, c
 from stereophd.core.calibration import kernels
 from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale, predicted
-from stereophd.core.calibration.trajectories import Knots, banded_product, interpolation, motion_bands
+from stereophd.core.calibration.trajectories import Knots, MotionPrior, banded_product, interpolation, motion_prior
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -152,7 +152,8 @@ class Linearisation:
     problem: Problem
     knot: Integers
     weights: Array
-    motion: Array
+    offsets: Array
+    motion: MotionPrior
     focal: Array
     columns: Integers
 
@@ -160,10 +161,10 @@ class Linearisation:
     def of(problem: Problem) -> Linearisation:
         """Prepare a problem."""
         observations, parameters = problem.observations, problem.parameters
-        knot, weights = interpolation(problem.knots, observations.trajectories, observations.times)
+        knot, weights, offsets = interpolation(problem.knots, observations.trajectories, observations.times)
         focal = np.array([[c.fx, c.fy, c.cx, c.cy] for c in parameters.cameras])
         columns = np.stack([parameters.index(c.name, CENTER + ROTATION) for c in parameters.cameras])
-        return Linearisation(problem, knot, weights, motion_bands(problem.knots), focal, columns)
+        return Linearisation(problem, knot, weights, offsets, motion_prior(problem.knots), focal, columns)
 
     def at(self, values: Array, states: Array) -> NormalEquations:
         """Return the normal equations at values (m,) and knots (k, 2, 3)."""
@@ -179,16 +180,19 @@ class Linearisation:
         distances = np.zeros(len(problem.observations))
         observations = problem.observations
         cost = kernels.accumulate(
-            observations.cameras, observations.points, observations.precisions, self.knot, self.weights, states,
+            observations.cameras, observations.points, observations.precisions, self.knot, self.weights,
+            self.offsets, states,
             self.focal, rotations, centers, jacobians, self.columns, problem.loss.kind, problem.loss.scale,
             bands, coupling, matrix, state_vector, value_vector, distances,
         )  # fmt: skip
-        # motion model, in units of the scene's scale
+        # motion model, its noise in units of the scene's scale
         logarithm, gradient = log_scale(parameters, problem.reference, values)
         density = np.exp(-2.0 * logarithm)
-        pull = density * banded_product(self.motion, states.ravel())
-        energy = float(states.ravel() @ pull)
-        bands += density * self.motion
+        x, motion = states.ravel(), self.motion
+        product = density * banded_product(motion.bands, x)
+        pull = product - density * motion.pull
+        energy = float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull))
+        bands += density * motion.bands
         state_vector -= pull
         coupling -= np.outer(pull, gradient)
         matrix += energy * np.outer(gradient, gradient)

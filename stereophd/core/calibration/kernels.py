@@ -23,6 +23,7 @@ def accumulate(
     precisions: Array,
     knots: Integers,
     weights: Array,
+    offsets: Array,
     states: Array,
     focal: Array,
     rotations: Array,
@@ -49,7 +50,7 @@ def accumulate(
         Index of the camera of each detection.
     points, precisions : arrays (n, 2), (n, 2, 2)
         Undistorted pixels and their inverse covariances.
-    knots, weights : arrays (n,), (n, 4)
+    knots, weights, offsets : arrays (n,), (n, 4), (n, 3)
         From `trajectories.interpolation`.
     states : array (k, 2, 3)
         Knots.
@@ -84,6 +85,7 @@ def accumulate(
         for b in range(used):
             for a in range(3):
                 x[a] += weights[n, b] * states[k + b // 2, b % 2, a]
+        x += offsets[n]
         y = np.zeros(3)
         for i in range(3):
             for a in range(3):

@@ -20,7 +20,7 @@ from stereophd.config.single import (
 from stereophd.core.disparity.events import make_event, make_rig
 from stereophd.core.disparity.initial import InitialPrior
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.intensity import Estimates, Info
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleInfo, SingleState
 from stereophd.core.single.build import build_estimator
@@ -75,7 +75,7 @@ def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], pa
     assert isinstance(config.filter, SingleConfig)
     prior = config.filter.prior
     no_velocity = prior.velocity_std is None and prior.disparity_velocity_std_px_s is None
-    if isinstance(motion, ConstantVelocity) and no_velocity:
+    if motion.moves and no_velocity:
         raise InputError(f"{path}: filter.prior: expected velocity_std, found none (motion.model is not static)")
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification)
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(ESTIMATOR_KEY,)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.models import ConstantVelocity, Motion
 from stereophd.core.multi.birth import BirthPrior
 from stereophd.core.multi.phd import PhdFilter, PhdSettings
 from stereophd.core.multi.pmb import PmbFilter, PmbSettings
@@ -41,7 +41,7 @@ def make_template(
 ) -> PhdFilter | PmbFilter:
     """The filter of given cameras."""
     motion = ConstantVelocity([0.05] * 3, 12.0) if motion is None else motion
-    rows = 3 if isinstance(motion, Static) else 12
+    rows = motion.sample_rows
     sets = draw_sample_sets("qmc", samples, rows, np.random.SeedSequence(7))
     rig = make_rig(cameras, 1.0, "horizontal", region)
     birth = BirthPrior(per_frame=0.1, disparity=(7.0, 3.0), depth_range=None, velocity_std=2.0)
