@@ -19,11 +19,12 @@ import time
 import numpy as np
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, ParticleSettings
@@ -31,14 +32,14 @@ from stereophd.experiments.single_object.runs import TrackingScenario, draw_traj
 
 STEPS = 300
 ESTIMATORS: dict[str, EstimatorSettings] = {
-    "disparity space, 64 qmc": DisparitySettings("qmc", 64),
-    "disparity space, 256 qmc": DisparitySettings("qmc", 256),
-    "disparity space, 250 particles": DisparitySettings("particle", 250),
-    "disparity space, adaptive": DisparitySettings("adaptive", 256),
-    "disparity space, linear": DisparitySettings("linear"),
-    "particle filter, 250": ParticleSettings(250),
-    "particle filter, 500": ParticleSettings(500),
-    "particle filter, 1000": ParticleSettings(1000),
+    "disparity space, 64 qmc": DisparitySettings(MomentsSettings(method="qmc", samples=64)),
+    "disparity space, 256 qmc": DisparitySettings(MomentsSettings(method="qmc", samples=256)),
+    "disparity space, 250 particles": DisparitySettings(MomentsSettings(method="particle", samples=250)),
+    "disparity space, adaptive": DisparitySettings(MomentsSettings(method="adaptive", samples=256)),
+    "disparity space, linear": DisparitySettings(MomentsSettings(method="linear")),
+    "particle filter, 250": ParticleSettings(particles=250),
+    "particle filter, 500": ParticleSettings(particles=500),
+    "particle filter, 1000": ParticleSettings(particles=1000),
 }
 OURS, BASELINE = "disparity space, 256 qmc", "particle filter, 250"
 
@@ -78,7 +79,7 @@ def figure_eleven() -> TrackingScenario:
         make_rig(cameras, 1.0, "horizontal"),
         np.array([0.0, 0.0, 100.0, 0.0, 0.0, 6.0]),
         ConstantVelocity([0.05, 0.05, 0.1]),
-        InitialPrior((12.5, 4.2), velocity_std=3.0),
+        InitialPrior(disparity=DisparityPrior(mean_px=12.5, std_px=4.2), velocity_std=3.0),
         np.repeat(0.5 * np.arange(STEPS), 2),
         np.tile([0, 1], STEPS),
     )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.birth import BirthPrior
+from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import fields
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -64,19 +63,16 @@ class Transition(NamedTuple):
 
 
 class Motion(ABC):
-    """A motion model; a frozen dataclass of its settings.
+    """A motion model; a frozen dataclass.
 
     Attributes
     ----------
-    name : str
-        Word of the model in a configuration (``motion.model``).
     state_size : int
         6, or 3 for objects that have no velocity.
     max_speed : float or None
         Physical limit on the speed, length/s, for those who draw samples; `transition` is linear and ignores it.
     """
 
-    name: ClassVar[str]
     state_size: ClassVar[int] = 6
     max_speed: float | None = None
 
@@ -97,11 +93,6 @@ class Motion(ABC):
         F^-1 Q(tau) F^-T. That w is independent of the later state x(t), as a backward prediction takes it, is exact
         for a diffuse prior.
         """
-
-    @classmethod
-    def settings(cls) -> tuple[str, ...]:
-        """Return the names of the model's settings."""
-        return tuple(item.name for item in fields(cls))  # type: ignore[arg-type]
 
     @property
     def moves(self) -> bool:

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stereophd.core.motion.base import Flow, Motion, Noise, NoiseFactor, accelerations, check_speed
+from stereophd.core.motion.settings import PerAxis, acceleration_parameter, speed_parameter
+from stereophd.core.settings import Length, PositiveLength, parameter, settings
 
 Array = NDArray[np.float64]
 
@@ -41,8 +43,6 @@ class ConstantVelocity(Motion):
     ValueError
         If acceleration_std is not finite numbers >= 0, or max_speed is not positive.
     """
-
-    name: ClassVar[str] = "constant_velocity"
 
     acceleration_std: ArrayLike = 0.0
     max_speed: float | None = None
@@ -100,3 +100,19 @@ class ConstantVelocity(Motion):
         weights[:, 2] = 3.0 * s**2 - 2.0 * s**3
         weights[:, 3] = interval * (s**3 - s**2)
         return weights, np.zeros((len(s), 3))
+
+
+@settings
+class ConstantVelocitySettings:
+    """Constant velocity disturbed by white acceleration."""
+
+    model: Literal["constant_velocity"] = parameter("the motion model", default="constant_velocity")
+    acceleration_std: Length | PerAxis = acceleration_parameter()
+    max_speed: PositiveLength | None = speed_parameter()
+
+    def build(self) -> ConstantVelocity:
+        """Return the motion model."""
+        return ConstantVelocity(self.acceleration_std, self.max_speed)
+
+
+SETTINGS = ConstantVelocitySettings

@@ -1,14 +1,9 @@
-"""The motion models by name: `motion.model` in a configuration."""
+"""The motion models that code names directly; a configuration finds all of them by `settings.motion_models`."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from types import MappingProxyType
 
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
 
-__all__ = ["MODELS", "ConstantVelocity", "Motion", "Static"]
-
-MODELS: Mapping[str, type[Motion]] = MappingProxyType({model.name: model for model in (ConstantVelocity, Static)})
+__all__ = ["ConstantVelocity", "Motion", "Static"]

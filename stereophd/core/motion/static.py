@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.motion.base import Flow, Motion, Noise
+from stereophd.core.motion.settings import PerAxis
+from stereophd.core.settings import Length, PositiveLength, parameter, settings
 
 Array = NDArray[np.float64]
 
@@ -21,7 +23,6 @@ class Static(Motion):
     covariances keep their rank.
     """
 
-    name: ClassVar[str] = "static"
     state_size: ClassVar[int] = 3
 
     @property
@@ -37,3 +38,23 @@ class Static(Motion):
         """Return zeros, for intervals (...)."""
         nothing = np.zeros(np.shape(dt))
         return Noise(nothing, nothing, nothing)
+
+
+@settings
+class StaticSettings:
+    """Objects that stand still."""
+
+    model: Literal["static"] = parameter("the motion model", default="static")
+    acceleration_std: Length | PerAxis = parameter(
+        "without effect; accepted so that the model alone can be exchanged", default=0.0, unit="length/s^2"
+    )
+    max_speed: PositiveLength | None = parameter(
+        "without effect; accepted so that the model alone can be exchanged", default=None, unit="length/s"
+    )
+
+    def build(self) -> Static:
+        """Return the motion model."""
+        return Static()
+
+
+SETTINGS = StaticSettings

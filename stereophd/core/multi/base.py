@@ -7,7 +7,7 @@ three in a row that an event takes. The filters differ in their update.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -17,9 +17,10 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.association import kalman_updates
-from stereophd.core.multi.birth import BirthPrior, birth_moments
-from stereophd.core.multi.extract import Hysteresis, select_objects
+from stereophd.core.multi.birth import birth_moments
+from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info, empty_mixture
+from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.samples import SampleSets
 
@@ -51,6 +52,11 @@ class FilterState:
     n_events: int
     next_label: int
     next_track: int
+
+    @property
+    def labels(self) -> Integers:
+        """Labels of the components."""
+        return self.mixture.labels
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,27 @@ class DisparityFilter(ABC):
         state, info = self.update(state, self.predict(state, event), event)
         state, estimates = self.extract(state)
         return state, info, estimates
+
+    def forecast(self, state: FilterState, info: Info, time_s: float) -> tuple[Info, Estimates]:
+        """Predict the objects of a state to a later time at which no camera reported.
+
+        Parameters
+        ----------
+        state, info : FilterState, Info
+            After the last event.
+        time_s : float
+
+        Returns
+        -------
+        Info
+            That of the event, faded, with log-likelihood 0.
+        Estimates
+        """
+        assert state.time_s is not None
+        faded = self.survival_per_s ** max(time_s - state.time_s, 0.0)
+        later = replace(state, mixture=state.mixture.with_weights(state.mixture.weights * faded), time_s=time_s)
+        _, estimates = self.extract(later)
+        return replace(info, log_likelihood=0.0, cardinality_mean=info.cardinality_mean * faded), estimates
 
     def births(self, event: Event, weights: Array, next_label: int) -> GaussianMixture:
         """Return one new component a detection, with these weights and fresh labels."""

@@ -21,12 +21,10 @@ from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.association import Scans
 from stereophd.core.calibration.parameters import RADIANS, ParameterSet, pose_offsets
 from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread
-from stereophd.core.disparity.events import make_event
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
-from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import (
     CalibrationProblem,
@@ -42,6 +40,7 @@ from stereophd.pipeline.calibration.report import status_of
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.simulation import GUESS_KEY, build_scene
+from stereophd.pipeline.stream import EventStream, frames_in_order
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -69,11 +68,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     section = calibration_section(loaded)
     scene, guessed, parameters, reference, true = _setting(loaded, number)
     frame_seed = run_seed(loaded.config.seed, number).spawn(2)[1]
-    events = []
-    for frame in simulate_frames(scene, frame_seed):
-        camera = parameters.cameras[frame.camera]
-        events.append(make_event(camera, frame.camera, camera.clock.to_true(frame.log_time_s), frame.pixels))
-    events.sort(key=lambda event: (event.time_s, event.camera))
+    frames = frames_in_order(parameters.cameras, simulate_frames(scene, frame_seed))
+    events = list(EventStream(parameters.cameras, frames))
     problem = CalibrationProblem(parameters, reference, Scans.of(events), build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
@@ -94,7 +90,7 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
 def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
     """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
     scene, guessed, parameters, reference, true = _setting(loaded, number)
-    motion, scale = build_motion(loaded.config.motion), build_scale(guessed, parameters)
+    motion, scale = loaded.config.motion.build(), build_scale(guessed, parameters)
     objects, cameras, at, positions = scene_positions(scene)
     bounds = []
     for time_s in _times(loaded).tolist():

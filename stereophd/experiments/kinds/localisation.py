@@ -17,7 +17,7 @@ from stereophd.experiments.single_object.series import (
     series_of_errors,
     single_config,
 )
-from stereophd.pipeline.tracking.single import estimator_settings, initial_prior
+from stereophd.pipeline.tracking.single import estimator_settings
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -77,7 +77,7 @@ def _scenario(loaded: LoadedConfig) -> LocalisationScenario:
                 f"found {name}"
             )
     sequence = tuple(names.index(name) for name in settings.sequence) * settings.rounds
-    return LocalisationScenario(rig, np.array(settings.position), initial_prior(single_config(loaded).prior), sequence)
+    return LocalisationScenario(rig, np.array(settings.position), single_config(loaded).prior, sequence)
 
 
 KIND = Kind(run, bounds, check)

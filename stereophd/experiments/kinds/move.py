@@ -23,7 +23,6 @@ from stereophd.experiments.single_object.move_comparison import (
     reference_moments,
 )
 from stereophd.io.provenance import canonical_json
-from stereophd.pipeline.build import build_motion
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -96,7 +95,7 @@ def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
         settings.velocity_std,
         rng,
     )
-    case = MoveCase(home, destination, mean, covariance, settings.interval_s, build_motion(config.motion))
+    case = MoveCase(home, destination, mean, covariance, settings.interval_s, config.motion.build())
     return case, reference_moments(case, rng, settings.reference_samples)
 
 

@@ -6,31 +6,30 @@ without the files between.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereophd.config.experiment import MultiObjectScenario
 from stereophd.core.bounds.known_association import Sightings, noiseless_paths, sight
-from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.alignment import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.simulation.detections import CLUTTER_ID, Scene, SimulatedFrame, simulate_frames, truth_rows
+from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.records import smoothed_records
+from stereophd.pipeline.stream import EventStream, frames_in_order
+from stereophd.pipeline.tracking.run import reported_records
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.core.multi.intensity import Estimates
+    from stereophd.io.logs import Frame
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -53,11 +52,9 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     cameras = loaded.build_cameras()
     object_seed, frame_seed = run_seed(config.seed, number).spawn(2)
     scene = build_scene(config, cameras, object_seed)
-    frames = list(simulate_frames(scene, frame_seed))
-    order = sorted(range(len(frames)), key=lambda i: (_true_time(cameras, frames[i]), frames[i].camera))
-    frames = [frames[i] for i in order]
+    frames = frames_in_order(cameras, simulate_frames(scene, frame_seed))
     truth = _truth(scene)
-    event_times = np.array([_true_time(cameras, frame) for frame in frames])
+    event_times = np.array([frame.time_s for frame in frames])
     last = last_event_of_each_time(event_times)
     aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
     with method_clock():
@@ -76,40 +73,24 @@ def _scenario(loaded: LoadedConfig) -> MultiObjectScenario:
     return scenario
 
 
-def _true_time(cameras: Sequence[Camera], frame: SimulatedFrame) -> float:
-    return cameras[frame.camera].clock.to_true(frame.log_time_s)
-
-
 def _truth(scene: Scene) -> Truth:
     times, identifiers, states = (np.concatenate(part) for part in zip(*truth_rows(scene), strict=True))
     order = np.lexsort((times, identifiers))
     return Truth(times[order], identifiers[order], states[order, :3], states[order, 3:])
 
 
-def _filtered(
-    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[SimulatedFrame], last: np.ndarray
-) -> PointSets:
+def _filtered(loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], last: np.ndarray) -> PointSets:
     """Track with the configuration's filter; return what it reports after the events `last`."""
     config = loaded.config
     multi_filter = build_filter(config, tuple(cameras), loaded.path)
-    records = _records(multi_filter, frames)
-    if config.report.smooth is not None:
-        records = smoothed_records(records, cameras, multi_filter.motion, config.report.smooth.max_gap_s)
+    stream = EventStream(cameras, frames)
+    # scored after every event, whatever the times of reports
+    report = config.report.model_copy(update={"times": "events"})
+    records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     estimates = [record.estimates for record in records]
     if config.report.max_position_std is not None:
         estimates = [one.certain(config.report.max_position_std) for one in estimates]
     return _points([estimates[event] for event in last.tolist()])
-
-
-def _records(multi_filter: DisparityFilter, frames: Sequence[SimulatedFrame]) -> Iterator[Record]:
-    state = multi_filter.init()
-    for frame in frames:
-        camera = multi_filter.rig.cameras[frame.camera]
-        time_s = camera.clock.to_true(frame.log_time_s)
-        event = make_event(camera.at(time_s), frame.camera, time_s, frame.pixels)
-        first_label = state.next_label
-        state, info, estimates = multi_filter.step(state, event)
-        yield Record(time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates, event=event)
 
 
 def _points(estimates: Sequence[Estimates]) -> PointSets:
@@ -123,7 +104,7 @@ def _points(estimates: Sequence[Estimates]) -> PointSets:
 def _known(
     loaded: LoadedConfig,
     cameras: Sequence[Camera],
-    frames: Sequence[SimulatedFrame],
+    frames: Sequence[Frame],
     times_s: Array,
     truth: PointSets,
     motion: Motion,
@@ -135,8 +116,8 @@ def _known(
     parts = []
     first: list[tuple[DisparitySpace, float, Array] | None] = [None] * len(labels)
     for frame in frames:
-        camera = cameras[frame.camera]
-        time_s = camera.clock.to_true(frame.log_time_s)
+        camera, time_s = cameras[frame.camera], frame.time_s
+        assert frame.object_id is not None
         true = (frame.object_id != CLUTTER_ID) & np.isin(frame.object_id, labels)
         parts.append(sight(camera, time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
         for row, point in zip(parts[-1][0].tolist(), parts[-1][3], strict=True):

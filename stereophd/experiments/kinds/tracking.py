@@ -16,8 +16,7 @@ from stereophd.experiments.single_object.series import (
     series_of_errors,
     single_config,
 )
-from stereophd.pipeline.build import build_motion
-from stereophd.pipeline.tracking.single import estimator_settings, initial_prior
+from stereophd.pipeline.tracking.single import estimator_settings
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -29,7 +28,7 @@ BOUND_KEY = 2**31 + 1
 def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless there is an estimator and a prior of its velocity."""
     prior = single_config(loaded).prior
-    if not build_motion(loaded.config.motion).moves:
+    if not loaded.config.motion.build().moves:
         raise InputError(f"{loaded.path}: motion.model: expected the motion of a moving object, found static")
     if prior.velocity_std is None and prior.disparity_velocity_std_px_s is None:
         raise InputError(
@@ -81,8 +80,8 @@ def _scenario(loaded: LoadedConfig) -> TrackingScenario:
     return TrackingScenario(
         rig,
         np.array([*settings.position, *settings.velocity]),
-        build_motion(loaded.config.motion),
-        initial_prior(single_config(loaded).prior),
+        loaded.config.motion.build(),
+        single_config(loaded).prior,
         times,
         np.tile(np.arange(count), settings.steps),
     )

@@ -21,8 +21,8 @@ from stereophd.core.bounds.cramer_rao import (
     prior_information,
     state_jacobian,
 )
-from stereophd.core.disparity.events import Event, Rig, make_event
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.arrays import walk
 from stereophd.core.motion.base import Motion
@@ -30,6 +30,8 @@ from stereophd.core.motion.models import Static
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings
+from stereophd.io.logs import Frame
+from stereophd.pipeline.stream import EventStream
 
 Array = NDArray[np.float64]
 
@@ -87,13 +89,14 @@ def localisation_run(
     ValueError
         If the object is not in view of a camera that should observe it.
     """
-    events = []
-    for camera in scenario.sequence:
-        event = _detection(scenario.rig, camera, 0.0, scenario.position, 1.0, rng)
-        if len(event.points) == 0:
+    frames = []
+    for number, camera in enumerate(scenario.sequence):
+        frame = _draw_frame(scenario.rig, camera, number, 0.0, scenario.position, 1.0, rng)
+        if len(frame.pixels) == 0:
             name = scenario.rig.cameras[camera].name
             raise ValueError(f"expected the object in view of {name}, found it out of view at {scenario.position}")
-        events.append(event)
+        frames.append(frame)
+    events = list(EventStream(scenario.rig.cameras, frames))
     estimator = build_estimator(settings, scenario.rig, Static(), scenario.prior, rng)
     with clock or nullcontext():
         maps, means, covariances = _run(estimator, events, range(len(events)))
@@ -174,10 +177,12 @@ def tracking_run(
     The estimator, and not the drawing, works within `clock`.
     """
     states = draw_trajectory(scenario, rng)
-    events = []
-    for time_s, camera, state in zip(scenario.times.tolist(), scenario.cameras.tolist(), states, strict=True):
+    frames = []
+    looks = zip(scenario.times.tolist(), scenario.cameras.tolist(), states, strict=True)
+    for number, (time_s, camera, state) in enumerate(looks):
         p_detect = scenario.rig.cameras[camera].detector.p_detect
-        events.append(_detection(scenario.rig, camera, time_s, state[:3], p_detect, rng))
+        frames.append(_draw_frame(scenario.rig, camera, number, time_s, state[:3], p_detect, rng))
+    events = list(EventStream(scenario.rig.cameras, frames))
     estimator = build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, rng)
     last = last_events(scenario.times)
     with clock or nullcontext():
@@ -235,11 +240,11 @@ def _state_prior_information(scenario: TrackingScenario) -> Array:
     to_disparity = state_jacobian(space, scenario.start)
     precision = np.zeros(6)
     precision[2] = prior.disparity_moments(space.packed())[1] ** -2
-    if prior.disparity_velocity_std is not None:
-        precision[3:] = np.array(prior.disparity_velocity_std) ** -2
+    if prior.disparity_velocity_std_px_s is not None:
+        precision[3:] = np.array(prior.disparity_velocity_std_px_s) ** -2
     information = to_disparity.T @ np.diag(precision) @ to_disparity
-    if prior.disparity_velocity_std is None:
-        information[3:, 3:] += np.eye(3) / prior.velocity_std**2
+    if prior.disparity_velocity_std_px_s is None:
+        information[3:, 3:] += np.eye(3) / prior.velocity_spread**2
     return np.asarray(information)
 
 
@@ -256,13 +261,15 @@ def last_events(times: Array) -> NDArray[np.intp]:
     return np.flatnonzero(np.append(np.diff(times) > 0.0, True))
 
 
-def _detection(rig: Rig, index: int, time_s: float, point: Array, p_detect: float, rng: np.random.Generator) -> Event:
-    """Event of one camera that sees a point (3,) of the world, if it is in view and detected."""
+def _draw_frame(
+    rig: Rig, index: int, number: int, time_s: float, point: Array, p_detect: float, rng: np.random.Generator
+) -> Frame:
+    """Draw the frame of one camera that sees a point (3,) of the world, if it is in view and detected."""
     camera = rig.cameras[index].at(time_s)
     noise, uniform = rng.standard_normal(2), rng.random()
     pixel = camera.project(point[None])
     seen = camera.contains(pixel) & (uniform < p_detect)
-    return make_event(camera, index, time_s, (pixel + camera.detector.sigma * noise)[seen])
+    return Frame(time_s, index, number, (pixel + camera.detector.sigma * noise)[seen])
 
 
 def _run(estimator: AnyEstimator, events: list[Event], report: Iterable[int]) -> tuple[Array, Array, Array]:

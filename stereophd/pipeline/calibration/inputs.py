@@ -12,20 +12,23 @@ import numpy as np
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, per_axis
 from stereophd.config.cameras import CameraConfig, PoseConfig
-from stereophd.config.filter import MomentsConfig, PhdConfig, PmbConfig
 from stereophd.config.model import Config
-from stereophd.config.single import SingleConfig
 from stereophd.core.calibration.association import Scans
 from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import AnnealedSettings, Task
-from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
+from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.numerics.samples import MomentsSettings
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.io.logs import LogReader
 from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.stream import open_stream
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -153,11 +156,10 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     """
     parameters, reference = build_parameters(loaded)
     scale = build_scale(loaded, parameters)
-    config = loaded.config
-    reader = LogReader(log_path, parameters.cameras, config.input.on_bad_row, config.input.image_margin_px)
-    events = [make_event(parameters.cameras[f.camera], f.camera, f.time_s, f.pixels, f.sigma) for f in reader]
+    stream = open_stream(loaded.config, parameters.cameras, log_path)
+    events = list(stream)
     _check_overlap(parameters.cameras, events, {p.camera for p in parameters.parameters}, log_path)
-    return CalibrationProblem(parameters, reference, Scans.of(events), scale, dict(reader.counts))
+    return CalibrationProblem(parameters, reference, Scans.of(events), scale, stream.counts)
 
 
 def _check_overlap(cameras: tuple[Camera, ...], events: list[Event], unknown: set[str], path: Path | str) -> None:
@@ -198,8 +200,8 @@ def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int =
     """Return the PMB filter of a configuration; of a PHD one, that of the same births and survival."""
     config = loaded.config
     settings = _filter_section(loaded)
-    if not isinstance(settings, PmbConfig):
-        settings = PmbConfig(kind="pmb", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    if not isinstance(settings, PmbSettings):
+        settings = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
     built = build_filter(config.model_copy(update={"filter": settings}), cameras, loaded.path, threads)
     assert isinstance(built, PmbFilter)
     return built
@@ -211,11 +213,11 @@ def phd_filter(
     """Return the PHD filter of a configuration, with so many pseudo-random samples (default: the config's)."""
     config: Config = loaded.config
     settings = _filter_section(loaded)
-    if not isinstance(settings, PhdConfig):
-        settings = PhdConfig(kind="phd", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    if not isinstance(settings, PhdSettings):
+        settings = PhdSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
     update: dict[str, object] = {"filter": settings}
     if samples is not None:
-        update["moments"] = MomentsConfig(method="particle", samples=samples)
+        update["moments"] = MomentsSettings(method="particle", samples=samples)
     built = build_filter(config.model_copy(update=update), cameras, loaded.path, threads)
     assert isinstance(built, PhdFilter)
     return built
@@ -241,10 +243,10 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
     )
 
 
-def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:
+def _filter_section(loaded: LoadedConfig) -> FilterSettings:
     if loaded.config.filter is None:
         raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
-    if isinstance(loaded.config.filter, SingleConfig):
+    if isinstance(loaded.config.filter, SingleSettings):
         raise InputError(
             f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
         )
