@@ -16,6 +16,7 @@ from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.numerics.random_streams import FILTER_SAMPLES
 from stereophd.core.numerics.samples import draw_sample_sets
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
@@ -23,10 +24,6 @@ from stereophd.pipeline.tracking.loop import ReportTimes
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
-
-
-# Key of the filter's sample sets among the purposes of a seed (simulated runs count from 0).
-SAMPLES_KEY = 2**31
 
 
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
@@ -43,8 +40,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
     motion = config.motion.build()
-    # spawned by purpose: the simulation's random numbers have keys of their own
-    seed = np.random.SeedSequence(config.seed, spawn_key=(SAMPLES_KEY,))
+    seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
     sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))

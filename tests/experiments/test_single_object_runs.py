@@ -16,7 +16,7 @@ from stereophd.core.bounds.cramer_rao import mean_error_norm, root_mean_square
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, InverseDepthSettings, ParticleSettings
 from stereophd.experiments.single_object.runs import (
-    LocalisationScenario,
+    LocalisationProblem,
     draw_trajectory,
     last_events,
     localisation_bound,
@@ -27,7 +27,7 @@ from stereophd.experiments.single_object.runs import (
 from tests.core.single import scenes
 
 
-def mean_norm(scenario: LocalisationScenario, settings: EstimatorSettings, runs: int) -> np.ndarray:
+def mean_norm(scenario: LocalisationProblem, settings: EstimatorSettings, runs: int) -> np.ndarray:
     """Mean length of the error of the mode after each observation."""
     errors = [localisation_run(scenario, settings, np.random.default_rng((9, k))).map_errors for k in range(runs)]
     return np.asarray(np.linalg.norm(errors, axis=2).mean(axis=0))

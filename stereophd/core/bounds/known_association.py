@@ -32,7 +32,7 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e12
 
 
 @dataclass(frozen=True)
-class Sightings:
+class AssociatedDetections:
     """Detections of objects, in order of time.
 
     Attributes
@@ -54,10 +54,10 @@ class Sightings:
     points: Array
     whitening: Array
 
-    def until(self, time_s: float) -> Sightings:
+    def until(self, time_s: float) -> AssociatedDetections:
         """Return the detections up to a time."""
         end = int(np.searchsorted(self.time_s, time_s, side="right"))
-        return Sightings(
+        return AssociatedDetections(
             self.row[:end], self.time_s[:end], self.projection[:end], self.points[:end], self.whitening[:end]
         )
 
@@ -77,7 +77,7 @@ class _Paths:
 def sight(
     camera: Camera, time_s: float, pixels: Array, rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
-    """Return the fields of `Sightings` for the detections (m, 2) of one frame, distorted pixels."""
+    """Return the fields of `AssociatedDetections` for the detections (m, 2) of one frame, distorted pixels."""
     frozen = camera.at(time_s)
     count = len(pixels)
     covariances = np.broadcast_to(np.diag(np.asarray(camera.detector.sigma) ** 2), (count, 2, 2))
@@ -91,7 +91,7 @@ def sight(
 
 
 def noiseless_paths(
-    sightings: Sightings,
+    detections: AssociatedDetections,
     first: Sequence[tuple[DisparitySpace, float, Array] | None],
     prior: BirthPrior,
     times_s: Array,
@@ -101,7 +101,7 @@ def noiseless_paths(
 
     Parameters
     ----------
-    sightings : Sightings
+    detections : AssociatedDetections
         Of n objects.
     first : sequence of n tuples
         Of each object's first detection: the disparity space, the time, and the undistorted pixel (2,);
@@ -127,7 +127,7 @@ def noiseless_paths(
     covariances = np.full((len(times_s), count, 6, 6), np.nan)
     seen = paths.start_s[None, :] <= times_s[:, None]
     for k, time_s in enumerate(times_s):
-        data = sightings.until(float(time_s))
+        data = detections.until(float(time_s))
         here = seen[k]
         if not here.any():
             continue
@@ -172,7 +172,7 @@ def _world(paths: _Paths, parameters: Array) -> tuple[Array, Array]:
     return world, jacobian
 
 
-def _fit(paths: _Paths, data: Sightings, parameters: Array) -> tuple[Array, Array]:
+def _fit(paths: _Paths, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array]:
     """Minimise the cost of every object; return the parameters (n, 6) and the information (n, 6, 6) there."""
     damping = np.full(len(parameters), FIRST_DAMPING)
     cost, gradient, information = _normal_equations(paths, data, parameters)
@@ -194,7 +194,7 @@ def _fit(paths: _Paths, data: Sightings, parameters: Array) -> tuple[Array, Arra
     return parameters, information
 
 
-def _normal_equations(paths: _Paths, data: Sightings, parameters: Array) -> tuple[Array, Array, Array]:
+def _normal_equations(paths: _Paths, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array, Array]:
     """Cost (n,), descent direction (n, 6) and information (n, 6, 6) at these parameters."""
     count = len(parameters)
     world, to_world = _world(paths, parameters)

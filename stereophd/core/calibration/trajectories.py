@@ -95,18 +95,11 @@ def knot_spacing(motion: Motion, noise: float) -> float:
     return motion.knot_spacing(DEVIATION * noise)
 
 
-def interpolation(knots: Knots, trajectories: Integers, times: Array) -> tuple[Integers, Array, Array]:
-    """Weights of the knots in the positions at given times, and offsets.
+class Interpolation(NamedTuple):
+    """Positions or velocities as functions of the knots.
 
-    Parameters
+    Attributes
     ----------
-    knots : Knots
-    trajectories : array (n,) of int
-    times : array (n,)
-        Outside its knots a trajectory goes on without noise.
-
-    Returns
-    -------
     knot : array (n,) of int
         The knot before each time.
     weights : array (n, 4)
@@ -114,9 +107,39 @@ def interpolation(knots: Knots, trajectories: Integers, times: Array) -> tuple[I
     offsets : array (n, 3)
         What the drift of the motion adds.
     """
-    motion = knots.motion
+
+    knot: Integers
+    weights: Array
+    offsets: Array
+
+
+def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:
+    """Return the interpolation of the positions at given times.
+
+    Parameters
+    ----------
+    knots : Knots
+    trajectories : array (n,) of int
+    times : array (n,)
+        Outside its knots a trajectory goes on without noise.
+    """
+    return _interpolated(knots, trajectories, times, velocities=False)
+
+
+def _interpolated(knots: Knots, trajectories: Integers, times: Array, velocities: bool) -> Interpolation:
+    motion, part = knots.motion, slice(3, 6) if velocities else slice(0, 3)
+    between = motion.velocity_between if velocities else motion.between
     knot = np.empty(len(times), dtype=np.int64)
     weights, offsets = np.zeros((len(times), 4)), np.zeros((len(times), 3))
+
+    def alone(rows: Integers, first: int, since: Array) -> None:
+        """From one knot on, whose position is the weight `first`."""
+        flow = motion.flow(since)
+        weights[rows] = 0.0
+        weights[rows, first] = 0.0 if velocities else 1.0
+        weights[rows, first + 1] = flow.keep * motion.moves if velocities else flow.reach
+        offsets[rows] = flow.drift[:, part]
+
     for j in np.unique(trajectories):
         low, high = int(knots.first[j]), int(knots.first[j + 1])
         rows = np.flatnonzero(trajectories == j)
@@ -124,25 +147,27 @@ def interpolation(knots: Knots, trajectories: Integers, times: Array) -> tuple[I
         t = times[rows]
         if high - low == 1:
             knot[rows] = low
-            flow = motion.flow(t - at[0])
-            weights[rows, 0], weights[rows, 1], offsets[rows] = 1.0, flow.reach, flow.drift[:, :3]
+            alone(rows, 0, t - at[0])
             continue
         left = np.clip(np.searchsorted(at, t, side="right") - 1, 0, high - low - 2)
         knot[rows] = low + left
         step = at[left + 1] - at[left]
         elapsed = t - at[left]
-        weights[rows], offsets[rows] = motion.between(elapsed, step)
+        weights[rows], offsets[rows] = between(elapsed, step)
         s = elapsed / step
-        for outside, first, since in ((s < 0.0, 0, s * step), (s > 1.0, 2, (s - 1.0) * step)):
-            flow = motion.flow(since[outside])
-            alone = np.zeros((int(outside.sum()), 4))
-            alone[:, first], alone[:, first + 1] = 1.0, flow.reach
-            weights[rows[outside]], offsets[rows[outside]] = alone, flow.drift[:, :3]
-    return knot, weights, offsets
+        before, after = s < 0.0, s > 1.0
+        alone(rows[before], 0, (s * step)[before])
+        alone(rows[after], 2, ((s - 1.0) * step)[after])
+    return Interpolation(knot, weights, offsets)
+
+
+def slopes(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:
+    """Return the interpolation of the velocities at given times."""
+    return _interpolated(knots, trajectories, times, velocities=True)
 
 
 def positions(states: Array, knot: Integers, weights: Array, offsets: Array) -> Array:
-    """Positions (n, 3) from the states of all knots (k, 2, 3) and what `interpolation` returns."""
+    """Positions or velocities (n, 3) from the states of all knots (k, 2, 3) and the fields of an `Interpolation`."""
     following = np.minimum(knot + 1, len(states) - 1)
     return np.asarray(
         weights[:, 0, None] * states[knot, 0]

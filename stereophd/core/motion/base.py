@@ -155,24 +155,40 @@ class Motion(ABC):
     def between(self, elapsed: Array, interval: Array) -> tuple[Array, Array]:
         """Return the mean position between two states, given both: weights (n, 4) and offsets (n, 3).
 
-        The weights are those of position and velocity before and after. With Q(t) the noise after t and F that of the
-        rest of the interval D, the gain on what the state after is off its prediction is ``Q(t) F^T Q(D)^-1`` (the
-        bridge of a Gauss-Markov process: T. D. Barfoot, C. H. Tong and S. Sarkka, RSS 2014).
+        The weights are those of position and velocity before and after.
 
         Parameters
         ----------
         elapsed, interval : arrays (n,)
             Time after the first state, and between the two, s.
         """
-        first, rest, whole = self.flow(elapsed), self.flow(interval - elapsed), self.flow(interval)
         position, cross, _ = self.noise(elapsed)
-        row = np.stack([position + cross * rest.reach, cross * rest.keep], axis=1)
-        gain = np.einsum("ni,nij->nj", row, self.precision(interval))
+        first = self.flow(elapsed)
+        return self._bridge(elapsed, interval, (position, cross), (1.0, first.reach), first.drift[:, :3])
+
+    def velocity_between(self, elapsed: Array, interval: Array) -> tuple[Array, Array]:
+        """Return the mean velocity between two states, given both; as `between`."""
+        _, cross, velocity = self.noise(elapsed)
+        first = self.flow(elapsed)
+        return self._bridge(elapsed, interval, (cross, velocity), (0.0, first.keep), first.drift[:, 3:])
+
+    def _bridge(
+        self, elapsed: Array, interval: Array, noise: tuple[Array, Array], row: tuple[float, Array], drift: Array
+    ) -> tuple[Array, Array]:
+        """Mean of one row of the state between two states, given both.
+
+        With Q(t) the noise after t and F the transition of the rest of the interval D, the gain on what the state
+        after is off its prediction is ``Q(t) F^T Q(D)^-1`` (the bridge of a Gauss-Markov process: T. D. Barfoot,
+        C. H. Tong and S. Sarkka, RSS 2014). `noise`, `row` and `drift` are the row of Q(t), of the transition over t
+        and of its drift (n, 3).
+        """
+        rest, whole = self.flow(interval - elapsed), self.flow(interval)
+        carried = np.stack([noise[0] + noise[1] * rest.reach, noise[1] * rest.keep], axis=1)
+        gain = np.einsum("ni,nij->nj", carried, self.precision(interval))
         weights = np.stack(
-            [1.0 - gain[:, 0], first.reach - gain[:, 0] * whole.reach - gain[:, 1] * whole.keep, *gain.T], axis=1
+            [row[0] - gain[:, 0], row[1] - gain[:, 0] * whole.reach - gain[:, 1] * whole.keep, *gain.T], axis=1
         )
-        drift = whole.drift.reshape(-1, 2, 3)
-        return weights, first.drift[:, :3] - np.einsum("ni,nia->na", gain, drift)
+        return weights, drift - np.einsum("ni,nia->na", gain, whole.drift.reshape(-1, 2, 3))
 
     def knot_spacing(self, deviation: float) -> float:
         """Return how far apart (s) states may be so that the position between strays by a standard deviation (length).

@@ -101,6 +101,13 @@ class ConstantVelocity(Motion):
         weights[:, 3] = interval * (s**3 - s**2)
         return weights, np.zeros((len(s), 3))
 
+    def velocity_between(self, elapsed: Array, interval: Array) -> tuple[Array, Array]:
+        """Return the weights (n, 4) of the derivative of the cubic of `between`; offsets (n, 3) of zero."""
+        s = elapsed / interval
+        bend = 6.0 * (s - s**2) / interval
+        weights = np.column_stack([-bend, 1.0 - 4.0 * s + 3.0 * s**2, bend, 3.0 * s**2 - 2.0 * s])
+        return weights, np.zeros((len(s), 3))
+
 
 @settings
 class ConstantVelocitySettings:

@@ -13,8 +13,9 @@ import numpy as np
 from stereophd.config.experiment import MoveScenario
 from stereophd.config.model import Config
 from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, run_seed
+from stereophd.experiments.engine.base import Kind, Series
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
     MoveMoments,
@@ -26,9 +27,6 @@ from stereophd.io.provenance import canonical_json
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
-
-# Key of the reference's samples among the purposes of a seed (runs count from 0).
-REFERENCE_KEY = 2**31 + 2
 
 AXES = ("u", "v", "d")
 
@@ -51,7 +49,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the divergence of the reference from the Gaussian of the method, and that Gaussian's moments."""
     case, reference = _case(loaded)
     moments = loaded.config.moments
-    rng = np.random.default_rng(run_seed(loaded.config.seed, number))
+    rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
     found = compare_move(case, moments.method, moments.samples, reference, rng)
     return [Series("divergence", "nat", np.array([found.divergence])), *_moments(found)]
 
@@ -86,7 +84,7 @@ def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
         DisparitySpace(cameras[name], config.disparity.baseline, config.disparity.rectification)
         for name in (settings.home, settings.destination)
     )
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(REFERENCE_KEY,)))
+    rng = np.random.default_rng(MOVE_REFERENCE.seed(config.seed))
     mean, covariance = gaussian_of_object(
         home,
         np.array(settings.point_px),

@@ -15,6 +15,7 @@ from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.intensity import Estimates, Info
+from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings, SingleSettings
@@ -24,9 +25,6 @@ from stereophd.pipeline.stream import EventStream
 # The object's identity in ``tracks.parquet``.
 TRACK = np.zeros(1, dtype=np.int64)
 NOTHING = Estimates(TRACK[:0], np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0), TRACK[:0])
-
-# Key of the estimator's random numbers among the purposes of a seed (`stereophd.commands.track.SAMPLES_KEY` is 2^31).
-ESTIMATOR_KEY = 2**31 + 1
 
 
 def estimator_settings(config: Config) -> EstimatorSettings:
@@ -50,7 +48,7 @@ def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], pa
     if motion.moves and no_velocity:
         raise InputError(f"{path}: filter.prior: expected velocity_std, found none (motion.model is not static)")
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification)
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(ESTIMATOR_KEY,)))
+    rng = np.random.default_rng(SINGLE_ESTIMATOR.seed(config.seed))
     try:
         return build_estimator(estimator_settings(config), rig, motion, prior, rng)
     except ValueError as error:

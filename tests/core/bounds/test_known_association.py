@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.bounds.known_association import Sightings, noiseless_paths, sight
+from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
@@ -40,7 +40,7 @@ def estimate(prior: BirthPrior, noise: float, seed: int, lens: Lens) -> tuple[np
             for row, point in zip(rows.tolist(), parts[-1][3], strict=True):
                 if first[row] is None:
                     first[row] = DisparitySpace(one), time_s, point
-    sightings = Sightings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    sightings = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
     return noiseless_paths(sightings, first, prior, TIMES, ConstantVelocity())
 
 

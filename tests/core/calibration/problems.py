@@ -7,7 +7,9 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.quantities.center import CENTER
+from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
@@ -30,7 +32,7 @@ def make_parameters(angle: float = 0.26) -> ParameterSet:
     left = replace(make_camera((0.0, -angle, 0.0), (-20.0, 0.0, 0.0)), name="left")
     right = replace(make_camera((0.0, angle, 0.0), (20.0, 0.0, 0.0)), name="right")
     names = CENTER + ROTATION
-    parameters = [Parameter(n, "right", QUANTITIES[n], 0.0, s) for n, s in zip(names, PRIOR_STD, strict=True)]
+    parameters = [Parameter(n, "right", 0.0, s) for n, s in zip(names, PRIOR_STD, strict=True)]
     return ParameterSet((left, right), tuple(parameters))
 
 

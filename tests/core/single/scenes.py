@@ -12,7 +12,7 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.models import ConstantVelocity
-from stereophd.experiments.single_object.runs import LocalisationScenario, TrackingScenario
+from stereophd.experiments.single_object.runs import LocalisationProblem, TrackingProblem
 
 SIGMA = math.sqrt(2.0)
 
@@ -29,9 +29,9 @@ def rig(*cameras: Camera) -> Rig:
     return make_rig(cameras, 1.0, "horizontal")
 
 
-def table_two(depth: float, mean: float, variance: float) -> LocalisationScenario:
+def table_two(depth: float, mean: float, variance: float) -> LocalisationProblem:
     cameras = rig(camera("left", 0.0, 0.0), camera("right", 30.0, math.pi / 12))
-    return LocalisationScenario(
+    return LocalisationProblem(
         cameras,
         np.array([0.0, 0.0, depth]),
         InitialPrior(disparity=DisparityPrior(mean_px=mean, std_px=math.sqrt(variance))),
@@ -39,17 +39,17 @@ def table_two(depth: float, mean: float, variance: float) -> LocalisationScenari
     )
 
 
-def figure_ten(steps: int = 20) -> LocalisationScenario:
+def figure_ten(steps: int = 20) -> LocalisationProblem:
     cameras = rig(camera("left", 0.0, 0.0), camera("right", 80.0, math.pi / 4))
     sequence = tuple(step % 2 for step in range(steps))
-    return LocalisationScenario(
+    return LocalisationProblem(
         cameras, np.array([0.0, 0.0, 150.0]), InitialPrior(disparity=DisparityPrior(mean_px=12.5, std_px=4.2)), sequence
     )
 
 
-def figure_eleven(steps: int = 300) -> TrackingScenario:
+def figure_eleven(steps: int = 300) -> TrackingProblem:
     cameras = rig(camera("left", -20.0, -math.pi / 12), camera("right", 20.0, math.pi / 12))
-    return TrackingScenario(
+    return TrackingProblem(
         cameras,
         np.array([0.0, 0.0, 100.0, 0.0, 0.0, 6.0]),
         ConstantVelocity([0.05, 0.05, 0.1]),
