@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.config.model import Config
 from stereophd.config.single import SingleConfig
-from stereophd.core.disparity.move_kernels import carry_components
+from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.motion.models import Motion
 from stereophd.core.numerics.kernel_cache import is_kept
 from stereophd.errors import InputError

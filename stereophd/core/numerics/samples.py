@@ -17,7 +17,7 @@ from stereophd.core.numerics.sobol import normal_quantiles, sobol_points
 Array = NDArray[np.float64]
 Method = Literal["qmc", "particle", "adaptive", "unscented", "linear"]
 
-# Non-linearity (`stereophd.core.disparity.rule_kernels`) up to which a component is moved by the low-order rule.
+# Non-linearity (`stereophd.core.disparity.rule_move`) up to which a component is moved by the low-order rule.
 MAX_NONLINEARITY = 0.03
 
 # Sets drawn once and used in turn, event by event: enough that a set's own error does not repeat

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.initial import InitialPrior
-from stereophd.core.disparity.kernels import POSITION_ALONE, POSITION_WITH_VELOCITY
+from stereophd.core.disparity.trips import POSITION_ALONE, POSITION_WITH_VELOCITY
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.models import Motion, Static
 from stereophd.core.numerics.compilation import compiled

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.multi.base import DisparityFilter, FilterState
-from stereophd.core.multi.intensity import Estimates, Info
+from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.io.logs import LogReader
 
 # Called with (done, total), in rows of the log.

@@ -21,7 +21,7 @@ from stereophd.core.disparity.events import make_event, make_rig
 from stereophd.core.disparity.initial import InitialPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion
-from stereophd.core.multi.intensity import Estimates, Info
+from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleInfo, SingleState
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import (

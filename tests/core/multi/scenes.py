@@ -10,7 +10,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
 from stereophd.core.multi.birth import BirthPrior
 from stereophd.core.multi.extract import Hysteresis
-from stereophd.core.multi.intensity import GaussianMixture
+from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter, PhdSettings
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera, random_covariance

@@ -13,7 +13,7 @@ from stereophd.core.numerics import kernel_cache
 
 PROGRAM = """
 import numpy as np
-from stereophd.core.numerics.moment_kernels import cholesky
+from stereophd.core.numerics.linear_algebra import cholesky
 factor = np.zeros((2, 2))
 assert cholesky(4.0 * np.eye(2), factor)
 assert factor[0, 0] == 2.0

@@ -30,10 +30,6 @@ from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
 
-MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
-
-
-OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 
 # White acceleration over dt moves the position by dt^1.5 (xi_1 / 2 + xi_2 / sqrt(12)) and the velocity
 # by dt^0.5 xi_1: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
