@@ -1,12 +1,40 @@
-"""Of all tests."""
+"""Fixtures of all tests: global state is what it was before each of them, so that they hold in any order."""
 
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
 import signal
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
 
 # A shell starts what runs in the background with SIGINT ignored, and nohup with SIGHUP; both would be inherited by
 # the processes that tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 with contextlib.suppress(AttributeError):  # not on Windows
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+HANDLED_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGXFSZ") if hasattr(signal, name)
+)
+
+
+@pytest.fixture(autouse=True)
+def global_state() -> Iterator[None]:
+    """Restore what a command changes for its process: the logger, signals, the environment, the current folder."""
+    logger = logging.getLogger("stereophd")
+    handlers, level, propagate = logger.handlers, logger.level, logger.propagate
+    signals = {number: signal.getsignal(number) for number in HANDLED_SIGNALS}
+    environment, folder, errors = dict(os.environ), os.getcwd(), np.geterr()
+    yield
+    logger.handlers, logger.propagate = handlers, propagate
+    logger.setLevel(level)
+    for number, handler in signals.items():
+        signal.signal(number, handler)
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    np.seterr(**errors)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import logging
-from importlib.util import find_spec
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,40 +14,42 @@ from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
-from stereophd.io.logs import LogReader
+from stereophd.io.json_text import write_json
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
-from stereophd.io.tables import SCANS, TRACKS, TableWriter, history_schema, posterior_schema
-from stereophd.pipeline.build import report_times
+from stereophd.io.tables import TableWriter, history_schema, posterior_schema
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import (
     CalibrationProblem,
     calibration_section,
     pmb_filter,
     read_problem,
-    with_poses,
+    with_quantities,
 )
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
-from stereophd.pipeline.tracking.loop import run_filter
-from stereophd.pipeline.tracking.records import smoothed_records, write_records
+from stereophd.pipeline.stream import open_stream
+from stereophd.pipeline.tracking.run import SCANS_FILE, TRACKS_FILE, reported_records, write_tracks
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.pipeline.calibration.outcome import Progress
+    from stereophd.pipeline.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
-FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, "tracks.parquet", "scans.parquet", "report.json", *PLOTS)
+FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, "report.json", *PLOTS)
 
 LOGGER = logging.getLogger("stereophd")
 
 
 def checkpoint_path(out_dir: Path | str) -> Path:
     """Where the checkpoint of a run into a folder lies: beside the folder."""
-    folder = Path(out_dir)
+    folder = Path(os.path.abspath(out_dir))  # a name of its own, of the current folder too
+    if not folder.name:
+        raise InputError(f"output folder {out_dir}: expected a folder in another, found the root folder")
     return folder.with_name(f"{folder.name}.checkpoint")
 
 
@@ -102,14 +103,15 @@ def calibrate(
     jobs = effective_n_jobs(jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
-    drawn = find_spec("matplotlib") is not None if plots is None else plots
+    drawn = whether_to_draw(plots)
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
-    checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
+        # Only here, where no other run can be at work on it.
+        checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
         try:
             outcome = method(loaded, section, problem, checkpoint, jobs, progress)
         except InputError:
@@ -126,12 +128,11 @@ def calibrate(
         if report["status"] != UNDETERMINED:
             cameras = problem.parameters.build(outcome.values)
             write_cameras(
-                out.path(CAMERAS_FILE), with_poses(loaded.cameras, cameras), loaded.config.units.length, record
+                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )
-            report["tracking"] = _write_tracks(loaded, cameras, log_path, out, to_metadata(record))
+            report["tracking"] = _track(loaded, cameras, log_path, out, to_metadata(record))
         report["provenance"] = record
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-        out.path("report.json").write_text(text, encoding="utf-8")
+        write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
             _draw(problem, outcome, out, loaded.config.units.length)
     checkpoint.remove()
@@ -163,7 +164,7 @@ def _write_posterior(
             )
 
 
-def _write_tracks(
+def _track(
     loaded: LoadedConfig,
     cameras: tuple[Camera, ...],
     log_path: Path | str,
@@ -171,20 +172,11 @@ def _write_tracks(
     metadata: dict[bytes, bytes],
 ) -> dict[str, Any]:
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return the figures of the run."""
-    config = loaded.config
-    reader = LogReader(log_path, cameras, config.input.on_bad_row, config.input.image_margin_px)
-    with (
-        TableWriter(out.path("tracks.parquet"), TRACKS, metadata) as tracks,
-        TableWriter(out.path("scans.parquet"), SCANS, metadata) as scans,
-    ):
-        multi_filter = pmb_filter(loaded, cameras)
-        records = run_filter(multi_filter, reader, report_times(config.report))
-        if config.report.smooth is not None:
-            records = smoothed_records(
-                records, multi_filter.rig.cameras, multi_filter.motion, config.report.smooth.max_gap_s
-            )
-        names = [camera.name for camera in cameras]
-        return write_records(records, tracks, scans, names, config.report.max_position_std)
+    report = loaded.config.report
+    multi_filter = pmb_filter(loaded, cameras)
+    stream = open_stream(loaded.config, cameras, log_path)
+    records = reported_records(multi_filter, multi_filter.motion, stream, report)
+    return write_tracks(records, out, metadata, cameras, report.max_position_std)
 
 
 def _draw(problem: CalibrationProblem, outcome: Outcome, out: OutputFolder, length_unit: str) -> None:

@@ -1,17 +1,22 @@
-"""What the configuration models share: their base, the usual kinds of numbers, units and boxes."""
+"""What the configuration models share: their base, the sections that exist in several kinds, units and boxes."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Union
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    Tag,
+    model_validator,
+)
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Probability = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector2 = tuple[Finite, Finite]
-Vector3 = tuple[Finite, Finite, Finite]
+from stereophd.core.settings import Coordinate, parameter
 
 
 class Model(BaseModel):
@@ -20,18 +25,62 @@ class Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+@dataclass(frozen=True)
+class OneOf:
+    """Annotation of a section that exists in several kinds: the settings of one of them, chosen by a word.
+
+    Attributes
+    ----------
+    members : callable
+        Returns the settings of every kind by its word: a registry of `core`.
+    key : str
+        The field that holds the word.
+    default : str, optional
+        The word of a section that names none; without it the word is required.
+    """
+
+    members: Callable[[], Mapping[str, Any]]
+    key: str
+    default: str | None = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Validate as the union of the kinds (called by pydantic)."""
+        tagged = tuple(Annotated[kind, Tag(word)] for word, kind in self.members().items())
+
+        def word_of(value: Any) -> Any:
+            if isinstance(value, dict):
+                return value.get(self.key, self.default)
+            return getattr(value, self.key, self.default)
+
+        # pydantic names the function in its errors, `stereophd.config.errors` the key
+        word_of.__name__ = self.key
+        union = Annotated[Union[tagged], Discriminator(word_of)]  # type: ignore[valid-type]  # noqa: UP007
+        return handler.generate_schema(union)
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: GetJsonSchemaHandler) -> Any:
+        """Return the JSON schema, in which every kind but the default requires its word (called by pydantic)."""
+        schema = handler(core_schema)
+        mapping = dict(zip(self.members(), (branch["$ref"] for branch in schema["oneOf"]), strict=True))
+        for word, reference in mapping.items():
+            if word != self.default:
+                kind = handler.resolve_ref_schema({"$ref": reference})
+                kind["properties"][self.key].pop("default", None)
+                kind["required"] = [self.key, *(key for key in kind.get("required", ()) if key != self.key)]
+        return {**schema, "discriminator": {"propertyName": self.key, "mapping": mapping}}
+
+
 class Units(Model):
     """Units of all files of a run."""
 
-    length: Literal["mm", "cm", "m", "km"] = Field("m", description="unit of length of positions and baselines")
+    length: Literal["mm", "cm", "m", "km"] = parameter("unit of length of positions and baselines", default="m")
 
 
 class Range3(Model):
     """An axis-aligned box in the world."""
 
-    x: tuple[Finite, Finite] = Field(description="from and to, length")
-    y: tuple[Finite, Finite] = Field(description="from and to, length")
-    z: tuple[Finite, Finite] = Field(description="from and to, length")
+    x: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
+    y: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
+    z: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
 
     @model_validator(mode="after")
     def _order(self) -> Range3:

@@ -34,6 +34,12 @@ class Event:
         into densities over the image, where clutter and births are uniform.
     delays : array (m,), optional
         Time of each detection after `time_s`, s, of a rolling shutter; None: all are of that time.
+    frame : int
+        Number of the frame that the camera gave it; -1 where no number is known.
+    not_invertible : int
+        Detections of the frame that were left out, because the lens model cannot be inverted there.
+    own_noise : bool
+        Whether the noise is that of each detection, and not that of the detector.
     """
 
     time_s: float
@@ -42,6 +48,9 @@ class Event:
     covariances: Array
     areas: Array
     delays: Array | None = None
+    frame: int = -1
+    not_invertible: int = 0
+    own_noise: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,7 +110,9 @@ def make_rig(
     return Rig(tuple(cameras), baseline, rectification, packed, moving, region)
 
 
-def make_event(camera: Camera, index: int, time_s: float, pixels: Array, sigma: Array | None = None) -> Event:
+def make_event(
+    camera: Camera, index: int, time_s: float, pixels: Array, sigma: Array | None = None, frame: int = -1
+) -> Event:
     """Undistort the detections of a frame, carrying their noise through the Jacobian.
 
     Parameters
@@ -116,25 +127,40 @@ def make_event(camera: Camera, index: int, time_s: float, pixels: Array, sigma: 
         Distorted pixels, as in the log.
     sigma : array (m, 2), optional
         Standard deviations of the detections, px; by default the detector's.
+    frame : int
+        Number of the frame.
 
     Returns
     -------
     Event
-        Without the detections at which the lens model cannot be inverted.
+        Without the detections at which the lens model cannot be inverted; it counts them.
     """
-    std = np.broadcast_to(np.asarray(camera.detector.sigma, dtype=float) if sigma is None else sigma, pixels.shape)
+    std = np.broadcast_to(np.asarray(camera.detector.sigma if sigma is None else sigma, dtype=float), pixels.shape)
+    points, covariances, areas = undistorted_detections(camera, pixels, std)
+    order = np.lexsort((points[:, 1], points[:, 0]))
+    order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
+    delays = camera.row_delays(pixels[order, 1])
+    return Event(
+        time_s, index, points[order], covariances[order], areas[order], delays, frame, len(pixels) - len(order),
+        sigma is not None,
+    )  # fmt: skip
+
+
+def undistorted_detections(camera: Camera, pixels: Array, std: Array) -> tuple[Array, Array, Array]:
+    """Undistorted pixels (m, 2) of detections, their covariances (m, 2, 2), and areas (m,) as those of an `Event`.
+
+    Parameters
+    ----------
+    camera : Camera
+    pixels, std : arrays (m, 2)
+        Distorted pixels and their standard deviations, px.
+    """
     if camera.lens.code == 0:
-        order = np.lexsort((pixels[:, 1], pixels[:, 0]))
         covariances = np.zeros((len(pixels), 2, 2))
-        covariances[:, 0, 0] = std[order, 0] ** 2
-        covariances[:, 1, 1] = std[order, 1] ** 2
-        delays = camera.row_delays(pixels[order, 1])
-        return Event(time_s, index, pixels[order], covariances, np.ones(len(pixels)), delays)
+        covariances[:, 0, 0], covariances[:, 1, 1] = std[:, 0] ** 2, std[:, 1] ** 2
+        return pixels, covariances, np.ones(len(pixels))
     points, jacobian = camera.undistort_pixels(pixels)
     scaled = jacobian * std[:, None, :]
     covariances = scaled @ np.swapaxes(scaled, 1, 2)
     areas = np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])
-    order = np.lexsort((points[:, 1], points[:, 0]))
-    order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
-    delays = camera.row_delays(pixels[order, 1])
-    return Event(time_s, index, points[order], covariances[order], areas[order], delays)
+    return points, covariances, areas

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -18,11 +18,12 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move, world_moments
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.models import Motion, Static
-from stereophd.core.multi.birth import BirthPrior, birth_moments
+from stereophd.core.multi.birth import birth_moments
 from stereophd.core.multi.estimates import Estimates, Info
-from stereophd.core.multi.extract import Hysteresis, select_objects
+from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
+from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.numerics.samples import SampleSets
 
@@ -51,6 +52,11 @@ class FilterState:
     n_events: int
     next_label: int
     next_track: int
+
+    @property
+    def labels(self) -> Integers:
+        """Labels of the components."""
+        return self.mixture.labels
 
 
 @dataclass(frozen=True)
@@ -170,6 +176,27 @@ class DisparityFilter(ABC):
         state, info = self.update(state, self.predict(state, event), event)
         state, estimates = self.extract(state)
         return state, info, estimates
+
+    def forecast(self, state: FilterState, info: Info, time_s: float) -> tuple[Info, Estimates]:
+        """Predict the objects of a state to a later time at which no camera reported.
+
+        Parameters
+        ----------
+        state, info : FilterState, Info
+            After the last event.
+        time_s : float
+
+        Returns
+        -------
+        Info
+            That of the event, faded, with log-likelihood 0.
+        Estimates
+        """
+        assert state.time_s is not None
+        faded = self.survival_per_s ** max(time_s - state.time_s, 0.0)
+        later = replace(state, mixture=state.mixture.with_weights(state.mixture.weights * faded), time_s=time_s)
+        _, estimates = self.extract(later)
+        return replace(info, log_likelihood=0.0, cardinality_mean=info.cardinality_mean * faded), estimates
 
     def event_arrays(self, event: Event) -> EventArrays:
         """Return an event's detections, and the objects that they may have given birth to, for compiled code."""

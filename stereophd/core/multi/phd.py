@@ -8,7 +8,7 @@ log-likelihood of an event is that of the conditional filter of VII-B.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -20,10 +20,9 @@ from stereophd.core.motion.models import Motion
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_intensities
-from stereophd.core.multi.birth import BirthPrior
 from stereophd.core.multi.estimates import Info
-from stereophd.core.multi.extract import Hysteresis
-from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
+from stereophd.core.multi.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.numerics.compilation import compiled
@@ -31,34 +30,6 @@ from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class PhdSettings:
-    """Parameters of the filter (paper, Table III).
-
-    Attributes
-    ----------
-    survival_per_s : float
-        Probability that an object survives one second.
-    birth : BirthPrior
-        Prior of new objects.
-    prune_weight, merge_distance, max_components, merge_mutual : float, float, int, bool
-        See `stereophd.core.multi.reduce.reduce_mixture`.
-    hysteresis : Hysteresis
-        Which components are reported.
-    split_missed : bool
-        See `DisparityFilter`.
-    """
-
-    survival_per_s: float
-    birth: BirthPrior
-    prune_weight: float = 1e-6
-    merge_distance: float = 7.0
-    max_components: int = 1000
-    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.8, 0.001))
-    merge_mutual: bool = True
-    split_missed: bool = True
 
 
 @dataclass(frozen=True, init=False)
@@ -74,16 +45,20 @@ class PhdFilter(DisparityFilter):
             sets,
             settings.survival_per_s,
             settings.birth,
-            settings.hysteresis,
+            settings.extraction,
             threads,
-            settings.split_missed,
+            settings.missed == "split",
         )
         object.__setattr__(self, "settings", settings)
 
     @cached_property
     def reduction(self) -> PhdReduction:
         """Settings of the reduction, for compiled code."""
-        return compiled_settings(PhdReduction, self.settings)
+        settings = self.settings
+        return PhdReduction(
+            float(settings.prune_weight), float(settings.merge_distance), int(settings.max_components),
+            settings.merge_rule == "mutual",
+        )  # fmt: skip
 
     @property
     def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:

@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 
 
 class PhdReduction(NamedTuple):
-    """Settings of the reduction: those of `stereophd.core.multi.phd.PhdSettings` with the same names."""
+    """Settings of the reduction: those of `stereophd.core.multi.kinds.phd.PhdSettings`."""
 
     prune_weight: float
     merge_distance: float
     max_components: int
-    merge_mutual: bool
+    mutual: bool
 
 
 @compiled
@@ -81,5 +81,5 @@ def update_intensity(
 def reduce_intensity(mixture: GaussianMixture, settings: PhdReduction) -> GaussianMixture:
     """`reduce_mixture` with these settings."""
     return reduce_mixture(
-        mixture, settings.prune_weight, settings.merge_distance, settings.max_components, settings.merge_mutual
+        mixture, settings.prune_weight, settings.merge_distance, settings.max_components, settings.mutual
     )

@@ -14,7 +14,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
@@ -27,10 +27,9 @@ from stereophd.core.motion.models import Motion
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_track_sets
-from stereophd.core.multi.birth import BirthPrior
 from stereophd.core.multi.estimates import Info
-from stereophd.core.multi.extract import Hysteresis
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
+from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
@@ -39,47 +38,6 @@ from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class PmbSettings:
-    """Parameters of the filter.
-
-    Attributes
-    ----------
-    survival_per_s : float
-        Probability that an object survives one second.
-    birth : BirthPrior
-        Prior of new objects.
-    recycle_below : float
-        Tracks of a smaller existence become part of the intensity of undetected objects.
-    prune_weight : float
-        Components of that intensity below this weight are dropped.
-    merge_distance : float
-        Squared Mahalanobis distance, in the covariances of both, below which two tracks are one object.
-    max_components : int
-        The most probable tracks are kept.
-    hypothesis_distance : float
-        Squared Mahalanobis distance, in the covariances of both, below which two hypotheses of a track merge;
-        infinity for one Gaussian a track in each camera's space.
-    least_share : float
-        Hypotheses of a smaller share of their track are dropped.
-    hysteresis : Hysteresis
-        Which tracks are reported.
-    split_missed : bool
-        See `DisparityFilter`.
-    """
-
-    survival_per_s: float
-    birth: BirthPrior
-    recycle_below: float = 1e-3
-    prune_weight: float = 1e-4
-    merge_distance: float = 4.0
-    max_components: int = 1000
-    hypothesis_distance: float = 4.0
-    least_share: float = 1e-3
-    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.98, 0.01))
-    split_missed: bool = False
 
 
 @dataclass(frozen=True, init=False)
@@ -101,9 +59,9 @@ class PmbFilter(DisparityFilter):
             sets,
             settings.survival_per_s,
             settings.birth,
-            settings.hysteresis,
+            settings.extraction,
             threads,
-            settings.split_missed,
+            settings.missed == "split",
         )
         object.__setattr__(self, "settings", settings)
 

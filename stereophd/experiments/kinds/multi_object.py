@@ -6,30 +6,30 @@ without the files between.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereophd.config.experiment import MultiObjectScenario
-from stereophd.core.bounds.known_association import Sightings, sight, straight_lines
-from stereophd.core.disparity.events import make_event
+from stereophd.core.bounds.known_association import AssociatedDetections, sight, straight_lines
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.alignment import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.metrics.scans import PointSets, score_scans
-from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.simulation.detections import CLUTTER_ID, Scene, SimulatedFrame, simulate_frames, truth_rows
+from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
+from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.records import smoothed_records
+from stereophd.pipeline.stream import EventStream, frames_in_order
+from stereophd.pipeline.tracking.run import reported_records
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.core.multi.estimates import Estimates
+    from stereophd.io.logs import Frame
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -50,13 +50,10 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return OSPA and the error of the number of objects over time, of one run."""
     config = loaded.config
     cameras = loaded.build_cameras()
-    object_seed, frame_seed = run_seed(config.seed, number).spawn(2)
-    scene = build_scene(config, cameras, object_seed)
-    frames = list(simulate_frames(scene, frame_seed))
-    order = sorted(range(len(frames)), key=lambda i: (_true_time(cameras, frames[i]), frames[i].camera))
-    frames = [frames[i] for i in order]
+    scene = build_scene(config, cameras, RUN_OBJECTS.seed(config.seed, number))
+    frames = frames_in_order(cameras, simulate_frames(scene, RUN_FRAMES.seed(config.seed, number)))
     truth = _truth(scene)
-    event_times = np.array([_true_time(cameras, frame) for frame in frames])
+    event_times = np.array([frame.time_s for frame in frames])
     last = last_event_of_each_time(event_times)
     aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
     with method_clock():
@@ -75,40 +72,24 @@ def _scenario(loaded: LoadedConfig) -> MultiObjectScenario:
     return scenario
 
 
-def _true_time(cameras: Sequence[Camera], frame: SimulatedFrame) -> float:
-    return cameras[frame.camera].clock.to_true(frame.log_time_s)
-
-
 def _truth(scene: Scene) -> Truth:
     times, identifiers, states = (np.concatenate(part) for part in zip(*truth_rows(scene), strict=True))
     order = np.lexsort((times, identifiers))
     return Truth(times[order], identifiers[order], states[order, :3], states[order, 3:])
 
 
-def _filtered(
-    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[SimulatedFrame], last: np.ndarray
-) -> PointSets:
+def _filtered(loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], last: np.ndarray) -> PointSets:
     """Track with the configuration's filter; return what it reports after the events `last`."""
     config = loaded.config
     multi_filter = build_filter(config, tuple(cameras), loaded.path)
-    records = _records(multi_filter, frames)
-    if config.report.smooth is not None:
-        records = smoothed_records(records, cameras, multi_filter.motion, config.report.smooth.max_gap_s)
+    stream = EventStream(cameras, frames)
+    # scored after every event, whatever the times of reports
+    report = config.report.model_copy(update={"times": "events"})
+    records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     estimates = [record.estimates for record in records]
     if config.report.max_position_std is not None:
         estimates = [one.certain(config.report.max_position_std) for one in estimates]
     return _points([estimates[event] for event in last.tolist()])
-
-
-def _records(multi_filter: DisparityFilter, frames: Sequence[SimulatedFrame]) -> Iterator[Record]:
-    state = multi_filter.init()
-    for frame in frames:
-        camera = multi_filter.rig.cameras[frame.camera]
-        time_s = camera.clock.to_true(frame.log_time_s)
-        event = make_event(camera.at(time_s), frame.camera, time_s, frame.pixels)
-        first_label = state.next_label
-        state, info, estimates = multi_filter.step(state, event)
-        yield Record(time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates, event=event)
 
 
 def _points(estimates: Sequence[Estimates]) -> PointSets:
@@ -122,7 +103,7 @@ def _points(estimates: Sequence[Estimates]) -> PointSets:
 def _known(
     loaded: LoadedConfig,
     cameras: Sequence[Camera],
-    frames: Sequence[SimulatedFrame],
+    frames: Sequence[Frame],
     times_s: Array,
     truth: PointSets,
 ) -> PointSets:
@@ -133,15 +114,15 @@ def _known(
     parts = []
     first: list[tuple[DisparitySpace, float, Array] | None] = [None] * len(labels)
     for frame in frames:
-        camera = cameras[frame.camera]
-        time_s = camera.clock.to_true(frame.log_time_s)
+        camera, time_s = cameras[frame.camera], frame.time_s
+        assert frame.object_id is not None
         true = (frame.object_id != CLUTTER_ID) & np.isin(frame.object_id, labels)
         parts.append(sight(camera, time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
         for row, point in zip(parts[-1][0].tolist(), parts[-1][3], strict=True):
             if first[row] is None:
                 first[row] = DisparitySpace(camera.at(time_s), baseline, rectification), time_s, point
-    sightings = Sightings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    states, covariances, seen = straight_lines(sightings, first, multi_filter.birth, times_s)
+    detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    states, covariances, seen = straight_lines(detections, first, multi_filter.birth, times_s)
     exists = np.zeros(seen.shape, dtype=bool)
     exists[truth.scan, np.searchsorted(labels, truth.label)] = True
     scan, row = np.nonzero(seen & exists)

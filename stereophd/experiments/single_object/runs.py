@@ -21,19 +21,21 @@ from stereophd.core.bounds.cramer_rao import (
     prior_information,
     state_jacobian,
 )
-from stereophd.core.disparity.events import Event, Rig, make_event
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import Motion, Static
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings
+from stereophd.io.logs import Frame
+from stereophd.pipeline.stream import EventStream
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LocalisationScenario:
+class LocalisationProblem:
     """A static object observed by one camera after another (paper VIII-A).
 
     Attributes
@@ -71,7 +73,7 @@ class LocalisationRun:
 
 
 def localisation_run(
-    scenario: LocalisationScenario,
+    scenario: LocalisationProblem,
     settings: EstimatorSettings,
     rng: np.random.Generator,
     clock: AbstractContextManager[None] | None = None,
@@ -85,20 +87,21 @@ def localisation_run(
     ValueError
         If the object is not in view of a camera that should observe it.
     """
-    events = []
-    for camera in scenario.sequence:
-        event = _detection(scenario.rig, camera, 0.0, scenario.position, 1.0, rng)
-        if len(event.points) == 0:
+    frames = []
+    for number, camera in enumerate(scenario.sequence):
+        frame = _draw_frame(scenario.rig, camera, number, 0.0, scenario.position, 1.0, rng)
+        if len(frame.pixels) == 0:
             name = scenario.rig.cameras[camera].name
             raise ValueError(f"expected the object in view of {name}, found it out of view at {scenario.position}")
-        events.append(event)
+        frames.append(frame)
+    events = list(EventStream(scenario.rig.cameras, frames))
     estimator = build_estimator(settings, scenario.rig, Static(), scenario.prior, rng)
     with clock or nullcontext():
         maps, means, covariances = _run(estimator, events, range(len(events)))
     return LocalisationRun(maps[:, :3] - scenario.position, means[:, :3] - scenario.position, covariances[:, :3, :3])
 
 
-def localisation_bound(scenario: LocalisationScenario, with_prior: bool) -> Array:
+def localisation_bound(scenario: LocalisationProblem, with_prior: bool) -> Array:
     """Cramer-Rao bound on the covariance of the position (k, 3, 3) after each observation, length^2.
 
     Infinite where the observations so far (and the prior, if it is counted) do not determine the position.
@@ -115,7 +118,7 @@ def localisation_bound(scenario: LocalisationScenario, with_prior: bool) -> Arra
 
 
 @dataclass(frozen=True)
-class TrackingScenario:
+class TrackingProblem:
     """A moving object observed by several cameras (paper VIII-B).
 
     Attributes
@@ -162,7 +165,7 @@ class TrackingRun:
 
 
 def tracking_run(
-    scenario: TrackingScenario,
+    scenario: TrackingProblem,
     settings: EstimatorSettings,
     rng: np.random.Generator,
     clock: AbstractContextManager[None] | None = None,
@@ -172,10 +175,12 @@ def tracking_run(
     The estimator, and not the drawing, works within `clock`.
     """
     states = draw_trajectory(scenario, rng)
-    events = []
-    for time_s, camera, state in zip(scenario.times.tolist(), scenario.cameras.tolist(), states, strict=True):
+    frames = []
+    looks = zip(scenario.times.tolist(), scenario.cameras.tolist(), states, strict=True)
+    for number, (time_s, camera, state) in enumerate(looks):
         p_detect = scenario.rig.cameras[camera].detector.p_detect
-        events.append(_detection(scenario.rig, camera, time_s, state[:3], p_detect, rng))
+        frames.append(_draw_frame(scenario.rig, camera, number, time_s, state[:3], p_detect, rng))
+    events = list(EventStream(scenario.rig.cameras, frames))
     estimator = build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, rng)
     last = last_events(scenario.times)
     with clock or nullcontext():
@@ -184,7 +189,7 @@ def tracking_run(
 
 
 def tracking_bound(
-    scenario: TrackingScenario,
+    scenario: TrackingProblem,
     rng: np.random.Generator,
     trajectories: int = 100,
     kind: Literal["conditional", "posterior"] = "conditional",
@@ -193,7 +198,7 @@ def tracking_bound(
 
     Parameters
     ----------
-    scenario : TrackingScenario
+    scenario : TrackingProblem
     rng : Generator
         Of the trajectories; detections are not drawn.
     trajectories : int
@@ -222,7 +227,7 @@ def tracking_bound(
     return np.asarray(bounds[last_events(scenario.times)].mean(axis=1))
 
 
-def _state_prior_information(scenario: TrackingScenario) -> Array:
+def _state_prior_information(scenario: TrackingProblem) -> Array:
     """Information (6, 6) on the first state in the world in the prior on disparity and velocity.
 
     The camera that sees the object first is taken to be that of the first event.
@@ -233,15 +238,15 @@ def _state_prior_information(scenario: TrackingScenario) -> Array:
     to_disparity = state_jacobian(space, scenario.start)
     precision = np.zeros(6)
     precision[2] = prior.disparity_moments(space.packed())[1] ** -2
-    if prior.disparity_velocity_std is not None:
-        precision[3:] = np.array(prior.disparity_velocity_std) ** -2
+    if prior.disparity_velocity_std_px_s is not None:
+        precision[3:] = np.array(prior.disparity_velocity_std_px_s) ** -2
     information = to_disparity.T @ np.diag(precision) @ to_disparity
-    if prior.disparity_velocity_std is None:
-        information[3:, 3:] += np.eye(3) / prior.velocity_std**2
+    if prior.disparity_velocity_std_px_s is None:
+        information[3:, 3:] += np.eye(3) / prior.velocity_spread**2
     return np.asarray(information)
 
 
-def draw_trajectory(scenario: TrackingScenario, rng: np.random.Generator) -> Array:
+def draw_trajectory(scenario: TrackingProblem, rng: np.random.Generator) -> Array:
     """Draw the states (k, 6) of the object at the scenario's events."""
     states = [np.asarray(scenario.start, dtype=float)]
     shocks = rng.standard_normal((len(scenario.times) - 1, 2, 3)) * scenario.motion.acceleration_std
@@ -260,13 +265,15 @@ def last_events(times: Array) -> NDArray[np.intp]:
     return np.flatnonzero(np.append(np.diff(times) > 0.0, True))
 
 
-def _detection(rig: Rig, index: int, time_s: float, point: Array, p_detect: float, rng: np.random.Generator) -> Event:
-    """Event of one camera that sees a point (3,) of the world, if it is in view and detected."""
+def _draw_frame(
+    rig: Rig, index: int, number: int, time_s: float, point: Array, p_detect: float, rng: np.random.Generator
+) -> Frame:
+    """Draw the frame of one camera that sees a point (3,) of the world, if it is in view and detected."""
     camera = rig.cameras[index].at(time_s)
     noise, uniform = rng.standard_normal(2), rng.random()
     pixel = camera.project(point[None])
     seen = camera.contains(pixel) & (uniform < p_detect)
-    return make_event(camera, index, time_s, (pixel + camera.detector.sigma * noise)[seen])
+    return Frame(time_s, index, number, (pixel + camera.detector.sigma * noise)[seen])
 
 
 def _run(estimator: AnyEstimator, events: list[Event], report: Iterable[int]) -> tuple[Array, Array, Array]:

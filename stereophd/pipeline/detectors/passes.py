@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.events import make_event
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.io.logs import LogReader
 from stereophd.pipeline.detectors.statistics import DetectorEstimate, DetectorSums, estimate_detector, observe
-from stereophd.pipeline.tracking.loop import PROGRESS_EVERY, Attribution, Progress
+from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.tracking.loop import FORGET_EVERY, Attribution
 
 # Frames of a pass: more say nothing new, and time stays bounded for logs of any length.
 MOST_FRAMES = 20_000
@@ -68,9 +67,7 @@ class _Settled:
         self._waiting = {label: waiting for label, waiting in self._waiting.items() if label in labels}
 
 
-def _pass(
-    multi_filter: DisparityFilter, reader: LogReader, progress: Progress | None
-) -> tuple[list[DetectorSums], bool]:
+def _pass(multi_filter: DisparityFilter, stream: EventStream) -> tuple[list[DetectorSums], bool]:
     """Run over the log once; return the sums of every camera, and whether the log states its own noise."""
     cameras = multi_filter.rig.cameras
     index = {camera.name: k for k, camera in enumerate(cameras)}
@@ -78,38 +75,34 @@ def _pass(
     settled, attribution = _Settled(), Attribution()
     state = multi_filter.init()
     own_noise = False
-    for number, frame in enumerate(islice(reader, MOST_FRAMES)):
-        camera = cameras[frame.camera]
-        frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
-        event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
-        own_noise |= frame.sigma is not None
+    for number, event in enumerate(islice(stream, MOST_FRAMES)):
+        camera = cameras[event.camera].at(event.time_s)
+        own_noise |= event.own_noise
         prediction = multi_filter.predict(state, event)
         sighting = observe(
-            sums[frame.camera], prediction, event, frozen, multi_filter.birth.per_frame, settled.labels(),
-            frame.sigma is None,
+            sums[event.camera], prediction, event, camera, multi_filter.birth.per_frame, settled.labels(),
+            not event.own_noise,
         )  # fmt: skip
         state, info = multi_filter.update(state, prediction, event)
         state, estimates = multi_filter.extract(state)
         probabilities = zip(sighting.detected.tolist(), sighting.missed.tolist(), strict=True)
         for label, (detected, missed) in zip(sighting.labels.tolist(), probabilities, strict=True):
-            settled.count(label, frame.camera, detected, missed, sums)
+            settled.count(label, event.camera, detected, missed, sums)
         for label in info.detected.tolist():
-            settled.seen_by.setdefault(label, set()).add(frame.camera)
+            settled.seen_by.setdefault(label, set()).add(event.camera)
         settled.confirmed.update(estimates.labels.tolist())
-        mine = sums[frame.camera]
+        mine = sums[event.camera]
         mine.frames += 1
         mine.detections += len(event.points)
         for counts in attribution.update(camera.name, info.detected, estimates).values():
             for name, count in counts.items():
                 sums[index[name]].attributed += count
-        if number % PROGRESS_EVERY == 0:
+        if number % FORGET_EVERY == 0:
             alive = set(state.mixture.labels.tolist())
             settled.keep(alive)
             for each in sums:
                 each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
             attribution.keep(state.mixture.labels)
-            if progress is not None:
-                progress(reader.counts["rows"], reader.num_rows)
     return sums, own_noise
 
 
@@ -117,8 +110,7 @@ def estimate_detectors(
     cameras: tuple[Camera, ...],
     estimated: Collection[str],
     build_filter: Callable[[tuple[Camera, ...]], DisparityFilter],
-    make_reader: Callable[[], LogReader],
-    progress: Progress | None = None,
+    stream: EventStream,
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """Estimate noise, probability of detection and clutter of cameras from a log.
 
@@ -130,10 +122,8 @@ def estimate_detectors(
         Names of the cameras whose detectors are estimated; the others stay as they are.
     build_filter : callable
         Makes a labelled filter of cameras.
-    make_reader : callable
-        Opens the log.
-    progress : callable, optional
-        Called with the rows done and their total, in every pass anew.
+    stream : EventStream
+        The log, read anew in every pass.
 
     Returns
     -------
@@ -147,7 +137,7 @@ def estimate_detectors(
     passes, converged, own_noise = 0, False, False
     while passes < MOST_PASSES and not converged:
         passes += 1
-        sums, own_noise = _pass(build_filter(used), make_reader(), progress)
+        sums, own_noise = _pass(build_filter(used), stream.with_cameras(used))
         converged = True
         updated = []
         for camera, mine in zip(cameras, sums, strict=True):

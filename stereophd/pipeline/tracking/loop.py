@@ -1,31 +1,27 @@
-"""The one loop over a detection log: events through a filter, and predictions to the times of a grid."""
+"""The one loop that runs an estimator over events, with predictions to the times of a grid.
+
+Filters of many objects (`stereophd.core.multi.base.DisparityFilter`) and estimators of one
+(`stereophd.pipeline.tracking.single.SingleTracker`) run in it alike. `RunState` holds all that the rest of a run
+depends on: a copy of it, and the events that follow, give the records that an uninterrupted run gives.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.events import Event, make_event
-from stereophd.core.multi.base import DisparityFilter, FilterState
+from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.multi.estimates import Estimates, Info
-from stereophd.io.logs import LogReader
+from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 
-# Called with (done, total), in rows of the log.
-Progress = Callable[[int, int], None]
-
-# Events between two calls of `progress`, and between two clearances of what is known of dead tracks.
-PROGRESS_EVERY = 50
-
-# Times of a grid are rounded to the nanosecond, as simulated ones are; an event nearer than half of that (or
-# than the last bits of its own time) to a time of the grid is at that time.
-TIME_DECIMALS = 9
-SAME_TIME_S = 0.5e-9
-SAME_TIME_ULPS = 4.0
+# Events between two clearances of what is known of dead tracks.
+FORGET_EVERY = 50
 
 
 @dataclass(frozen=True)
@@ -88,11 +84,48 @@ class Record:
     event: Event | None = None
 
 
+class EstimatorState(Protocol):
+    """What the loop needs to know of the state of an estimator."""
+
+    @property
+    def next_label(self) -> int:
+        """First label that no object has."""
+
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """Labels of all objects that the state holds."""
+
+
+State = TypeVar("State", bound=EstimatorState)
+
+
+class Estimator(Protocol[State]):
+    """What runs in the loop."""
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras."""
+
+    def init(self) -> State:
+        """Return the state before the first event."""
+
+    def step(self, state: State, event: Event) -> tuple[State, Info, Estimates]:
+        """Return the state after an event, its diagnostics, and the objects then."""
+
+    def forecast(self, state: State, info: Info, time_s: float) -> tuple[Info, Estimates]:
+        """Return diagnostics and objects at a time between two events."""
+
+
 class Attribution:
     """Whose detections were whose: counts by label until the label is reported as a track."""
 
-    def __init__(self) -> None:
-        self._pending: dict[int, dict[str, int]] = {}
+    def __init__(self, pending: Mapping[int, Mapping[str, int]] | None = None) -> None:
+        self._pending: dict[int, dict[str, int]] = {label: dict(counts) for label, counts in (pending or {}).items()}
+
+    @property
+    def pending(self) -> Mapping[int, Mapping[str, int]]:
+        """Label -> camera -> detections, of the labels that are not reported yet."""
+        return self._pending
 
     def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, Counter[str]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
@@ -111,29 +144,54 @@ class Attribution:
         self._pending = {label: counts for label, counts in self._pending.items() if label in alive}
 
 
-def run_filter(
-    multi_filter: DisparityFilter,
-    reader: LogReader,
+@dataclass
+class RunState(Generic[State]):
+    """All that the rest of a run depends on. `run_estimator` brings it up to date before it yields a record.
+
+    Attributes
+    ----------
+    estimator : State
+        State of the estimator after the last event.
+    events : int
+        Number of events so far: those that a run from a copy passes over (`EventStream`, `skip`).
+    last : Record, optional
+        Of the last event.
+    forecast_from_s : float
+        Times of the grid from here on are still to be predicted.
+    attribution : Attribution
+    """
+
+    estimator: State
+    events: int = 0
+    last: Record | None = None
+    forecast_from_s: float = -math.inf
+    attribution: Attribution = field(default_factory=Attribution)
+
+    def copy(self) -> RunState[State]:
+        """Return a copy that does not change when the run goes on."""
+        return replace(self, attribution=Attribution(self.attribution.pending))
+
+
+def run_estimator(
+    estimator: Estimator[State],
+    events: Iterable[Event],
     times: ReportTimes | None = None,
-    unusable: list[int] | None = None,
-    progress: Progress | None = None,
     keep_events: bool = False,
+    run: RunState[State] | None = None,
 ) -> Iterator[Record]:
-    """Run a filter over a log, event by event, in memory that does not depend on its length.
+    """Run an estimator over events, in memory that does not depend on their number.
 
     Parameters
     ----------
-    multi_filter : DisparityFilter
-    reader : LogReader
-        Made with the filter's cameras.
+    estimator : Estimator
+    events : iterable of Event
+        In order of time, such as `stereophd.pipeline.stream.EventStream`; of the estimator's cameras.
     times : ReportTimes, optional
         When estimates are reported; default after every event.
-    unusable : list of one int, optional
-        Raised by the number of detections that have no undistorted place.
-    progress : callable, optional
-        Called with the rows done and their total.
     keep_events : bool
-        Whether records carry the detections of their events.
+        Whether records carry their events.
+    run : RunState, optional
+        Where the run begins, and what it keeps up to date; default before the first event.
 
     Yields
     ------
@@ -141,49 +199,39 @@ def run_filter(
         One an event, and one a time of the grid.
     """
     times = times or ReportTimes()
-    state = multi_filter.init()
-    attribution = Attribution()
-    last: Record | None = None
-    for number, frame in enumerate(reader):
-        if last is not None:
-            yield from _predictions(multi_filter, state, last, times.grid_s, frame.time_s - same_time(frame.time_s))
-        camera = multi_filter.rig.cameras[frame.camera]
-        frozen = camera if camera.pose.is_static else camera.at(frame.time_s)
-        event = make_event(frozen, frame.camera, frame.time_s, frame.pixels, frame.sigma)
-        if unusable is not None:
-            unusable[0] += len(frame.pixels) - len(event.points)
-        first_label = state.next_label
-        state, info, estimates = multi_filter.step(state, event)
-        last = Record(
-            frame.time_s, camera.name, frame.frame, len(event.points), first_label, info, estimates,
-            attribution.update(camera.name, info.detected, estimates), times.after(camera.name),
-            event=event if keep_events else None,
+    run = RunState(estimator.init()) if run is None else run
+    names = [camera.name for camera in estimator.rig.cameras]
+    for event in events:
+        if times.grid_s is not None:
+            yield from _forecasts(estimator, run, times.grid_s, event.time_s - same_time(event.time_s))
+        name = names[event.camera]
+        first_label = run.estimator.next_label
+        run.estimator, info, estimates = estimator.step(run.estimator, event)
+        attributed = run.attribution.update(name, info.detected, estimates)
+        run.last = record = Record(
+            event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,
+            times.after(name), event=event if keep_events else None,
         )  # fmt: skip
-        yield last
-        if number % PROGRESS_EVERY == 0:
-            attribution.keep(state.mixture.labels)
-            if progress is not None:
-                progress(reader.counts["rows"], reader.num_rows)
-    if last is not None:
-        yield from _predictions(multi_filter, state, last, times.grid_s, last.time_s + same_time(last.time_s))
-    if progress is not None:
-        progress(reader.num_rows, reader.num_rows)
+        run.forecast_from_s = event.time_s - same_time(event.time_s)
+        if run.events % FORGET_EVERY == 0:
+            run.attribution.keep(run.estimator.labels)
+        run.events += 1
+        yield record
+    if times.grid_s is not None and run.last is not None:
+        yield from _forecasts(estimator, run, times.grid_s, run.last.time_s + same_time(run.last.time_s))
 
 
-def _predictions(
-    multi_filter: DisparityFilter, state: FilterState, last: Record, grid_s: float | None, until_s: float
-) -> Iterator[Record]:
-    """Yield the objects after an event at the times of the grid before `until_s`."""
-    if grid_s is None:
+def _forecasts(estimator: Estimator[State], run: RunState[State], grid_s: float, until_s: float) -> Iterator[Record]:
+    """Yield the objects after the last event at the times of the grid before `until_s`."""
+    last = run.last
+    if last is None:
         return
-    for time_s in grid_times(grid_s, last.time_s - same_time(last.time_s), until_s):
-        faded = multi_filter.survival_per_s ** max(time_s - last.time_s, 0.0)
-        there = replace(state, mixture=state.mixture.with_weights(state.mixture.weights * faded), time_s=time_s)
-        info = replace(last.info, log_likelihood=0.0, cardinality_mean=last.info.cardinality_mean * faded)
-        _, estimates = multi_filter.extract(there)
+    for time_s in grid_times(grid_s, run.forecast_from_s, until_s):
+        info, estimates = estimator.forecast(run.estimator, last.info, time_s)
+        run.forecast_from_s = math.nextafter(time_s, math.inf)
         yield Record(
-            time_s, last.camera, last.frame, 0, state.next_label, info, estimates, reported=True, is_event=False
-        )
+            time_s, last.camera, last.frame, 0, run.estimator.next_label, info, estimates, is_event=False
+        )  # fmt: skip
 
 
 def grid_times(step_s: float, from_s: float, until_s: float) -> Iterator[float]:
@@ -193,8 +241,3 @@ def grid_times(step_s: float, from_s: float, until_s: float) -> Iterator[float]:
         if time_s >= from_s:
             yield time_s
         index += 1
-
-
-def same_time(time_s: float) -> float:
-    """Distance, s, up to which a time of the grid is that of an event at `time_s`."""
-    return max(SAME_TIME_S, SAME_TIME_ULPS * float(np.spacing(abs(time_s))))

@@ -1,0 +1,20 @@
+"""Which times are one time: all of the package holds times, s, to the nanosecond."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Times that the package makes itself (of frames, of a grid of reports) are rounded to the nanosecond, so that cameras
+# of 30 and 60 Hz share their common instants exactly: k / 30 and 2 k / 60 differ in the last bit otherwise.
+TIME_DECIMALS = 9
+
+# Times nearer than this are one time: the last decimal, far below the period of any camera.
+SAME_TIME_S = 1e-9
+
+# Rounding errors of clock corrections, in units of the last place: these exceed a nanosecond beyond 1e6 s.
+SAME_TIME_ULPS = 4.0
+
+
+def same_time(time_s: float) -> float:
+    """Return the distance, s, up to which another time is the same as `time_s`."""
+    return max(SAME_TIME_S, SAME_TIME_ULPS * float(np.spacing(abs(time_s))))

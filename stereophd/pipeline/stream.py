@@ -1,0 +1,125 @@
+"""The one way from frames to events: a detection log, or frames in memory, as events in order of true time.
+
+A *frame* is what one camera reports at one time, in distorted pixels, as a log holds it. An *event* is the same frame
+as estimators take it: undistorted, with its noise, on the true time. A *scan* is what `evaluate` scores once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stereophd.core.disparity.events import Event, make_event
+from stereophd.io.logs import Frame, LogReader
+from stereophd.pipeline.progress import Progress
+
+if TYPE_CHECKING:
+    from stereophd.config.model import Config
+    from stereophd.core.geometry.camera import Camera
+    from stereophd.core.simulation.detections import SimulatedFrame
+
+# Events between two calls of `progress`.
+PROGRESS_EVERY = 50
+
+
+class EventStream:
+    """Iterate over the events of a log, or of frames in memory; every iteration starts anew.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        In the order that the frames number them.
+    frames : LogReader or sequence of Frame
+        In order of true time, ties in the order of the cameras.
+    progress : callable, optional
+        Called with the rows of the log that were read and their total.
+    skip : int
+        Events at the beginning that are passed over, for a run that continues from a saved state.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        frames: LogReader | Sequence[Frame],
+        progress: Progress | None = None,
+        skip: int = 0,
+    ) -> None:
+        self.cameras = tuple(cameras)
+        self.frames = frames
+        self.not_invertible = 0
+        self._progress = progress
+        self._skip = skip
+
+    def with_cameras(self, cameras: Sequence[Camera]) -> EventStream:
+        """Return a stream of the same frames for cameras with other detectors."""
+        return EventStream(cameras, self.frames, self._progress, self._skip)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Counts of the running or last iteration, for a report: those of the log, and ``not_invertible``.
+
+        The latter is the number of detections that were left out because the lens model cannot be inverted there.
+        """
+        log = self.frames.counts if isinstance(self.frames, LogReader) else {}
+        return {**log, "not_invertible": self.not_invertible}
+
+    @property
+    def source(self) -> str:
+        """Name of the log in messages."""
+        return str(self.frames.path) if isinstance(self.frames, LogReader) else "frames"
+
+    @property
+    def silent_cameras(self) -> tuple[str, ...]:
+        """Names of the cameras of a log without a frame so far."""
+        return self.frames.silent_cameras if isinstance(self.frames, LogReader) else ()
+
+    def __iter__(self) -> Iterator[Event]:
+        self.not_invertible = 0
+        for number, frame in enumerate(self.frames):
+            if number < self._skip:
+                continue
+            camera = self.cameras[frame.camera].at(frame.time_s)
+            event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame)
+            self.not_invertible += event.not_invertible
+            yield event
+            if number % PROGRESS_EVERY == 0:
+                self._report()
+        self._report(done=True)
+
+    def _report(self, done: bool = False) -> None:
+        if self._progress is not None and isinstance(self.frames, LogReader):
+            total = self.frames.num_rows
+            self._progress(total if done else self.frames.counts["rows"], total)
+
+
+def open_stream(
+    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None, skip: int = 0
+) -> EventStream:
+    """Open a detection log as a configuration says (section ``input``).
+
+    Parameters
+    ----------
+    config : Config
+    cameras : sequence of Camera
+    path : path
+        The log.
+    progress, skip
+        As of `EventStream`.
+
+    Raises
+    ------
+    InputError
+        The log cannot be read (see `stereophd.io.logs.LogReader`).
+    """
+    reader = LogReader(path, cameras, config.input.on_bad_row, config.input.image_margin_px)
+    return EventStream(cameras, reader, progress, skip)
+
+
+def frames_in_order(cameras: Sequence[Camera], simulated: Iterable[SimulatedFrame]) -> list[Frame]:
+    """Return the frames of a simulated scene as a log of them is read: in order of true time, then of the cameras."""
+    frames = []
+    for frame in simulated:
+        time_s = cameras[frame.camera].clock.to_true(frame.log_time_s)
+        frames.append(Frame(time_s, frame.camera, frame.frame, frame.pixels, None, frame.object_id))
+    return sorted(frames, key=lambda frame: (frame.time_s, frame.camera))

@@ -1,0 +1,134 @@
+"""A tracking run: from a configuration to the records of a log, and from records to files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from stereophd.config.report import ReportConfig
+from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.models import Motion
+from stereophd.core.single.settings import SingleSettings
+from stereophd.errors import InputError
+from stereophd.io.atomic import OutputFolder
+from stereophd.io.tables import SCANS, TRACKS, TableWriter
+from stereophd.pipeline.build import build_filter, build_labelled_filter, report_times
+from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
+from stereophd.pipeline.tracking.records import smoothed_records, write_records
+from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+TRACKS_FILE, SCANS_FILE = "tracks.parquet", "scans.parquet"
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """What tracks the objects of a log.
+
+    Attributes
+    ----------
+    estimator : Estimator
+        A filter of many objects, or a `SingleTracker`.
+    motion : Motion
+        For smoothing.
+    cameras : tuple of Camera
+        With the detectors that the estimator works with.
+    report : ReportConfig
+        What is reported, and when.
+    detectors : dict, optional
+        For ``report.json``: how the detectors were estimated from the log, if they were.
+    """
+
+    estimator: Estimator[Any]
+    motion: Motion
+    cameras: tuple[Camera, ...]
+    report: ReportConfig
+    detectors: dict[str, Any] | None = None
+
+    def records(self, stream: EventStream, run: RunState[Any] | None = None) -> Iterator[Record]:
+        """Yield the records of a log, smoothed if the configuration asks for it; start from `run`, if it is given."""
+        if isinstance(self.estimator, SingleTracker):
+            return reported_records(self.estimator, self.motion, at_most_one(stream), self.report, run=run)
+        return reported_records(self.estimator, self.motion, stream, self.report, keep_events=True, run=run)
+
+
+def reported_records(
+    estimator: Estimator[Any],
+    motion: Motion,
+    events: Iterable[Event],
+    report: ReportConfig,
+    keep_events: bool = False,
+    run: RunState[Any] | None = None,
+) -> Iterator[Record]:
+    """Yield the records of events, smoothed if the section ``report`` asks for it.
+
+    With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs.
+    """
+    smooth = report.smooth
+    records = run_estimator(estimator, events, report_times(report), keep_events and smooth is not None, run)
+    if smooth is None:
+        return records
+    return smoothed_records(records, estimator.rig.cameras, motion, smooth.max_gap_s)
+
+
+def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
+    """Return what tracks, with the detectors that the configuration gives.
+
+    Raises
+    ------
+    InputError
+        The configuration has no filter or no cameras, or they do not fit each other.
+    """
+    config, cameras = loaded.config, loaded.build_cameras()
+    if not isinstance(config.filter, SingleSettings):
+        multi_filter = build_filter(config, cameras, loaded.path, threads)
+        return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
+    motion = config.motion.build()
+    estimator = build_single(config, motion, cameras, loaded.path)
+    if estimated_cameras(loaded):
+        raise InputError(f"{loaded.path}: detector: expected given where filter.kind is single, found estimate")
+    for camera in cameras:
+        if camera.readout_s != 0.0:
+            where = f"{loaded.path}: cameras.{camera.name}.readout_s"
+            raise InputError(f"{where}: expected 0 where filter.kind is single, found {camera.readout_s:g}")
+    return Tracking(SingleTracker(estimator, config.filter.point), motion, cameras, config.report)
+
+
+def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: EventStream, threads: int) -> Tracking:
+    """Return what tracks with detectors estimated from the log; the same where the configuration gives them all."""
+    estimated = estimated_cameras(loaded)
+    if not estimated:
+        return tracking
+    config, path = loaded.config, loaded.path
+    cameras, detectors = estimate_detectors(
+        tracking.cameras, estimated, lambda used: build_labelled_filter(config, used, path, threads), stream
+    )
+    multi_filter = build_filter(config, cameras, path, threads)
+    return Tracking(multi_filter, multi_filter.motion, cameras, config.report, detectors)
+
+
+def estimated_cameras(loaded: LoadedConfig) -> list[str]:
+    """Return the names of the cameras whose detectors are to be estimated from the log."""
+    everything = loaded.config.detector == "estimate"
+    return [name for name, camera in loaded.cameras.items() if camera.detector.estimate or everything]
+
+
+def write_tracks(
+    records: Iterable[Record],
+    out: OutputFolder,
+    metadata: Mapping[bytes, bytes],
+    cameras: Sequence[Camera],
+    max_position_std: float | None,
+) -> dict[str, Any]:
+    """Write ``tracks.parquet`` and ``scans.parquet``; return the figures of the run for ``report.json``."""
+    with (
+        TableWriter(out.path(TRACKS_FILE), TRACKS, metadata) as tracks,
+        TableWriter(out.path(SCANS_FILE), SCANS, metadata) as scans,
+    ):
+        return write_records(records, tracks, scans, [camera.name for camera in cameras], max_position_std)
