@@ -6,7 +6,6 @@ more samples, at components of which only a corner is in view.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
@@ -50,14 +50,12 @@ def carry_components(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     important: NDArray[np.bool_],
     first: Look,
     second: Look,
     destination: Array,
-    acceleration_std: Array,
     p_detect: float,
-    max_speed: float,
     region: Array,
     moved: Moved,
 ) -> None:
@@ -67,9 +65,7 @@ def carry_components(
     components are shared out over threads. Parameters as in `stereophd.core.disparity.moments.move`;
     `region` is packed as for `region_mask`, or empty; `moved` is filled in place.
     """
-    move_components(
-        which, means, covariances, homes, dts, first, destination, acceleration_std, p_detect, max_speed, region, moved
-    )
+    move_components(which, means, covariances, homes, motion, first, destination, p_detect, region, moved)
     fraction, status = moved.fraction, moved.status
     corners = np.empty(len(which), dtype=np.int64)
     found = 0
@@ -80,21 +76,20 @@ def carry_components(
             found += 1
     if found > 0:
         move_components(
-            corners[:found], means, covariances, homes, dts, second, destination, acceleration_std, p_detect,
-            max_speed, region, moved,
-        )  # fmt: skip
+            corners[:found], means, covariances, homes, motion, second, destination, p_detect, region, moved
+        )
     for k in which:
         if status[k] == OUT_OF_VIEW:
             fraction[k] = 0.0
 
 
 @compiled
-def noise_axes(destination: Array, acceleration_std: Array) -> Array:
-    """Return the world's axes in the destination's, times the acceleration's standard deviation along them (3, 3)."""
+def noise_axes(destination: Array, noise_std: Array) -> Array:
+    """Return the world's axes in the destination's, times the standard deviation of the noise along them (3, 3)."""
     axes = np.empty((3, 3))
     for a in range(3):
         for b in range(3):
-            axes[a, b] = destination[ROTATION + 3 * a + b] * acceleration_std[b]
+            axes[a, b] = destination[ROTATION + 3 * a + b] * noise_std[b]
     return axes
 
 
@@ -104,12 +99,10 @@ def move_components(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     look: Look,
     destination: Array,
-    acceleration_std: Array,
     p_detect: float,
-    max_speed: float,
     region: Array,
     moved: Moved,
 ) -> None:
@@ -118,7 +111,6 @@ def move_components(
     Component by component, with no state shared between them; parameters as in `carry_components`.
     """
     samples, sample_weights, minimum = look
-    noise = motion_noise(samples, noise_axes(destination, acceleration_std))
     out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
     size = means.shape[1]
     count = samples.shape[1]
@@ -128,6 +120,9 @@ def move_components(
     weights = sample_weights.copy()
     factor = np.empty((size, size))
     scratch = np.empty((size, size))
+    axes = noise_axes(destination, motion.noise_std)
+    noise = np.empty((6, count if size == 6 else 0))
+    with_velocity = alone = np.nan
     for k in which:
         status[k] = OUT_OF_VIEW
         fraction[k] = 0.0
@@ -135,12 +130,13 @@ def move_components(
         if not cholesky(covariances[k], factor):
             continue
         if size == 6:
-            interval = abs(dts[k])
-            velocity_noise = math.sqrt(interval)
-            position_noise = velocity_noise * dts[k]
+            # of many models the noise has one shape for all intervals
+            if motion.with_velocity[k] != with_velocity or motion.alone[k] != alone:
+                with_velocity, alone = motion.with_velocity[k], motion.alone[k]
+                motion_noise(samples, axes, with_velocity, alone, noise)
             moving_trips(
-                means[k], factor, samples, noise, position_noise, velocity_noise,
-                homes[k], destination, dts[k], max_speed, points,
+                means[k], factor, samples, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
+                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, points,
             )  # fmt: skip
         else:
             static_trips(means[k], factor, samples, homes[k], destination, points)

@@ -130,12 +130,13 @@ class FilterBatch:
         template, mixture = self.template, state.mixture
         arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label)
         looks, prediction = self._looks(state), self._prediction_numbers(state, event)
+        motion = template.motion.arrays(event.time_s - mixture.times)
         region = NO_REGION if template.rig.region is None else template.rig.region
 
         def run(first: int) -> tuple[Integers, GaussianMixture, Array]:
             part = slice(first, first + CHUNK)
             begins, ends = state.begins[part], state.ends[part]
-            weights, moved = predict(begins, ends, mixture, spaces[part], looks, prediction, region)
+            weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, prediction, region)
             return template.update_hypotheses(
                 begins, ends, mixture, weights, moved, arrays, numbers, template.reduction
             )
@@ -156,14 +157,11 @@ class FilterBatch:
         return Looks(first, Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES))
 
     def _prediction_numbers(self, state: BatchState, event: Event) -> PredictionNumbers:
-        template, motion = self.template, self.template.motion
+        template = self.template
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         p_detect = template.rig.cameras[event.camera].detector.p_detect
         return PredictionNumbers(
             camera=int(event.camera),
-            time_s=float(event.time_s),
             survival=float(template.survival_per_s**elapsed),
             shape_p_detect=float(p_detect) if template.split_missed else 0.0,
-            acceleration_std=np.array(motion.acceleration_std),
-            max_speed=np.inf if motion.max_speed is None else float(motion.max_speed),
         )

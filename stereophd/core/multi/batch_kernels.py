@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
 from stereophd.core.disparity.sample_move import Look, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
+from stereophd.core.motion.arrays import MotionArrays, slice_motion
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
@@ -41,22 +42,17 @@ class PredictionNumbers(NamedTuple):
 
     Attributes
     ----------
-    camera, time_s : int, float
+    camera : int
         Of the event.
     survival : float
         Probability that an object survives since the last event.
     shape_p_detect : float
         Probability of detection for the shape of the missed part; 0 where it keeps its own.
-    acceleration_std, max_speed : array (3,), float
-        Of the motion.
     """
 
     camera: int
-    time_s: float
     survival: float
     shape_p_detect: float
-    acceleration_std: Array
-    max_speed: float
 
 
 @compiled
@@ -66,6 +62,7 @@ def predict(
     mixture: GaussianMixture,
     spaces: Array,
     looks: Looks,
+    motion: MotionArrays,
     numbers: PredictionNumbers,
     region: Array,
 ) -> tuple[Array, Moved]:
@@ -79,7 +76,10 @@ def predict(
         Components.
     spaces : array (k, c, 30)
         Packed disparity spaces of each hypothesis' cameras.
-    looks, numbers : Looks, PredictionNumbers
+    looks : Looks
+    motion : MotionArrays
+        With an interval for each of the components in `mixture`.
+    numbers : PredictionNumbers
     region : array (8,) or empty
         Where objects can be (`stereophd.core.disparity.trips.region_mask`).
 
@@ -96,16 +96,16 @@ def predict(
     first = 0
     for h in range(len(begins)):
         last = first + ends[h] - begins[h]
-        weights, means, covariances, cameras, times, _, tracks, _ = slice_components(mixture, begins[h], ends[h])
+        weights, means, covariances, cameras, _, _, tracks, _ = slice_components(mixture, begins[h], ends[h])
         weights = weights * numbers.survival
         moved = slice_moved(all_moved, first, last)
         homes = np.empty((len(weights), PACKED_SIZE))
         for k in range(len(weights)):
             homes[k] = spaces[h, cameras[k]]
         carry_components(
-            np.arange(len(weights)), means, covariances, homes, numbers.time_s - times, weights >= IMPORTANT_WEIGHT,
-            looks.first, looks.second, spaces[h, numbers.camera], numbers.acceleration_std, numbers.shape_p_detect,
-            numbers.max_speed, region, moved,
+            np.arange(len(weights)), means, covariances, homes, slice_motion(motion, begins[h], ends[h]),
+            weights >= IMPORTANT_WEIGHT, looks.first, looks.second, spaces[h, numbers.camera],
+            numbers.shape_p_detect, region, moved,
         )  # fmt: skip
         all_weights[first:last] = surviving_weights(
             weights, tracks, cameras, moved.status, moved.inside, numbers.camera
