@@ -70,7 +70,8 @@ def to_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON; NaN and infinity become null, which JSON knows."""
     import json
 
-    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False)
+    readable = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
+    return json.dumps(_plain(report), indent=2, ensure_ascii=not readable, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.errors import InputError
+from stereophd.io.disk import for_arrow
 from stereophd.io.interchange.base import (
     EXTRA_COLUMNS,
     ExportOptions,
@@ -119,7 +120,7 @@ def _batches(path: Path, separator: str, columns: Mapping[str, str]) -> Iterator
     kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
     try:
         reader = pyarrow.csv.open_csv(
-            path,
+            for_arrow(path),
             read_options=pyarrow.csv.ReadOptions(use_threads=False, block_size=1 << 22),
             parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
             convert_options=pyarrow.csv.ConvertOptions(

@@ -1,0 +1,15 @@
+"""``python -m stereophd``, and the console script: signals are handled before anything slow is imported."""
+
+from stereophd.cli import early
+
+
+def main() -> None:
+    """Run the command line, and exit with its code."""
+    early.handle()
+    from stereophd.cli.app import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()
