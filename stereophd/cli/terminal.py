@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -68,8 +67,9 @@ def quiet_pipe() -> Iterator[None]:
 
 def to_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON; NaN and infinity become null, which JSON knows."""
-    import json
+    from stereophd.io.json_text import json_text
 
+<<<<<<< HEAD
     readable = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
     return json.dumps(_plain(report), indent=2, ensure_ascii=not readable, allow_nan=False)
 
@@ -84,6 +84,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+=======
+    return json_text(report)
+>>>>>>> main
 
 
 def print_report(session: Session, report: Mapping[str, Any]) -> None:
@@ -91,7 +94,9 @@ def print_report(session: Session, report: Mapping[str, Any]) -> None:
     if session.json:
         print_data(to_json(report))
     elif not session.quiet:
-        print_data("\n".join(_lines(_plain(report))))
+        from stereophd.io.json_text import plain
+
+        print_data("\n".join(_lines(plain(report))))
 
 
 def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +14,7 @@ from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
+from stereophd.io.json_text import write_json
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
 from stereophd.io.tables import TableWriter, history_schema, posterior_schema
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
@@ -24,7 +23,7 @@ from stereophd.pipeline.calibration.inputs import (
     calibration_section,
     pmb_filter,
     read_problem,
-    with_poses,
+    with_quantities,
 )
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
@@ -32,11 +31,12 @@ from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import SCANS_FILE, TRACKS_FILE, reported_records, write_tracks
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.pipeline.calibration.outcome import Progress
+    from stereophd.pipeline.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
@@ -103,7 +103,7 @@ def calibrate(
     jobs = effective_n_jobs(jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
-    drawn = find_spec("matplotlib") is not None if plots is None else plots
+    drawn = whether_to_draw(plots)
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
@@ -128,12 +128,11 @@ def calibrate(
         if report["status"] != UNDETERMINED:
             cameras = problem.parameters.build(outcome.values)
             write_cameras(
-                out.path(CAMERAS_FILE), with_poses(loaded.cameras, cameras), loaded.config.units.length, record
+                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )
             report["tracking"] = _track(loaded, cameras, log_path, out, to_metadata(record))
         report["provenance"] = record
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-        out.path("report.json").write_text(text, encoding="utf-8")
+        write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
             _draw(problem, outcome, out, loaded.config.units.length)
     checkpoint.remove()

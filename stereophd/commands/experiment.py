@@ -10,13 +10,12 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stereophd.config.experiment import ExperimentConfig
 from stereophd.errors import InputError
-from stereophd.experiments.engine.execution import Progress, execute
+from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PATTERN, PartStore, RunResult, parquet_metadata
 from stereophd.experiments.engine.plan import cases_of, plan_parts
 from stereophd.experiments.engine.quantities import QuantityCheck
@@ -25,8 +24,11 @@ from stereophd.experiments.engine.summary import Summary
 from stereophd.experiments.engine.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN
 from stereophd.io.atomic import OutputFolder, output_folder, output_lock
+from stereophd.io.json_text import write_json
 from stereophd.io.provenance import from_metadata, provenance, to_metadata
 from stereophd.io.tables import RUNS, SUMMARY, TableWriter
+from stereophd.pipeline.progress import Progress
+from stereophd.report.installed import can_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -156,9 +158,8 @@ def _write(results: Results, runs: list[RunResult], loaded: LoadedConfig, out: O
         for cell in results.cells:
             for summary in cell.summaries:
                 table.append(columns_of_summary(results.name, cell.method, cell.case, summary))
-    text = json.dumps(results.timing, indent=2, allow_nan=False) + "\n"
-    out.path(TIMING_FILE).write_text(text, encoding="utf-8")
-    if find_spec("matplotlib") is None:
+    write_json(out.path(TIMING_FILE), results.timing)
+    if not can_draw():
         LOGGER.info("no figure: it needs matplotlib (pip install 'stereophd[plot]')")
         return
     # Costly to import, and matplotlib is an extra.

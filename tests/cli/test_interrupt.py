@@ -91,10 +91,13 @@ def test_a_signal_in_a_destructor_is_raised_again(capsys: pytest.CaptureFixture[
         def __del__(self) -> None:
             signal.raise_signal(signal.SIGTERM)
 
-    library = Library()
-    with pytest.raises(SystemExit) as caught:
+    def lose() -> None:
+        library = Library()
         del library
         time.sleep(10)
+
+    with pytest.raises(SystemExit) as caught:
+        lose()
     assert caught.value.code == 143
     assert capsys.readouterr().err == ""
 

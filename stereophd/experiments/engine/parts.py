@@ -20,10 +20,11 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import stereophd
+from stereophd.core.numerics.random_streams import run_number
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Series, seed_number
+from stereophd.experiments.engine.base import Array, Series
 from stereophd.experiments.engine.tables import columns_of, pieces
-from stereophd.experiments.engine.work import BOUND_RUN, Chunk, Outcome
+from stereophd.experiments.engine.work import BOUND_RUN, Chunk, RunOutcome
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
 from stereophd.io.commit import files_below
 from stereophd.io.disk import for_arrow
@@ -105,7 +106,7 @@ class PartStore:
         """Whether there are finished runs."""
         return any(self.folder.glob("*.parquet"))
 
-    def add(self, chunk: Chunk, outcomes: Sequence[Outcome]) -> None:
+    def add(self, chunk: Chunk, outcomes: Sequence[RunOutcome]) -> None:
         """Store the outcomes of a chunk that came without an error."""
         method, case = chunk.part.method, chunk.part.case
         key = json.dumps([method, case, [outcome.run for outcome in outcomes]])
@@ -120,7 +121,7 @@ class PartStore:
         ):
             for outcome in outcomes:
                 bound = outcome.run == BOUND_RUN
-                seed = 0 if bound else seed_number(chunk.part.config.config.seed, outcome.run)
+                seed = 0 if bound else run_number(chunk.part.config.config.seed, outcome.run)
                 for series in outcome.series:
                     table.append(columns_of("", method, case, outcome.run, seed, series))
 
