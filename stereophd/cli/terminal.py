@@ -69,24 +69,7 @@ def to_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON; NaN and infinity become null, which JSON knows."""
     from stereophd.io.json_text import json_text
 
-<<<<<<< HEAD
-    readable = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
-    return json.dumps(_plain(report), indent=2, ensure_ascii=not readable, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-=======
-    return json_text(report)
->>>>>>> main
+    return json_text(report, ascii_only=not (sys.stdout.encoding or "utf-8").lower().startswith("utf"))
 
 
 def print_report(session: Session, report: Mapping[str, Any]) -> None:

@@ -34,11 +34,8 @@ from stereophd.pipeline.calibration.outcome import (
     Outcome,
 )
 from stereophd.pipeline.calibration.samplers import smc_outcome
-<<<<<<< HEAD
 from stereophd.pipeline.processes import on_processes
-=======
 from stereophd.pipeline.progress import Progress
->>>>>>> main
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
