@@ -24,6 +24,11 @@ from stereophd.io.provenance import ConfigRecord, sha256_of
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
+# A longer number in a key path is a name, not the index of a list.
+MAX_INDEX_DIGITS = 9
+# A longer override is shortened in messages.
+MAX_SHOWN_OVERRIDE = 200
+
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 
@@ -226,14 +231,16 @@ def _inline_cameras(tree: Tree, path: Path) -> tuple[str, str]:
 
 def _parse_override(text: str) -> tuple[KeyPath, Tree]:
     key, separator, value = text.partition("=")
-    source = f"--set {text}"
+    source = f"--set {text}" if len(text) <= MAX_SHOWN_OVERRIDE else f"--set {text[:MAX_SHOWN_OVERRIDE]}..."
     if not separator or not all(key.strip().split(".")):
         raise InputError(f"{source}: expected KEY.PATH=VALUE")
     return _key_path(key), parse_yaml(value, source, numbered=False)
 
 
 def _key_path(key: str) -> KeyPath:
-    return tuple(int(part) if part.isdecimal() else part for part in key.strip().split("."))
+    return tuple(
+        int(part) if part.isdecimal() and len(part) <= MAX_INDEX_DIGITS else part for part in key.strip().split(".")
+    )
 
 
 def _apply(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+from annotated_types import Interval
 from pydantic import Field
 
 from stereophd.config.base import Model, Units
@@ -26,7 +27,7 @@ class Config(Model):
     """A stereophd configuration."""
 
     units: Units = Field(default_factory=Units, description="of all files of a run")
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="of all random numbers of a run")
+    seed: Annotated[int, Interval(ge=0, le=2**63 - 1)] = Field(0, description="of all random numbers of a run")
     cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)] | str | None = Field(
         None, description="the cameras, or the path of a cameras.yaml beside this file"
     )
