@@ -124,15 +124,20 @@ def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
 def _simulate_runs(
     loaded: LoadedConfig, paths: list[dict[str, Path]], jobs: int, progress: Progress | None
 ) -> list[dict[str, int]]:
-    from joblib import Parallel, delayed  # only here: a single run starts without it
+    tasks = [(loaded, run, files) for run, files in enumerate(paths)]
+    # Only here: a single run starts without it.
+    from stereophd.pipeline.processes import on_processes
 
-    tasks = (delayed(_simulate_run)(loaded, run, files, None) for run, files in enumerate(paths))
     counts = []
-    for count in Parallel(n_jobs=jobs, return_as="generator")(tasks):
+    for count in map(_simulate_one, tasks) if jobs == 1 else on_processes(_simulate_one, tasks, jobs):
         counts.append(count)
         if progress is not None:
             progress(len(counts), len(paths))
     return counts
+
+
+def _simulate_one(task: tuple[LoadedConfig, int, dict[str, Path]]) -> dict[str, int]:
+    return _simulate_run(*task, None)
 
 
 def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None) -> dict[str, int]:
