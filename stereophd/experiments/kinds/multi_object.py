@@ -1,6 +1,6 @@
 """Many objects: a simulated scene, tracked, scored by OSPA over time (paper VIII-C, Figure 12).
 
-Run k is the scene of run k of ``simulate --runs``, tracked as ``track`` does and scored as ``evaluate`` does,
+Run k is the scene of run k of several runs of ``simulate``, tracked as ``track`` does and scored as ``evaluate`` does,
 without the files between.
 """
 
