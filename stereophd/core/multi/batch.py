@@ -162,6 +162,6 @@ class FilterBatch:
         p_detect = template.rig.cameras[event.camera].detector.p_detect
         return PredictionNumbers(
             camera=int(event.camera),
-            survival=float(template.survival_per_s**elapsed),
+            survival=float(template.settings.survival_per_s**elapsed),
             shape_p_detect=float(p_detect) if template.split_missed else 0.0,
         )
