@@ -154,6 +154,10 @@ class CalibrationConfig(Model):
     priors: dict[str, CameraPrior] = Field(
         min_length=1, description="of the unknown cameras by name; a camera without a prior is known"
     )
+    shared: list[list[str]] = Field(
+        default_factory=list,
+        description="groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]",
+    )
     scale: ScaleConfig = Field(
         default_factory=NoScale, description="what fixes the scale, which moving objects do not show"
     )
@@ -163,6 +167,9 @@ class CalibrationConfig(Model):
 
     @model_validator(mode="after")
     def _reference_is_known(self) -> CalibrationConfig:
+        names = [name for group in self.shared for name in group]
+        if any(len(group) < 2 for group in self.shared) or len(set(names)) < len(names):
+            raise ValueError("shared: expected groups of two or more cameras, each camera in one group")
         prior = self.priors.get(self.reference)
         for quantity in quantities() if prior is not None else ():
             if quantity.of_the_frame and any(_numbers(getattr(prior, quantity.prior))):

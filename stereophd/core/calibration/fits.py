@@ -54,13 +54,13 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     of_object = of_object[of_object >= 0]
     order = np.lexsort((detections, of_object))
     trajectories, detections = of_object[order], detections[order]
-    rows, points = meeting_points(task.parameters, task.pairs, pairing)
+    rows, times, points = meeting_points(task.parameters, task.pairs, pairing)
     met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
     cameras = task.parameters.build(pairing.values)
     observations = task.observations(cameras, trajectories, detections)
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
-    knot, weights = interpolation(knots, met, task.pairs.times[rows])
+    knot, weights = interpolation(knots, met, times)
     states = fit_states(knots, knot, weights, points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return _fit(task, problem, pairing.values, states, detections)
@@ -97,7 +97,9 @@ def refitted(task: Task, fit: Fit, tracked: bool = False) -> Fit | None:
     std = float(task.filter.motion.acceleration_std.max())
     # over this time a random acceleration moves an object by its detection's noise
     padding = np.inf if std == 0.0 else (np.sqrt(3.0) * noise / std) ** (2.0 / 3.0)
-    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
+    trajectories, detections = fitted_detections(
+        cameras, scans, fit.knots, states, padding, counts, not task.parameters.only_moves
+    )
     of_camera = scans.cameras[scans.event_of[detections]]
     chosen = shared(trajectories, of_camera, task.settings.min_detections)
     if not len(chosen):
