@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stereophd.config.cameras import UNKNOWN_DETECTOR, CameraConfig
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import ImportOptions
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 
 Floats = NDArray[np.float64]
 
@@ -172,15 +172,15 @@ def image_size(name: str, stated: tuple[int, int] | None, options: ImportOptions
     size = options.image_sizes.get(name) or stated
     if size is None:
         raise InputError(
-            f"{where}: {name}: expected the size of the images, found none in the file; state it with the option for "
-            "image sizes"
+            f"{where}: {name}: expected the size of the images, found none in the file; state it by `image_sizes`"
         )
     return size
 
 
-def unit(options: ImportOptions, assumed: list[str], of: str) -> str:
-    """Return the unit of length of a source that names none; say so where the user does not state it either."""
+def unit(options: ImportOptions, recording: ForeignRecording, of: str) -> str:
+    """Return the unit of length of a source that names none: the user's, else metres, which is noted as assumed."""
     if options.length_unit is not None:
         return options.length_unit
-    assumed.append(f"{of}: lengths are in metres, for neither the file nor an option names a unit")
+    recording.unit_is_assumed = True
+    recording.assumed.append(f"{of}: lengths are in metres: neither the file nor `length_unit` names a unit")
     return "m"
