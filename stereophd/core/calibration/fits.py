@@ -16,6 +16,7 @@ from stereophd.core.calibration.association import (
     track_detections,
     with_cameras,
 )
+from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import Fit, Task
@@ -142,6 +143,17 @@ def adjusted_to(
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
     return _fit(task, problem, fit.adjustment.values, states, detections)
+
+
+def marginal_fit(task: Task, fit: Fit) -> Fit:
+    """Move a fit to the maximum of the marginal posterior, where more than poses is unknown."""
+    if task.parameters.only_moves:
+        return fit
+    problem = Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
+    found = marginal_optimum(problem, fit.adjustment)
+    cameras = task.parameters.build(found.values)
+    observations = replace(fit.observations, times=true_times(cameras, fit.observations))
+    return replace(fit, adjustment=found, observations=observations)
 
 
 def _fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
