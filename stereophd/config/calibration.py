@@ -113,6 +113,9 @@ class CalibrationConfig(Model):
     priors: Annotated[dict[str, CameraPrior], Len(1)] = parameter(
         "of the unknown cameras by name; a camera without a prior is known"
     )
+    shared: list[list[str]] = parameter(
+        "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list
+    )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
     annealed: AnnealedSettings = parameter("settings of this method", default_factory=AnnealedSettings)
     sequential: SequentialSettings = parameter("settings of this method", default_factory=SequentialSettings)
@@ -120,6 +123,9 @@ class CalibrationConfig(Model):
 
     @model_validator(mode="after")
     def _reference_is_known(self) -> CalibrationConfig:
+        names = [name for group in self.shared for name in group]
+        if any(len(group) < 2 for group in self.shared) or len(set(names)) < len(names):
+            raise ValueError("shared: expected groups of two or more cameras, each camera in one group")
         prior = self.priors.get(self.reference)
         for quantity in quantities() if prior is not None else ():
             if quantity.of_the_frame and any(_numbers(getattr(prior, quantity.prior))):
