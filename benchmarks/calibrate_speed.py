@@ -125,7 +125,7 @@ def scene(options: argparse.Namespace, folder: Path) -> tuple[ParameterSet, PhdF
     loaded = load_config(CONFIG, seed=options.seed, cameras_path=folder / "simulated" / "guess.yaml")
     problem = read_problem(loaded, folder / "simulated" / "detections.parquet")
     phd = phd_filter(loaded, problem.parameters.cameras, options.samples)
-    return problem.parameters, phd, list(problem.scans.events[: options.events])
+    return problem.parameters, phd, list(problem.scans().events[: options.events])
 
 
 def measure(options: argparse.Namespace) -> dict[str, object]:

@@ -35,12 +35,12 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.evaluate_cameras import evaluate_calibration, read_posterior
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
-from stereophd.config.calibration import per_axis
 from stereophd.config.loading import LoadedConfig, load_cameras, load_config
+from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.io.cameras import write_cameras
-from stereophd.pipeline.calibration.inputs import with_poses
+from stereophd.pipeline.calibration.inputs import prior_stds, with_quantities
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
 # In units of the bound on its root mean square: what counts as success.
@@ -59,11 +59,15 @@ def overrides(options: argparse.Namespace) -> list[str]:
     loaded = load_config(options.config, out)
     section = loaded.config.calibration
     assert section is not None
-    for name, prior in section.priors.items():
-        center = [options.prior_factor * std for std in per_axis(prior.center_std)]
-        rotation = [options.prior_factor * std for std in per_axis(prior.rotation_std_deg)]
-        out += [f"calibration.priors.{name}.center_std={center}"]
-        out += [f"calibration.priors.{name}.rotation_std_deg={rotation}"]
+    for name in section.priors:
+        for quantity in quantities():
+            key = quantity.prior
+            scale = options.prior_factor / quantity.prior_unit
+            spread = [scale * std for std in prior_stds(section, name, quantity)]
+            if not any(spread):
+                continue
+            given = dict(zip(quantity.components, spread, strict=True)) if quantity.named else spread
+            out += [f"calibration.priors.{name}.{key}={given if len(spread) > 1 else spread[0]}"]
     if options.baseline_std is not None:
         cameras = {camera.name: camera for camera in loaded.build_cameras()}
         other = next(iter(section.priors))
@@ -93,7 +97,7 @@ def one_run(options: argparse.Namespace, changes: Sequence[str], run: int, folde
         posterior = read_posterior(out / "posterior.parquet")
         assert posterior is not None
         mean, _ = weighted_mean_covariance(posterior.particles, posterior.log_weights)
-        cameras = with_poses(loaded.cameras, posterior.parameters.build(mean))
+        cameras = with_quantities(loaded.cameras, posterior.parameters.build(mean))
         write_cameras(out / "cameras.yaml", cameras, loaded.config.units.length)
     truth = load_config(options.config, changes, seed, true)
     scores = evaluate_calibration(out / "cameras.yaml", true, loaded=truth)
@@ -129,7 +133,7 @@ def compare_tracking(
     scale = scene_scale(out / "tracks.parquet", scene / "truth.parquet", origin)
     moved = [replace(c, pose=Pose(c.pose.rotation, origin + (c.pose.center - origin) * scale)) for c in cameras]
     scaled = folder / "scaled.yaml"
-    write_cameras(scaled, with_poses(estimated, moved), loaded.config.units.length)
+    write_cameras(scaled, with_quantities(estimated, moved), loaded.config.units.length)
     scores = {}
     for name, path in (("calibrated", scaled), ("true", scene / "cameras.yaml")):
         tracked = folder / f"tracked-{name}"

@@ -19,26 +19,27 @@ import time
 import numpy as np
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, ParticleSettings
-from stereophd.experiments.single_object.runs import TrackingScenario, draw_trajectory
+from stereophd.experiments.single_object.runs import TrackingProblem, draw_trajectory
 
 STEPS = 300
 ESTIMATORS: dict[str, EstimatorSettings] = {
-    "disparity space, 64 qmc": DisparitySettings("qmc", 64),
-    "disparity space, 256 qmc": DisparitySettings("qmc", 256),
-    "disparity space, 250 particles": DisparitySettings("particle", 250),
-    "disparity space, adaptive": DisparitySettings("adaptive", 256),
-    "disparity space, linear": DisparitySettings("linear"),
-    "particle filter, 250": ParticleSettings(250),
-    "particle filter, 500": ParticleSettings(500),
-    "particle filter, 1000": ParticleSettings(1000),
+    "disparity space, 64 qmc": DisparitySettings(MomentsSettings(method="qmc", samples=64)),
+    "disparity space, 256 qmc": DisparitySettings(MomentsSettings(method="qmc", samples=256)),
+    "disparity space, 250 particles": DisparitySettings(MomentsSettings(method="particle", samples=250)),
+    "disparity space, adaptive": DisparitySettings(MomentsSettings(method="adaptive", samples=256)),
+    "disparity space, linear": DisparitySettings(MomentsSettings(method="linear")),
+    "particle filter, 250": ParticleSettings(particles=250),
+    "particle filter, 500": ParticleSettings(particles=500),
+    "particle filter, 1000": ParticleSettings(particles=1000),
 }
 OURS, BASELINE = "disparity space, 256 qmc", "particle filter, 250"
 
@@ -71,14 +72,14 @@ def main() -> int:
     return int(rows[OURS]["ratio"] > 1.0)
 
 
-def figure_eleven() -> TrackingScenario:
+def figure_eleven() -> TrackingProblem:
     """The scenario, as in configs/paper/single_object.yaml; lengths in cm."""
     cameras = [_camera("left", -20.0, -math.pi / 12), _camera("right", 20.0, math.pi / 12)]
-    return TrackingScenario(
+    return TrackingProblem(
         make_rig(cameras, 1.0, "horizontal"),
         np.array([0.0, 0.0, 100.0, 0.0, 0.0, 6.0]),
         ConstantVelocity([0.05, 0.05, 0.1]),
-        InitialPrior((12.5, 4.2), velocity_std=3.0),
+        InitialPrior(disparity=DisparityPrior(mean_px=12.5, std_px=4.2), velocity_std=3.0),
         np.repeat(0.5 * np.arange(STEPS), 2),
         np.tile([0, 1], STEPS),
     )
@@ -90,7 +91,7 @@ def _camera(name: str, x: float, yaw: float) -> Camera:
     return Camera(name, 800, 600, 8.0 / 8.9e-3, 8.0 / 9.0e-3, 400.0, 300.0, pose, Lens("none"), detector)
 
 
-def draw_events(scenario: TrackingScenario, rng: np.random.Generator) -> list[Event]:
+def draw_events(scenario: TrackingProblem, rng: np.random.Generator) -> list[Event]:
     """Detections of one trajectory."""
     events = []
     states = draw_trajectory(scenario, rng)

@@ -110,3 +110,13 @@ def test_public_definitions_have_docstrings() -> None:
         if not ast.get_docstring(tree):
             bare.append(f"{path.relative_to(ROOT)}: module")
     assert not bare
+
+
+def test_public_classes_have_names_of_their_own() -> None:
+    """Two public classes of one name would be two meanings of one word."""
+    homes: dict[str, list[str]] = {}
+    for path in (ROOT / "stereophd").rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    assert {name: files for name, files in homes.items() if len(files) > 1} == {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -68,21 +67,9 @@ def quiet_pipe() -> Iterator[None]:
 
 def to_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON; NaN and infinity become null, which JSON knows."""
-    import json
+    from stereophd.io.json_text import json_text
 
-    return json.dumps(_plain(report), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return json_text(report)
 
 
 def print_report(session: Session, report: Mapping[str, Any]) -> None:
@@ -90,7 +77,9 @@ def print_report(session: Session, report: Mapping[str, Any]) -> None:
     if session.json:
         print_data(to_json(report))
     elif not session.quiet:
-        print_data("\n".join(_lines(_plain(report))))
+        from stereophd.io.json_text import plain
+
+        print_data("\n".join(_lines(plain(report))))
 
 
 def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import logging
-from importlib.util import find_spec
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
+from stereophd.io.json_text import write_json
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
 from stereophd.io.tables import TableWriter, history_schema, posterior_schema
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
@@ -23,7 +23,7 @@ from stereophd.pipeline.calibration.inputs import (
     calibration_section,
     pmb_filter,
     read_problem,
-    with_poses,
+    with_quantities,
 )
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
@@ -31,11 +31,12 @@ from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import SCANS_FILE, TRACKS_FILE, reported_records, write_tracks
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.pipeline.calibration.outcome import Progress
+    from stereophd.pipeline.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
@@ -46,7 +47,9 @@ LOGGER = logging.getLogger("stereophd")
 
 def checkpoint_path(out_dir: Path | str) -> Path:
     """Where the checkpoint of a run into a folder lies: beside the folder."""
-    folder = Path(out_dir)
+    folder = Path(os.path.abspath(out_dir))  # a name of its own, of the current folder too
+    if not folder.name:
+        raise InputError(f"output folder {out_dir}: expected a folder in another, found the root folder")
     return folder.with_name(f"{folder.name}.checkpoint")
 
 
@@ -100,14 +103,15 @@ def calibrate(
     jobs = effective_n_jobs(jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
-    drawn = find_spec("matplotlib") is not None if plots is None else plots
+    drawn = whether_to_draw(plots)
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
-    checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
+        # Only here, where no other run can be at work on it.
+        checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
         try:
             outcome = method(loaded, section, problem, checkpoint, jobs, progress)
         except InputError:
@@ -124,12 +128,11 @@ def calibrate(
         if report["status"] != UNDETERMINED:
             cameras = problem.parameters.build(outcome.values)
             write_cameras(
-                out.path(CAMERAS_FILE), with_poses(loaded.cameras, cameras), loaded.config.units.length, record
+                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )
             report["tracking"] = _track(loaded, cameras, log_path, out, to_metadata(record))
         report["provenance"] = record
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-        out.path("report.json").write_text(text, encoding="utf-8")
+        write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
             _draw(problem, outcome, out, loaded.config.units.length)
     checkpoint.remove()

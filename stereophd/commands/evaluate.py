@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import asdict
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,6 +25,7 @@ from stereophd.core.metrics.summary import figures, pair_errors, per_scan_column
 from stereophd.core.metrics.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
+from stereophd.io.json_text import write_json
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
@@ -42,8 +42,8 @@ from stereophd.pipeline.evaluation.report import (
     check_limits,
     raise_if_above,
     write_per_scan,
-    write_report,
 )
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -138,7 +138,7 @@ def evaluate(
     if out_dir is None:
         report = _run(inputs, options, fail_above or {}, None, False)
     else:
-        draw = _whether_to_draw(plots)
+        draw = whether_to_draw(plots)
         with OutputFolder(out_dir, [REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES], force) as out:
             report = _run(inputs, options, fail_above or {}, out, draw)
     if cutoff is None and base == "euclidean" and report["length_unit"] not in (None, "cm"):
@@ -166,7 +166,7 @@ def _run(
     record = provenance("evaluate", asdict(options), inputs=inputs, length_unit=unit)
     report = build_report(scored, options, max_gap_s, unit, record)
     if out is not None:
-        write_report(out.path(REPORT_NAME), report)
+        write_json(out.path(REPORT_NAME), report)
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))
         if draw:
             # Costly to import, and matplotlib is an extra.
@@ -296,10 +296,3 @@ def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], optio
     return f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}{limits}" + (
         f", not scored: {why}" if why else ""
     )
-
-
-def _whether_to_draw(plots: bool | None) -> bool:
-    there = find_spec("matplotlib") is not None
-    if plots and not there:
-        raise InputError("plots need matplotlib, which is not installed: pip install 'stereophd[plot]'")
-    return there if plots is None else plots

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +13,13 @@ from pydantic import ValidationError
 
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
-from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet, pose_offsets
+from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
+from stereophd.io.json_text import finite_or_none, write_json
 from stereophd.io.provenance import from_metadata, provenance
 from stereophd.io.tables import open_parquet
 from stereophd.pipeline.calibration.inputs import build_parameters
@@ -110,8 +109,7 @@ def evaluate_calibration(
         options = {"reference": report["reference"]}
         record = provenance("evaluate", options if loaded is None else loaded.record, inputs=inputs, length_unit=unit)
         with OutputFolder(out_dir, [REPORT_NAME], force) as out:
-            text = json.dumps({**report, "provenance": record}, indent=2, allow_nan=False) + "\n"
-            out.path(REPORT_NAME).write_text(text, encoding="utf-8")
+            write_json(out.path(REPORT_NAME), {**report, "provenance": record})
     raise_if_above(limits, {**report, "scans": {}})
     return report
 
@@ -162,11 +160,13 @@ def error_figures(estimated: list[Camera], true: list[Camera], reference: int) -
         "center": errors.center,
         "center_after_scale": errors.center_after_scale,
     }
-    cameras = {name: {key: _finite(column[k]) for key, column in columns.items()} for k, name in enumerate(others)}
-    joint: dict[str, Any] = {
-        key: _finite(np.sqrt((column**2).mean())) for key, column in columns.items() if key != "scale_ratio"
+    cameras = {
+        name: {key: finite_or_none(column[k]) for key, column in columns.items()} for k, name in enumerate(others)
     }
-    joint["scale_ratio"] = _finite(errors.common_scale)
+    joint: dict[str, Any] = {
+        key: finite_or_none(np.sqrt((column**2).mean())) for key, column in columns.items() if key != "scale_ratio"
+    }
+    joint["scale_ratio"] = finite_or_none(errors.common_scale)
     return {"cameras": cameras, "joint": joint}
 
 
@@ -194,22 +194,10 @@ def read_posterior(path: Path) -> Posterior | None:
         return Posterior(parameters, reference, np.column_stack(columns), np.log(weights))
 
 
-def true_values(parameters: ParameterSet, true: list[Camera]) -> Array:
-    """Values (m,) that lead from the prior mean to the true cameras; what is not a parameter is left out."""
-    offsets = {
-        f"{mean.name}.{name}": float(value)
-        for mean in parameters.cameras
-        for camera in true
-        if camera.name == mean.name
-        for name, value in zip(CENTER + ROTATION, pose_offsets(mean, camera), strict=True)
-    }
-    return np.array([offsets[name] for name in parameters.names])
-
-
 def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any]:
     """NEES of the mean, and which parameters' 90 % intervals hold the truth."""
     parameters = posterior.parameters
-    truth = true_values(parameters, true)
+    truth = parameters.difference(true)
     mean, covariance = weighted_mean_covariance(posterior.particles, posterior.log_weights)
     weights = np.exp(posterior.log_weights)
     low = weighted_quantiles(posterior.particles, weights, 0.5 - CREDIBLE / 2)
@@ -218,7 +206,7 @@ def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any
     std = np.sqrt(np.diag(covariance))
     nees = normalised_error_squared(truth - mean, covariance)
     return {
-        "nees": _finite(nees / parameters.size),
+        "nees": finite_or_none(nees / parameters.size),
         "covered_90": float(inside.mean()),
         "parameters": {
             name: {"error": float(mean[i] - truth[i]), "std": float(std[i]), "covered_90": bool(inside[i])}
@@ -233,7 +221,3 @@ def weighted_quantiles(particles: Array, weights: Array, level: float) -> Array:
     cumulative = np.cumsum(weights[order], axis=0) / weights.sum()
     rows = (cumulative < level).sum(axis=0).clip(0, len(particles) - 1)
     return np.asarray(particles[order[rows, np.arange(particles.shape[1])], np.arange(particles.shape[1])])
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -10,14 +10,12 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import shutil
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stereophd.config.experiment import ExperimentConfig
 from stereophd.errors import InputError
-from stereophd.experiments.engine.execution import Progress, execute
+from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PATTERN, PartStore, RunResult, parquet_metadata
 from stereophd.experiments.engine.plan import cases_of, plan_parts
 from stereophd.experiments.engine.quantities import QuantityCheck
@@ -25,9 +23,12 @@ from stereophd.experiments.engine.results import Cell, Results, experiment_name,
 from stereophd.experiments.engine.summary import Summary
 from stereophd.experiments.engine.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN
-from stereophd.io.atomic import OutputFolder, output_folder
+from stereophd.io.atomic import OutputFolder, output_folder, output_lock
+from stereophd.io.json_text import write_json
 from stereophd.io.provenance import from_metadata, provenance, to_metadata
 from stereophd.io.tables import RUNS, SUMMARY, TableWriter
+from stereophd.pipeline.progress import Progress
+from stereophd.report.installed import can_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -87,23 +88,22 @@ def experiment(
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
     store = PartStore(out, loaded)
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    try:
-        if _is_finished(store, out, loaded, resume, force):
-            return _read_results(loaded, settings, out)
-        bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
-        wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
-        check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
-        execute(wanted, store, jobs, dask, progress, check.see)
-        results, runs = gather_results(loaded, settings, parts, store.read())
-        with OutputFolder(out, [*FILES, PATTERN], force=True) as files:
-            _write(results, runs, loaded, files)
-    except BaseException:
-        # finished runs stay; folders that hold none do not
-        for folder in (store.folder, *made):
+    with output_lock(out):
+        try:
+            if _is_finished(store, out, loaded, resume, force):
+                return _read_results(loaded, settings, out)
+            bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
+            wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
+            check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
+            execute(wanted, store, jobs, dask, progress, check.see)
+            results, runs = gather_results(loaded, settings, parts, store.read())
+            with OutputFolder(out, [*FILES, PATTERN], force=True) as files:
+                _write(results, runs, loaded, files)
+        except BaseException:
+            # finished runs stay; a folder that holds none does not
             with contextlib.suppress(OSError):
-                folder.rmdir()
-        raise
+                store.folder.rmdir()
+            raise
     return results
 
 
@@ -130,8 +130,7 @@ def _is_finished(store: PartStore, out: Path, loaded: LoadedConfig, resume: bool
             f"output folder {out} holds runs of another configuration ({store.others()[0].name}): nothing to resume; "
             "use --force to remove them"
         )
-    for folder in [*store.others(), *([] if resume else [store.folder])]:
-        shutil.rmtree(folder, ignore_errors=True)
+    store.remove(others_only=resume)
     return False
 
 
@@ -159,9 +158,8 @@ def _write(results: Results, runs: list[RunResult], loaded: LoadedConfig, out: O
         for cell in results.cells:
             for summary in cell.summaries:
                 table.append(columns_of_summary(results.name, cell.method, cell.case, summary))
-    text = json.dumps(results.timing, indent=2, allow_nan=False) + "\n"
-    out.path(TIMING_FILE).write_text(text, encoding="utf-8")
-    if find_spec("matplotlib") is None:
+    write_json(out.path(TIMING_FILE), results.timing)
+    if not can_draw():
         LOGGER.info("no figure: it needs matplotlib (pip install 'stereophd[plot]')")
         return
     # Costly to import, and matplotlib is an extra.

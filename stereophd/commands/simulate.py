@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.core.simulation.timing import FloatArray
 from stereophd.errors import InputError
@@ -22,13 +23,13 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.logs import LogWriter
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import TRUTH, TableWriter
-from stereophd.pipeline.simulation import GUESS_KEY, build_scene
+from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.simulation import build_scene
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 # Called with (done, total): frames of a single run, runs of several.
-Progress = Callable[[int, int], None]
 
 DETECTIONS_FILE = "detections.parquet"
 TRUTH_FILE = "truth.parquet"
@@ -122,9 +123,7 @@ def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progre
     config = loaded.config
     settings = config.simulate
     assert settings is not None  # checked in simulate
-    # As SeedSequence(seed).spawn(runs)[run], for any number of runs.
-    object_seed, frame_seed = np.random.SeedSequence(config.seed, spawn_key=(run,)).spawn(2)
-    scene = build_scene(config, loaded.build_cameras(), object_seed)
+    scene = build_scene(config, loaded.build_cameras(), RUN_OBJECTS.seed(config.seed, run))
     record = {**provenance("simulate", loaded.record), "run": run}
     metadata = to_metadata(record)
     described = {  # what the cameras did: with the rate that the scenario gave them
@@ -135,10 +134,11 @@ def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progre
     if config.calibration is not None:
         from stereophd.pipeline.calibration.inputs import draw_guess  # only here: most scenarios have no calibration
 
-        guess = draw_guess(loaded, np.random.SeedSequence(config.seed, spawn_key=(run, GUESS_KEY)))
+        guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, run))
         write_cameras(paths[GUESS_FILE], {n: guess[n] for n in described}, config.units.length, record)
     _write_truth(paths[TRUTH_FILE], scene, metadata)
     report = None if progress is None else partial(_every, progress, scene.grid.frame_count())
+    frame_seed = RUN_FRAMES.seed(config.seed, run)
     return _write_log(paths[DETECTIONS_FILE], scene, frame_seed, metadata, settings.object_id, report)
 
 

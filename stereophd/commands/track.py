@@ -6,7 +6,6 @@ written as they are made (smoothing, which needs the whole run, holds it in memo
 
 from __future__ import annotations
 
-import json
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from stereophd.core.disparity.move_kernels import carry_components
 from stereophd.core.numerics.kernel_cache import is_kept
 from stereophd.io.atomic import OutputFolder
+from stereophd.io.json_text import write_json
 from stereophd.io.log_checks import KINDS
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.pipeline.progress import Progress
@@ -90,8 +90,7 @@ def track(
             **summary,
             "provenance": record,
         }
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-        out.path("report.json").write_text(text, encoding="utf-8")
+        write_json(out.path("report.json"), report)
     _warn_of_losses(stream)
     return report
 

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Union
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    Tag,
+    model_validator,
+)
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -18,6 +29,50 @@ class Model(BaseModel):
     """Base of all models: unknown keys are errors, instances are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Annotation of a section that exists in several kinds: the settings of one of them, chosen by a word.
+
+    Attributes
+    ----------
+    members : callable
+        Returns the settings of every kind by its word: a registry of `core`.
+    key : str
+        The field that holds the word.
+    default : str, optional
+        The word of a section that names none; without it the word is required.
+    """
+
+    members: Callable[[], Mapping[str, Any]]
+    key: str
+    default: str | None = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Validate as the union of the kinds (called by pydantic)."""
+        tagged = tuple(Annotated[kind, Tag(word)] for word, kind in self.members().items())
+
+        def word_of(value: Any) -> Any:
+            if isinstance(value, dict):
+                return value.get(self.key, self.default)
+            return getattr(value, self.key, self.default)
+
+        # pydantic names the function in its errors, `stereophd.config.errors` the key
+        word_of.__name__ = self.key
+        union = Annotated[Union[tagged], Discriminator(word_of)]  # type: ignore[valid-type]  # noqa: UP007
+        return handler.generate_schema(union)
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: GetJsonSchemaHandler) -> Any:
+        """Return the JSON schema, in which every kind but the default requires its word (called by pydantic)."""
+        schema = handler(core_schema)
+        mapping = dict(zip(self.members(), (branch["$ref"] for branch in schema["oneOf"]), strict=True))
+        for word, reference in mapping.items():
+            if word != self.default:
+                kind = handler.resolve_ref_schema({"$ref": reference})
+                kind["properties"][self.key].pop("default", None)
+                kind["required"] = [self.key, *(key for key in kind.get("required", ()) if key != self.key)]
+        return {**schema, "discriminator": {"propertyName": self.key, "mapping": mapping}}
 
 
 class Units(Model):

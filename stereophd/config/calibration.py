@@ -2,40 +2,59 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from stereophd.config.base import Model, NonNegative, Positive, Probability
+from stereophd.core.calibration.quantities.base import Quantity
+from stereophd.core.calibration.quantities.registry import quantities
 
 Count = Annotated[int, Field(ge=1)]
-# One standard deviation for all axes, or one for each; zero: that axis is known.
-Spread = NonNegative | tuple[NonNegative, NonNegative, NonNegative]
 
 
-class PosePrior(Model):
-    """Gaussian prior of the pose of one camera about the pose that the configuration or --cameras gives."""
+def _prior_field(quantity: Quantity) -> Any:
+    """Type and description of the prior of a quantity."""
+    size = len(quantity.components)
+    if quantity.named:
+        names: Any = {name: (NonNegative, Field(0.0, description=f"of {name}")) for name in quantity.components}
+        named = create_model(f"{quantity.name.title()}Prior", __base__=Model, __doc__=quantity.description, **names)
+        return (named | None, Field(None, description=quantity.description))
+    one: Any = NonNegative
+    spread = one if size == 1 else one | tuple.__class_getitem__((one,) * size)
+    return (spread, Field(0.0, description=quantity.description))
 
-    center_std: Spread = Field(description="standard deviation of the centre, length; one value or x, y, z")
-    rotation_std_deg: Spread = Field(
-        description="standard deviation of the rotation, degrees; one value or about the camera's own x "
-        "(pitch), y (yaw), z (roll)"
-    )
+
+class PriorBase(Model):
+    """Gaussian prior of what is unknown of one camera, about what the configuration or --cameras gives."""
 
     @model_validator(mode="after")
-    def _something_unknown(self) -> PosePrior:
-        stds = [s for spread in (self.center_std, self.rotation_std_deg) for s in per_axis(spread)]
-        if not any(stds):
+    def _something_unknown(self) -> PriorBase:
+        if not any(_numbers(self.model_dump())):
             raise ValueError("expected a standard deviation above 0, found none: a known camera has no prior")
         return self
 
 
-def per_axis(spread: Any) -> tuple[float, float, float]:
-    """Return a spread as three values."""
-    if isinstance(spread, (int, float)):
-        return (float(spread),) * 3
-    x, y, z = spread
-    return float(x), float(y), float(z)
+def _numbers(values: Any) -> Iterator[float]:
+    """All numbers in nested values."""
+    if isinstance(values, dict):
+        values = values.values()
+    elif not isinstance(values, (tuple, list)):
+        values = () if values is None else (float(values),)
+        yield from values
+        return
+    for value in values:
+        yield from _numbers(value)
+
+
+if TYPE_CHECKING:
+    CameraPrior = PriorBase
+else:
+    CameraPrior = create_model(
+        "CameraPrior", __base__=PriorBase, __doc__=PriorBase.__doc__,
+        **{quantity.prior: _prior_field(quantity) for quantity in quantities()},
+    )  # fmt: skip
 
 
 class BaselineScale(Model):
@@ -132,7 +151,7 @@ class CalibrationConfig(Model):
         "laplace", description="of method annealed: Gaussian at the optimum, or particles"
     )
     reference: str = Field(description="the camera whose pose is known and fixes the frame")
-    priors: dict[str, PosePrior] = Field(
+    priors: dict[str, CameraPrior] = Field(
         min_length=1, description="of the unknown cameras by name; a camera without a prior is known"
     )
     scale: ScaleConfig = Field(
@@ -144,6 +163,10 @@ class CalibrationConfig(Model):
 
     @model_validator(mode="after")
     def _reference_is_known(self) -> CalibrationConfig:
-        if self.reference in self.priors:
-            raise ValueError(f"priors: expected none for the reference {self.reference}: it fixes the frame")
+        prior = self.priors.get(self.reference)
+        for quantity in quantities() if prior is not None else ():
+            if quantity.of_the_frame and any(_numbers(getattr(prior, quantity.prior))):
+                raise ValueError(
+                    f"priors: expected no {quantity.prior} for the reference {self.reference}: it fixes the frame"
+                )
         return self

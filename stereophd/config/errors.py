@@ -22,6 +22,7 @@ _EXPECTED = {
     "dict_type": "a mapping",
     "model_type": "a mapping",
     "model_attributes_type": "a mapping",
+    "dataclass_type": "a mapping",
     "tuple_type": "a list",
     "list_type": "a list",
     "greater_than": "a number > {gt}",
@@ -29,10 +30,15 @@ _EXPECTED = {
     "less_than": "a number < {lt}",
     "less_than_equal": "a number <= {le}",
     "finite_number": "a finite number",
+    "predicate_failed": "a finite number",
     "literal_error": "{expected}",
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
+# Of a model, and of a dataclass.
+_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+# A lower bound below this stands for "above 0", and is named to those only who come below it.
+TINY = 1e-6
 _MAX_SHOWN = 60
 
 
@@ -121,18 +127,20 @@ def _has(data: Any, path: KeyPath) -> bool:
     return True
 
 
-def _expected(error: Mapping[str, Any]) -> str:
+def _expected(error: Mapping[str, Any], found: Any) -> str:
     """Return what an error expected; a validator's own sentence is returned whole."""
     template = _EXPECTED.get(error["type"])
     if template is None:
         return str(error["msg"])
+    if error["type"] == "greater_than_equal" and 0.0 < error["ctx"]["ge"] < TINY and found <= 0:
+        return "a number > 0"
     context = {k: (f"{v:g}" if isinstance(v, float) else v) for k, v in error.get("ctx", {}).items()}
     return template.format(**context)
 
 
 def _is_tag(error: Mapping[str, Any], path: KeyPath, data: Any) -> bool:
     """Whether the last part of a path is the branch of a union, not a key."""
-    return error["type"] not in ("missing", "extra_forbidden") and bool(path) and not _has(data, path)
+    return error["type"] not in ("missing", *_UNKNOWN_KEY) and bool(path) and not _has(data, path)
 
 
 def _is_misspelt(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mapping[str, Any]) -> bool:
@@ -152,7 +160,7 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
         if isinstance(parent, list):
             return f"expected more values, found {show(parent)}"
         return "expected this key, found none"
-    if kind == "extra_forbidden":
+    if kind in _UNKNOWN_KEY:
         known = known_keys(schema, path[:-1], _value(data, path[:-1]))
         return f"unknown key{nearest(str(path[-1]), known)}"
     if kind == "union_tag_not_found":
@@ -166,8 +174,8 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
         meant = f"; did you mean {close[0]}?" if close else ""
         return f"expected one of {', '.join(tags)}, found {show(found)}{meant}"
     if kind in ("too_long", "too_short") and isinstance(found, (list, dict)):
-        return f"expected {_expected(error)}, found {len(found)}"
-    return f"expected {_expected(error)}, found {show(found)}"
+        return f"expected {_expected(error, found)}, found {len(found)}"
+    return f"expected {_expected(error, found)}, found {show(found)}"
 
 
 def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[str, Any]) -> str:
@@ -191,7 +199,7 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
             tags = (*tags, "")
         if error["type"] == "union_tag_invalid":
             # the fault is the value of the key that says which kind, not the mapping that it is in
-            path = (*path, str(error["ctx"]["discriminator"]).strip("'"))
+            path = (*path, str(error["ctx"]["discriminator"]).strip("'()"))
         if _is_misspelt(error, path, data, schema):
             continue
         by_path.setdefault(path, []).append({**error, "tagged": bool(tags)})

@@ -15,9 +15,11 @@ from stereophd.config.base import Model, Units
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.cameras import CameraConfig
 from stereophd.config.experiment import ExperimentConfig
-from stereophd.config.filter import DisparityConfig, FilterConfig, MomentsConfig, MotionConfig, RegionConfig
+from stereophd.config.filter import DisparityConfig, Filter, Motion, RegionConfig
 from stereophd.config.report import InputConfig, ReportConfig
 from stereophd.config.simulate import SimulateConfig
+from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
+from stereophd.core.numerics.samples import MomentsSettings
 
 
 class Config(Model):
@@ -34,10 +36,12 @@ class Config(Model):
         "starting from the cameras' own values (track)",
     )
     disparity: DisparityConfig = Field(default_factory=DisparityConfig, description="disparity space of the cameras")
-    motion: MotionConfig = Field(default_factory=MotionConfig, description="how objects move (track)")
-    moments: MomentsConfig = Field(default_factory=MomentsConfig, description="how Gaussians are carried over (track)")
+    motion: Motion = Field(default_factory=ConstantVelocitySettings, description="how objects move (track)")
+    moments: MomentsSettings = Field(
+        default_factory=MomentsSettings, description="how Gaussians are carried over (track)"
+    )
     region: RegionConfig | None = Field(None, description="where objects can be (track)")
-    filter: FilterConfig | None = Field(None, description="the filter (track)")
+    filter: Filter | None = Field(None, description="the filter (track)")
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")

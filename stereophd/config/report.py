@@ -60,7 +60,7 @@ def _parse_times(value: Any) -> Any:
     raise ValueError(f"expected events, camera NAME or grid DT (in seconds), found {json.dumps(found)}")
 
 
-ReportTimes = Annotated[
+TimesSetting = Annotated[
     Literal["events"] | CameraTimes | GridTimes,
     BeforeValidator(
         _parse_times,
@@ -75,7 +75,7 @@ ReportTimes = Annotated[
 class ReportConfig(Model):
     """Which estimates are written."""
 
-    times: ReportTimes = Field(
+    times: TimesSetting = Field(
         "events",
         description="when estimates are written: events (after every event), camera NAME (after every frame of that "
         "camera) or grid DT (at the multiples of DT seconds, predicted from the last event before each)",

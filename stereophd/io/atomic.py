@@ -1,9 +1,9 @@
 """Outputs that are either there in full or not there at all.
 
-Everything is written under a temporary name on the same file system, flushed to the disk, and moved
-into place with `os.replace`; whatever goes wrong before that (an error, a full disk, Ctrl-C) leaves
-no trace. The user's faults, such as a folder that holds other files or a disk without room, become
-`InputError`.
+Everything is written under a temporary name on the same file system, flushed to the disk, and put into place in one
+step (`stereophd.io.commit`); whatever goes wrong before that (an error, a full disk, Ctrl-C) leaves no trace, and what
+a killed process leaves is removed by the next run. One run at a time writes to a folder (`stereophd.io.locks`). The
+user's faults, such as a folder that holds other files or a disk without room, become `InputError`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,16 @@ from pathlib import Path
 from types import TracebackType
 
 from stereophd.errors import InputError
-from stereophd.io.disk import USER_ERRNOS, current_umask, signals_deferred, sync, write_error
+from stereophd.io.commit import COMMIT_NAME, NEW, OLD, beside_of, commit_files, commit_folder, complete, files_below
+from stereophd.io.disk import TEMPORARY_PREFIX, USER_ERRNOS, current_umask, signals_deferred, sync, write_error
+from stereophd.io.locks import LOCK_NAME, output_lock
 
-# Temporary names start so; a folder left behind by a killed process is recognised as ours.
-TEMPORARY_PREFIX = ".stereophd-partial-"
+__all__ = ["TEMPORARY_PREFIX", "OutputFolder", "atomic_write", "output_folder", "output_lock", "temporary_beside"]
+
+
+def temporary_beside(path: Path) -> Path:
+    """Return the temporary name under which `atomic_write` writes a file."""
+    return path.with_name(f"{TEMPORARY_PREFIX}{path.name}.tmp")
 
 
 @contextlib.contextmanager
@@ -31,7 +37,8 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     Parameters
     ----------
     path
-        The file to write. Its folder must exist; an existing file is replaced.
+        The file to write. Its folder must exist; an existing file is replaced. One process at a time may write it:
+        the temporary name follows from the file's, so that the next call removes what a killed process left.
 
     Yields
     ------
@@ -46,13 +53,13 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     target = Path(path)
     temporary: Path | None = None
     try:
-        descriptor, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=target.parent)
-        os.close(descriptor)
-        temporary = Path(name)
+        name = temporary_beside(target)
+        name.unlink(missing_ok=True)
+        name.touch(0o600)
+        temporary = name
         yield temporary
         sync(temporary)
         with signals_deferred():
-            # mkstemp makes files that only their owner can read; outputs follow the umask.
             temporary.chmod(0o666 & ~current_umask())
             os.replace(temporary, target)
             sync(target.parent)
@@ -68,27 +75,13 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
 def _matches(relative: Path, names: Iterable[str]) -> bool:
     """Whether a file below an output folder is one of `names` (patterns, compared part by part)."""
     parts = relative.parts
-    if parts[0].startswith(TEMPORARY_PREFIX):
+    if _is_temporary(relative):
         return True
     for name in names:
         patterns = Path(name).parts
         if len(patterns) == len(parts) and all(map(fnmatchcase, parts, patterns)):
             return True
     return False
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    """Walk all files (and empty folders) below `folder`, as relative paths."""
-    for root, directories, files in os.walk(folder, onerror=_raise):
-        here = Path(root)
-        for name in files:
-            yield (here / name).relative_to(folder)
-        if not files and not directories and here != folder:
-            yield here.relative_to(folder)
-
-
-def _raise(error: OSError) -> None:
-    raise error
 
 
 def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
@@ -122,7 +115,8 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
         if folder.exists() and not folder.is_dir():
             raise InputError(f"output folder {folder}: expected a folder, found a file")
         folder.mkdir(parents=True, exist_ok=True)
-        for relative in _files(folder):
+        complete(folder)
+        for relative in files_below(folder):
             if not _matches(relative, names):
                 raise InputError(
                     f"output folder {folder} exists and is not of this command, which does not write the {relative} "
@@ -131,12 +125,26 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
             existing.append(relative)
     except OSError as error:
         raise InputError(f"output folder {folder}: {error.strerror or error}") from error
-    ours = [relative for relative in existing if not relative.parts[0].startswith(TEMPORARY_PREFIX)]
-    if ours and not force:
-        raise InputError(f"output folder {folder} already holds {ours[0]}; use --force to replace it")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"output folder {folder}: no permission to write there")
-    return existing
+    ours = [relative for relative in existing if not _is_temporary(relative)]
+    if ours and not force:
+        raise InputError(f"output folder {folder} already holds {ours[0]}; use --force to replace it")
+    return ours
+
+
+def _is_temporary(relative: Path) -> bool:
+    return any(part.startswith(TEMPORARY_PREFIX) for part in relative.parts)
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what killed runs left in a folder, and beside it; the folder is locked, so none of them is alive."""
+    shutil.rmtree(beside_of(folder.resolve()), ignore_errors=True)
+    for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name != LOCK_NAME:
+            path.unlink(missing_ok=True)
 
 
 class OutputFolder:
@@ -147,10 +155,11 @@ class OutputFolder:
         with OutputFolder(out_dir, ["tracks.parquet", "report.json"], force) as out:
             write(out.path("tracks.parquet"))
 
-    Inside the block the files lie in a temporary folder inside `path`. A clean exit flushes them,
-    moves them into place, and removes what an earlier run (under `force`) left behind, so that the
-    folder holds one run's files only. Any exception removes everything that was written, and the
-    folders that were made.
+    Inside the block the files lie in a temporary folder inside `path`, and other runs are kept out of `path`. A clean
+    exit flushes them, puts them into place in one step, and removes what an earlier run (under `force`) left behind,
+    so that the folder holds one run's files only. Any exception removes everything that was written, and the folders
+    that were made. If even that fails (a disk that refuses every move), nothing is removed, and the next command
+    that uses the folder finishes what was begun.
 
     Parameters
     ----------
@@ -172,20 +181,23 @@ class OutputFolder:
         self._names = list(names)
         self._force = force
         self._stale: list[Path] = []
-        self._made: list[Path] = []
-        self._temporary: Path | None = None
+        self._fresh = False
+        self._held = contextlib.ExitStack()
+        self._staged: Path | None = None
 
     def __enter__(self) -> OutputFolder:
-        try:
-            self._made = [p for p in (self.folder, *self.folder.parents) if not p.exists()]
-            self._stale = output_folder(self.folder, self._force, self._names)
-            self._temporary = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=self.folder))
-        except OSError as error:
-            self._discard()
-            raise write_error(error, self.folder) from error
-        except BaseException:
-            self._discard()
-            raise
+        with contextlib.ExitStack() as held:
+            try:
+                self._fresh = held.enter_context(output_lock(self.folder))
+                self._stale = output_folder(self.folder, self._force, self._names)
+                _remove_leftovers(self.folder)
+                self._staged = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=self.folder))
+                held.callback(self._discard)
+                (self._staged / NEW).mkdir()
+                (self._staged / OLD).mkdir()
+            except OSError as error:
+                raise write_error(error, self.folder) from error
+            self._held = held.pop_all()
         return self
 
     def path(self, name: str) -> Path:
@@ -193,11 +205,11 @@ class OutputFolder:
 
         `name` must be one of the `names` of this folder (else `ValueError`: a fault of the program).
         """
-        if self._temporary is None:
+        if self._staged is None:
             raise ValueError("OutputFolder.path is only valid inside its with block")
         if not _matches(Path(name), self._names):
             raise ValueError(f"{name} is not among the names of this output folder: {self._names}")
-        target = self._temporary / name
+        target = self._staged / NEW / name
         target.parent.mkdir(parents=True, exist_ok=True)
         return target
 
@@ -207,79 +219,46 @@ class OutputFolder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if error is None:
-            try:
-                self._commit()
-            except OSError as failure:
-                self._discard()
-                raise self._explain(failure) from failure
-            except BaseException:
-                self._discard()
-                raise
-            return
-        self._discard()
-        if isinstance(error, OSError) and error.errno in USER_ERRNOS and self._is_ours(error):
-            raise self._explain(error) from error
+        with self._held:
+            if error is None:
+                try:
+                    self._commit()
+                except OSError as failure:
+                    raise self._explain(failure) from failure
+            elif isinstance(error, OSError) and error.errno in USER_ERRNOS and self._is_ours(error):
+                raise self._explain(error) from error
 
     def _is_ours(self, error: OSError) -> bool:
         """Whether an error of the block comes from a write here (a bare ENOSPC names no file)."""
         if error.filename is None:
             return True
-        return self._temporary is not None and self._temporary in Path(os.fsdecode(error.filename)).parents
+        return self._staged is not None and self._staged in Path(os.fsdecode(error.filename)).parents
 
     def _explain(self, error: OSError) -> InputError:
         """Name the final file, not the temporary one."""
         path = self.folder
-        if error.filename is not None and self._temporary is not None:
+        if error.filename is not None and self._staged is not None:
             written = Path(os.fsdecode(error.filename))
-            if self._temporary in written.parents:
-                path = self.folder / written.relative_to(self._temporary)
+            for inside in (self._staged / NEW, self.folder / COMMIT_NAME / NEW):
+                if inside in written.parents:
+                    path = self.folder / written.relative_to(inside)
         return write_error(error, path)
 
     def _commit(self) -> None:
-        """Flush, then move everything into place; on failure take back what was moved."""
-        temporary = self._temporary
-        assert temporary is not None
-        written = [p for p in _files(temporary) if (temporary / p).is_file()]
-        for relative in written:
-            sync(temporary / relative)
-        moved: list[Path] = []
+        """Flush, then put everything into place."""
+        staged = self._staged
+        assert staged is not None
+        for root, _, files in os.walk(staged / NEW):
+            for name in (*files, ""):
+                sync(Path(root) / name)
         with signals_deferred():
-            try:
-                for relative in written:
-                    target = self.folder / relative
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    os.replace(temporary / relative, target)
-                    moved.append(target)
-                self._remove_stale(set(written))
-            except OSError:
-                for target in moved:
-                    target.unlink(missing_ok=True)
-                raise
-            shutil.rmtree(temporary, ignore_errors=True)
-            self._temporary = None
-            for folder in {self.folder, *(target.parent for target in moved)}:
-                sync(folder)
-
-    def _remove_stale(self, written: set[Path]) -> None:
-        """Remove what an earlier run wrote and this one did not, and folders that are empty then."""
-        for relative in self._stale:
-            target = self.folder / relative
-            if relative in written:
-                continue
-            if target.is_dir():
-                target.rmdir()
-            else:
-                target.unlink(missing_ok=True)
-            for parent in relative.parents:
-                with contextlib.suppress(OSError):
-                    if parent != Path():
-                        (self.folder / parent).rmdir()
+            unused = self._fresh and all(_matches(relative, self._names) for relative in files_below(self.folder))
+            if not (unused and commit_folder(staged, self.folder)):
+                commit_files(staged, self.folder, self._stale)
+            self._staged = None
 
     def _discard(self) -> None:
-        """Remove the temporary folder, and the folders made for it that hold nothing else."""
-        if self._temporary is not None:
-            shutil.rmtree(self._temporary, ignore_errors=True)
-        for folder in self._made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        """Remove the staged files, if they were not put into place."""
+        if self._staged is not None:
+            shutil.rmtree(self._staged, ignore_errors=True)
+            self._staged = None

@@ -13,6 +13,9 @@ from types import FrameType
 
 from stereophd.errors import InputError
 
+# Temporary names start so; what a killed process left behind is recognised as ours.
+TEMPORARY_PREFIX = ".stereophd-partial-"
+
 # Failures of a write that come from the place written to, not from the program.
 USER_ERRNOS = frozenset(
     getattr(errno, name)

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stereophd.errors import InputError
+from stereophd.io.commit import complete
 
 
 def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
@@ -29,6 +30,7 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
     """
     file = Path(path)
     try:
+        complete(file.parent)
         if file.is_dir():
             raise InputError(f"{file}: expected a {what} (Parquet file), found a folder")
         size = file.stat().st_size

@@ -8,27 +8,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config.filter import BirthConfig, MotionConfig, PhdConfig, PmbConfig, RegionConfig
+from stereophd.config.filter import RegionConfig
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
-from stereophd.config.single import SingleConfig
 from stereophd.core.disparity.events import make_rig
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.models import Static
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.birth import BirthPrior
-from stereophd.core.multi.extract import Hysteresis
-from stereophd.core.multi.phd import PhdFilter, PhdSettings
-from stereophd.core.multi.pmb import PmbFilter, PmbSettings
+from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.numerics.random_streams import FILTER_SAMPLES
 from stereophd.core.numerics.samples import draw_sample_sets
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.loop import ReportTimes
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
-
-
-# Key of the filter's sample sets among the purposes of a seed (simulated runs count from 0).
-SAMPLES_KEY = 2**31
 
 
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
@@ -42,43 +38,16 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     settings = config.filter
     if settings is None:
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
-    if isinstance(settings, SingleConfig):
+    if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
-    motion = build_motion(config.motion)
+    motion = config.motion.build()
     rows = 3 if isinstance(motion, Static) else 12
-    # spawned by purpose: the simulation's random numbers have keys of their own
-    seed = np.random.SeedSequence(config.seed, spawn_key=(SAMPLES_KEY,))
+    seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
     sets = draw_sample_sets(moments.method, moments.samples, rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
-    birth = _birth_prior(settings.birth)
     _check_birth_rate(settings, cameras, path)
-    hysteresis = Hysteresis(settings.extraction.confirm, settings.extraction.release)
-    if isinstance(settings, PmbConfig):
-        pmb = PmbSettings(
-            survival_per_s=settings.survival_per_s,
-            birth=birth,
-            recycle_below=settings.recycle_below,
-            prune_weight=settings.prune_weight,
-            merge_distance=settings.merge_distance,
-            max_components=settings.max_components,
-            hypothesis_distance=settings.hypothesis_distance,
-            least_share=settings.least_share,
-            split_missed=settings.missed == "split",
-            hysteresis=hysteresis,
-        )
-        return PmbFilter(rig, motion, sets, pmb, threads)
-    phd = PhdSettings(
-        survival_per_s=settings.survival_per_s,
-        birth=birth,
-        prune_weight=settings.prune_weight,
-        merge_distance=settings.merge_distance,
-        merge_mutual=settings.merge_rule == "mutual",
-        split_missed=settings.missed == "split",
-        max_components=settings.max_components,
-        hysteresis=hysteresis,
-    )
-    return PhdFilter(rig, motion, sets, phd, threads)
+    return settings.build(rig, motion, sets, threads)
 
 
 def build_labelled_filter(
@@ -86,13 +55,13 @@ def build_labelled_filter(
 ) -> DisparityFilter:
     """Return a filter with labelled tracks, whatever kind the configuration has."""
     settings = config.filter
-    if isinstance(settings, PhdConfig):
-        labelled = PmbConfig(kind="pmb", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    if isinstance(settings, PhdSettings):
+        labelled = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
         config = config.model_copy(update={"filter": labelled})
     return build_filter(config, cameras, path, threads)
 
 
-def _check_birth_rate(settings: PhdConfig | PmbConfig, cameras: tuple[Camera, ...], path: Path | str) -> None:
+def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], path: Path | str) -> None:
     """Refuse births so rare that every newborn component would be dropped at once."""
     for camera in cameras:
         born = camera.detector.p_detect * settings.birth.per_frame
@@ -113,14 +82,6 @@ def report_times(config: ReportConfig) -> ReportTimes:
     )
 
 
-def build_motion(config: MotionConfig) -> Motion:
-    """Return the motion model of a configuration."""
-    if config.model == "static":
-        return Static()
-    std = np.broadcast_to(np.asarray(config.acceleration_std, dtype=float), 3)
-    return ConstantVelocity(std, config.max_speed)
-
-
 def build_region(config: RegionConfig | None) -> NDArray[np.float64] | None:
     """Return the packed region (8,) of a configuration, infinite where it sets no limit."""
     if config is None:
@@ -131,9 +92,3 @@ def build_region(config: RegionConfig | None) -> NDArray[np.float64] | None:
     if config.depth is not None:
         limits[6:] = config.depth
     return limits
-
-
-def _birth_prior(config: BirthConfig) -> BirthPrior:
-    prior = config.disparity
-    disparity = None if prior is None else (prior.mean_px, prior.std_px)
-    return BirthPrior(config.per_frame, disparity, config.depth_range, config.velocity_std)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,13 +14,6 @@ from stereophd.core.simulation.drawing import Drawing, draw_objects
 from stereophd.core.simulation.objects import MovingObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid
 from stereophd.errors import InputError
-
-if TYPE_CHECKING:
-    pass
-
-
-# Key of the random numbers of the guess among those of a run.
-GUESS_KEY = 2
 
 
 def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedSequence) -> Scene:

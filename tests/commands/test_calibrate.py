@@ -149,6 +149,10 @@ def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None
     checkpoint_path(tmp_path / "out").write_bytes(b"not a checkpoint")
     with pytest.raises(InputError, match="expected a checkpoint"):
         calibrate(loaded(scene), log, tmp_path / "out", resume=True)
+    with pytest.raises(InputError, match="found another file; move it away"):
+        calibrate(loaded(scene), log, tmp_path / "out", force=True)
+    assert checkpoint_path(tmp_path / "out").read_bytes() == b"not a checkpoint"
+    checkpoint_path(tmp_path / "out").unlink()
 
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt

@@ -14,7 +14,7 @@ from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.config.loading import load_cameras, load_config
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.cameras import write_cameras
-from stereophd.pipeline.calibration.inputs import with_poses
+from stereophd.pipeline.calibration.inputs import with_quantities
 from tests.shared_data import shared_data
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "drone_calibration.yaml"
@@ -31,7 +31,7 @@ def test_cameras_that_are_two_metres_and_five_degrees_off(tmp_path: Path) -> Non
         rotation = rotation_from_vector(np.deg2rad(5.0) * turn / np.linalg.norm(turn)) @ camera.pose.rotation
         pose = Pose(rotation, camera.pose.center + 2.0 * offset / np.linalg.norm(offset))
         guess.append(replace(camera, pose=pose))
-    write_cameras(tmp_path / "guess.yaml", with_poses(supplied, guess), "m")
+    write_cameras(tmp_path / "guess.yaml", with_quantities(supplied, guess), "m")
     # 34 s of the log: a tenth of the time that all of it takes
     table = pq.read_table(folder / "detections.parquet")
     some = pc.and_(pc.greater(table["time_s"], 486.0), pc.less(table["time_s"], 520.0))

@@ -392,7 +392,7 @@ def test_the_same_inputs_give_the_same_bytes(run):
 
 def test_plots_without_matplotlib(run, monkeypatch):
     tracks, truth, folder = run
-    monkeypatch.setattr("stereophd.commands.evaluate.find_spec", lambda name: None)
+    monkeypatch.setattr("stereophd.report.installed.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'stereophd\[plot\]'"):
         evaluate(tracks, truth, folder / "out", plots=True)
     assert not (folder / "out").exists()

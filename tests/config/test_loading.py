@@ -221,7 +221,7 @@ class TestErrors:
                 "velocity_std: 2",
                 "velocity_std: .inf",
                 15,
-                "filter.birth.velocity_std: expected a finite number, found Infinity",
+                "filter.birth.velocity_std: expected a number <= 1e+15, found Infinity",
             ),
             ("[10, 100]", "[10]", 16, "filter.birth.depth_range.1: expected more values, found [10]"),
             ("[10, 100]", "[10, 20, 30]", 16, "filter.birth.depth_range: expected at most 2 values, found 3"),

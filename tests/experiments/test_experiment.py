@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -329,3 +330,13 @@ def test_files_of_others_are_left_alone(load: Load, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is not of this command"):
         experiment(load(), tmp_path / "out", force=True)
     assert (tmp_path / "out" / "thesis.tex").read_text() == "dear"
+
+
+@pytest.mark.parametrize("name", ["partial-of-my-thesis", "partial-0123456789abcdef"])
+def test_a_folder_that_only_looks_like_ours_is_left_alone(load: Load, tmp_path: Path, name: str) -> None:
+    foreign = tmp_path / "out" / name / "data.parquet"
+    foreign.parent.mkdir(parents=True)
+    pq.write_table(pa.table({"dear": [1]}), foreign)
+    with pytest.raises(InputError, match=rf"holds {name}/data\.parquet, which is not a part of an experiment"):
+        experiment(load(), tmp_path / "out", force=True)
+    assert pq.read_table(foreign).to_pydict() == {"dear": [1]}

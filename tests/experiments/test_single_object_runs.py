@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from stereophd.core.bounds.cramer_rao import mean_error_norm, root_mean_square
+from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, InverseDepthSettings, ParticleSettings
 from stereophd.experiments.single_object.runs import (
-    LocalisationScenario,
+    LocalisationProblem,
     draw_trajectory,
     last_events,
     localisation_bound,
@@ -26,7 +27,7 @@ from stereophd.experiments.single_object.runs import (
 from tests.core.single import scenes
 
 
-def mean_norm(scenario: LocalisationScenario, settings: EstimatorSettings, runs: int) -> np.ndarray:
+def mean_norm(scenario: LocalisationProblem, settings: EstimatorSettings, runs: int) -> np.ndarray:
     """Mean length of the error of the mode after each observation."""
     errors = [localisation_run(scenario, settings, np.random.default_rng((9, k))).map_errors for k in range(runs)]
     return np.asarray(np.linalg.norm(errors, axis=2).mean(axis=0))
@@ -46,8 +47,8 @@ def test_table_two_is_on_the_bound(depth: float) -> None:
 def test_table_two_particle_filter() -> None:
     """The 50 cm row in its own terms: 135 cm with weights that underflow, 32 cm with logarithms."""
     scenario, runs = scenes.table_two(50.0, 6.0, 4.0), 300
-    logarithmic = mean_norm(scenario, ParticleSettings(100), runs)[-1]
-    linear = mean_norm(scenario, ParticleSettings(100, "linear"), runs)[-1]
+    logarithmic = mean_norm(scenario, ParticleSettings(particles=100), runs)[-1]
+    linear = mean_norm(scenario, ParticleSettings(particles=100, weights="linear"), runs)[-1]
     # standard deviations of one run: 6 and 120 cm
     assert abs(logarithmic - 32.0) < 5.0 * 6.0 / np.sqrt(runs)
     assert abs(linear - 135.0) < 5.0 * 120.0 / np.sqrt(runs)
@@ -91,8 +92,8 @@ def test_figure_eleven_particle_filter_is_worse() -> None:
         return float(np.sqrt((np.array(errors)[:, 20:, :3] ** 2).sum(axis=2).mean()))
 
     ours = rms(DisparitySettings())
-    regularised = rms(ParticleSettings(1000, regularised=True))
-    assert 3.0 * ours < regularised < rms(ParticleSettings(1000)) < rms(ParticleSettings(250))
+    regularised = rms(ParticleSettings(particles=1000, regularised=True))
+    assert 3.0 * ours < regularised < rms(ParticleSettings(particles=1000)) < rms(ParticleSettings(particles=250))
 
 
 def test_same_generator_same_data() -> None:
@@ -101,7 +102,7 @@ def test_same_generator_same_data() -> None:
     one = tracking_run(scenario, DisparitySettings(), np.random.default_rng(3))
     two = tracking_run(scenario, DisparitySettings(), np.random.default_rng(3))
     np.testing.assert_array_equal(one.map_errors, two.map_errors)
-    other = tracking_run(scenario, DisparitySettings("linear"), np.random.default_rng(3))
+    other = tracking_run(scenario, DisparitySettings(MomentsSettings(method="linear")), np.random.default_rng(3))
     np.testing.assert_allclose(other.map_errors[-1], one.map_errors[-1], atol=0.2)
 
 

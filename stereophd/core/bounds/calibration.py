@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.adjustment import SQUARED, Linearisation, Observations, Problem, posterior_covariance
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.quantities.looking import look
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots
 from stereophd.core.motion.models import Motion
@@ -51,25 +52,29 @@ def calibration_bound(
     """
     built = parameters.build(values)
     seen = np.zeros(len(times), dtype=bool)
-    precisions = np.zeros((len(times), 2, 2))
+    precisions, log_times, heights = np.zeros((len(times), 2, 2)), np.zeros(len(times)), np.zeros(len(times))
     noise = np.inf
     for number, camera in enumerate(built):
         here = np.flatnonzero(cameras == number)
-        pixels = camera.project(positions[here])
-        inside = camera.contains(pixels)
+        log_times[here] = camera.clock.to_log(times[here])
+        # objects that are seen move little during the readout
+        view = look(camera, positions[here], np.zeros((len(here), 3)), times[here], log_times[here], heights[here])
+        inside = camera.contains(np.where(view.visible[:, None], view.pixels, np.nan))
+        heights[here] = view.pixels[:, 1] / camera.height
         seen[here] = inside
         rows = here[inside]
-        _, jacobian = camera.undistort_pixels(pixels[inside])
-        covariance = jacobian @ np.diag(camera.detector.sigma**2) @ np.swapaxes(jacobian, 1, 2)
-        precisions[rows] = camera.detector.p_detect * np.linalg.inv(covariance)
+        precisions[rows] = camera.detector.p_detect * np.diag(camera.detector.sigma**-2.0)
         if len(rows):
-            depth = (positions[rows] - camera.pose.center) @ camera.pose.rotation[2]
-            noise = min(noise, float(np.median(depth)) * float(camera.detector.sigma.min()) / camera.fx)
+            depth = float(np.median(view.points[inside, 2]))
+            noise = min(noise, depth * float(camera.detector.sigma.min()) / camera.fx)
     _, numbers = np.unique(objects[seen], return_inverse=True)
     count = int(numbers.max()) + 1 if len(numbers) else 0
     spans = [(float(times[seen][numbers == j].min()), float(times[seen][numbers == j].max())) for j in range(count)]
     knots = place_knots(spans, knot_spacing(motion.acceleration_std, noise), motion)
-    observations = Observations(numbers, cameras[seen], times[seen], np.zeros((int(seen.sum()), 2)), precisions[seen])
+    observations = Observations(
+        numbers, cameras[seen], times[seen], np.zeros((int(seen.sum()), 2)), precisions[seen], log_times[seen],
+        heights[seen],
+    )  # fmt: skip
     knot, weights = interpolation(knots, numbers, times[seen])
     states = fit_states(knots, knot, weights, positions[seen], np.full(int(seen.sum()), noise**-2))
     problem = Problem(parameters, reference, knots, observations, SQUARED, scale)

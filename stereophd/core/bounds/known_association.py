@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.birth import BirthPrior
+from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e12
 
 
 @dataclass(frozen=True)
-class Sightings:
+class AssociatedDetections:
     """Detections of objects, in order of time.
 
     Attributes
@@ -53,10 +53,10 @@ class Sightings:
     points: Array
     whitening: Array
 
-    def until(self, time_s: float) -> Sightings:
+    def until(self, time_s: float) -> AssociatedDetections:
         """Return the detections up to a time."""
         end = int(np.searchsorted(self.time_s, time_s, side="right"))
-        return Sightings(
+        return AssociatedDetections(
             self.row[:end], self.time_s[:end], self.projection[:end], self.points[:end], self.whitening[:end]
         )
 
@@ -75,7 +75,7 @@ class _Lines:
 def sight(
     camera: Camera, time_s: float, pixels: Array, rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
-    """Return the fields of `Sightings` for the detections (m, 2) of one frame, distorted pixels."""
+    """Return the fields of `AssociatedDetections` for the detections (m, 2) of one frame, distorted pixels."""
     frozen = camera.at(time_s)
     count = len(pixels)
     covariances = np.broadcast_to(np.diag(np.asarray(camera.detector.sigma) ** 2), (count, 2, 2))
@@ -89,7 +89,7 @@ def sight(
 
 
 def straight_lines(
-    sightings: Sightings,
+    detections: AssociatedDetections,
     first: Sequence[tuple[DisparitySpace, float, Array] | None],
     prior: BirthPrior,
     times_s: Array,
@@ -98,7 +98,7 @@ def straight_lines(
 
     Parameters
     ----------
-    sightings : Sightings
+    detections : AssociatedDetections
         Of n objects.
     first : sequence of n tuples
         Of each object's first detection: the disparity space, the time, and the undistorted pixel (2,);
@@ -122,7 +122,7 @@ def straight_lines(
     covariances = np.full((len(times_s), count, 6, 6), np.nan)
     seen = lines.start_s[None, :] <= times_s[:, None]
     for k, time_s in enumerate(times_s):
-        data = sightings.until(float(time_s))
+        data = detections.until(float(time_s))
         here = seen[k]
         if not here.any():
             continue
@@ -165,7 +165,7 @@ def _world(lines: _Lines, parameters: Array) -> tuple[Array, Array]:
     return world, jacobian
 
 
-def _fit(lines: _Lines, data: Sightings, parameters: Array) -> tuple[Array, Array]:
+def _fit(lines: _Lines, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array]:
     """Minimise the cost of every object; return the parameters (n, 6) and the information (n, 6, 6) there."""
     damping = np.full(len(parameters), FIRST_DAMPING)
     cost, gradient, information = _normal_equations(lines, data, parameters)
@@ -187,7 +187,7 @@ def _fit(lines: _Lines, data: Sightings, parameters: Array) -> tuple[Array, Arra
     return parameters, information
 
 
-def _normal_equations(lines: _Lines, data: Sightings, parameters: Array) -> tuple[Array, Array, Array]:
+def _normal_equations(lines: _Lines, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array, Array]:
     """Cost (n,), descent direction (n, 6) and information (n, 6, 6) at these parameters."""
     count = len(parameters)
     world, to_world = _world(lines, parameters)

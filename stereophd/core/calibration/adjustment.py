@@ -4,9 +4,9 @@ Minimised is half of
 
     sum_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + x^T M x / s^2 + ((scale measured - h) / std)^2,
 
-with the reprojection error e_n of every detection and its precision P_n (undistorted pixels), the priors of the
-camera parameters, the motion model M of the trajectories' knots x (positions and velocities have no prior), and the
-scale s of the scene (`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
+with the reprojection error e_n of every detection and its precision P_n, the priors of the camera parameters, the
+motion model M of the trajectories' knots x (positions and velocities have no prior), and the scale s of the scene
+(`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
 
     [ A   C ] [dx]   [a]
     [ C^T B ] [dv] = [b],     A banded (knots), B small (cameras),
@@ -17,16 +17,28 @@ whose inverse at the optimum is the covariance of the camera parameters, the tra
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
 from stereophd.core.calibration import kernels
-from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet
+from stereophd.core.calibration.parameters import ParameterSet, taken
+from stereophd.core.calibration.quantities.base import TIMES
+from stereophd.core.calibration.quantities.looking import look
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale, predicted
-from stereophd.core.calibration.trajectories import Knots, banded_product, interpolation, motion_bands
+from stereophd.core.calibration.trajectories import (
+    Knots,
+    banded_product,
+    interpolation,
+    motion_bands,
+    positions,
+    slopes,
+)
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import Lens
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -45,9 +57,15 @@ class Observations:
     ----------
     trajectories, cameras : arrays (n,) of int
     times : array (n,)
-        s.
+        True times by the clocks and readouts of the prior mean, s.
     points, precisions : arrays (n, 2), (n, 2, 2)
-        Undistorted pixels and their inverse covariances.
+        Pixels and their inverse covariances: raw, or undistorted.
+    log_times : array (n,)
+        Times of the frames on the cameras' own clocks, s.
+    rows : array (n,)
+        Row of each detection over the height of the image.
+    undistorted : bool
+        Whether the pixels are those of pinhole cameras without a lens.
     """
 
     trajectories: Integers
@@ -55,6 +73,9 @@ class Observations:
     times: Array
     points: Array
     precisions: Array
+    log_times: Array
+    rows: Array
+    undistorted: bool = False
 
     def __len__(self) -> int:
         return len(self.times)
@@ -135,25 +156,29 @@ class Adjustment:
     converged: bool
 
 
-def left_jacobian(vector: Array) -> Array:
-    """Left Jacobian (3, 3) of a rotation vector: exp(v + dv) = exp(J dv) exp(v) to first order."""
-    angle = float(np.linalg.norm(vector))
-    cross = np.array([[0.0, -vector[2], vector[1]], [vector[2], 0.0, -vector[0]], [-vector[1], vector[0], 0.0]])
-    if angle < 1e-4:
-        return np.asarray(np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
-    first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
-
-
 @dataclass(frozen=True)
 class Linearisation:
-    """What of a problem does not change from step to step."""
+    """What of a problem does not change from step to step.
+
+    Attributes
+    ----------
+    problem : Problem
+    members : tuple of arrays of int
+        Observations of each camera.
+    knot, weights, rates : arrays (n,), (n, 4), (n, 4)
+        Interpolation of positions and velocities at the times of the prior mean.
+    motion : array (12, 6 k)
+        Bands of the motion model.
+    columns : array (c, q)
+        Places of the unknown values of each camera, filled up with -1.
+    """
 
     problem: Problem
+    members: tuple[Integers, ...]
     knot: Integers
     weights: Array
+    rates: Array
     motion: Array
-    focal: Array
     columns: Integers
 
     @staticmethod
@@ -161,26 +186,29 @@ class Linearisation:
         """Prepare a problem."""
         observations, parameters = problem.observations, problem.parameters
         knot, weights = interpolation(problem.knots, observations.trajectories, observations.times)
-        focal = np.array([[c.fx, c.fy, c.cx, c.cy] for c in parameters.cameras])
-        columns = np.stack([parameters.index(c.name, CENTER + ROTATION) for c in parameters.cameras])
-        return Linearisation(problem, knot, weights, motion_bands(problem.knots), focal, columns)
+        rates = slopes(problem.knots, observations.trajectories, observations.times)
+        members = tuple(np.flatnonzero(observations.cameras == k) for k in range(len(parameters.cameras)))
+        places = [
+            np.concatenate([np.empty(0, dtype=np.int64), *(index for _, index in parameters.unknown(c.name))])
+            for c in parameters.cameras
+        ]
+        columns = np.full((len(places), max(len(index) for index in places)), -1, dtype=np.int64)
+        for row, index in zip(columns, places, strict=True):
+            row[: len(index)] = index
+        return Linearisation(problem, members, knot, weights, rates, motion_bands(problem.knots), columns)
 
     def at(self, values: Array, states: Array) -> NormalEquations:
         """Return the normal equations at values (m,) and knots (k, 2, 3)."""
         problem, parameters = self.problem, self.problem.parameters
         size, count = problem.knots.size, parameters.size
-        cameras = parameters.build(values)
-        rotations = np.stack([c.pose.rotation for c in cameras])
-        centers = np.stack([c.pose.center for c in cameras])
-        vectors = np.where(self.columns[:, 3:] >= 0, values[self.columns[:, 3:]] if count else 0.0, 0.0)
-        jacobians = np.stack([left_jacobian(vector) for vector in vectors])
         bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
         state_vector, value_vector = np.zeros(size), np.zeros(count)
-        distances = np.zeros(len(problem.observations))
         observations = problem.observations
+        distances = np.zeros(len(observations))
+        knot, weights, errors, visible, by_point, by_value = self._residuals(values, states)
         cost = kernels.accumulate(
-            observations.cameras, observations.points, observations.precisions, self.knot, self.weights, states,
-            self.focal, rotations, centers, jacobians, self.columns, problem.loss.kind, problem.loss.scale,
+            observations.cameras, errors, visible, observations.precisions, by_point, by_value, knot, weights,
+            self.columns, problem.loss.kind, problem.loss.scale,
             bands, coupling, matrix, state_vector, value_vector, distances,
         )  # fmt: skip
         # motion model, in units of the scene's scale
@@ -205,6 +233,44 @@ class Linearisation:
             value_vector += slope * residual / problem.scale.std
             cost += residual**2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
+
+    def _residuals(
+        self, values: Array, states: Array
+    ) -> tuple[Integers, Array, Array, NDArray[np.bool_], Array, Array]:
+        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values."""
+        observations, parameters = self.problem.observations, self.problem.parameters
+        cameras = parameters.build(values)
+        times, knot, weights, rates = observations.times, self.knot, self.weights, self.rates
+        if any(quantity.affects == TIMES for quantity in parameters.quantities):
+            times = true_times(cameras, observations)
+            knot, weights = interpolation(self.problem.knots, observations.trajectories, times)
+            rates = slopes(self.problem.knots, observations.trajectories, times)
+        world, velocities = positions(states, knot, weights), positions(states, knot, rates)
+        count = len(observations)
+        errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
+        by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1]))
+        for camera, here in zip(cameras, self.members, strict=True):
+            seeing = replace(camera, lens=Lens()) if observations.undistorted else camera
+            view = look(
+                seeing, world[here], velocities[here], times[here], observations.log_times[here],
+                observations.rows[here],
+            )  # fmt: skip
+            errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
+            by_point[here] = view.by_world
+            column = 0
+            for quantity, index in parameters.unknown(camera.name):
+                by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))
+                column += len(index)
+        return knot, weights, errors, visible, by_point, by_value
+
+
+def true_times(cameras: Sequence[Camera], observations: Observations) -> Array:
+    """True times (n,) of detections by the clocks and readouts of cameras, s."""
+    times = np.empty(len(observations))
+    for number, camera in enumerate(cameras):
+        here = observations.cameras == number
+        times[here] = camera.clock.to_true(observations.log_times[here]) + camera.readout_s * observations.rows[here]
+    return times
 
 
 def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:

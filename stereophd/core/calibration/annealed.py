@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from stereophd.core.calibration import kernels
-from stereophd.core.calibration.association import Scans, track_detections, with_cameras
+from stereophd.core.calibration.association import track_detections, with_cameras
 from stereophd.core.calibration.fits import FITTED_PASSES, paired_fit, refitted, tracked_fit
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.recording import Scans
 from stereophd.core.calibration.task import SUCCEEDED, Fit, Start, Task
 
 Array = NDArray[np.float64]
@@ -71,8 +72,7 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
         history.append(values)
     assert fit is not None
     for number_of_pass in range(FITTED_PASSES):
-        scans = task.tracking if number_of_pass == 0 else task.scans
-        again = refitted(task, fit, scans)
+        again = refitted(task, fit, tracked=number_of_pass == 0)
         if again is None:
             return failed("the fitted trajectories are not shared by two cameras", fit)
         fit = again
@@ -82,9 +82,8 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     why = disagreement(task, fit)
     if why is not None:
         return failed(why, fit, part)
-    evidence = track_detections(
-        with_cameras(task.filter, task.parameters.build(values)), task.tracking, 1.0
-    ).log_likelihood
+    cameras = task.parameters.build(values)
+    evidence = track_detections(with_cameras(task.filter, cameras), task.tracked_scans(cameras), 1.0).log_likelihood
     prior = float(task.parameters.log_prior(values))
     return Start(number, SUCCEEDED, start, np.array(history), fit, evidence, prior, part)
 

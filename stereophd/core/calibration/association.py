@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from stereophd.core.calibration.adjustment import Observations
+from stereophd.core.calibration.recording import Scans
 from stereophd.core.calibration.trajectories import Knots, interpolation, positions
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
@@ -23,61 +23,6 @@ Integers = NDArray[np.int64]
 TRACK_GATE, FITTED_GATE = 9.0, 13.8
 # Tracks of a smaller existence are not asked.
 LEAST_EXISTENCE = 0.6
-
-
-@dataclass(frozen=True)
-class Scans:
-    """The events of a log, and their detections in one array.
-
-    Attributes
-    ----------
-    events : tuple of Event
-    times, cameras : arrays (e,)
-        Of the events.
-    first : array (e + 1,) of int
-        Event i has the detections first[i] to first[i + 1] - 1.
-    points, precisions : arrays (n, 2), (n, 2, 2)
-        Undistorted pixels of all detections and the inverse of their covariances.
-    event_of : array (n,) of int
-        Event of each detection.
-    detection_times : array (n,)
-        Time of each detection, s: of its event, and with a rolling shutter of its row.
-    """
-
-    events: tuple[Event, ...]
-    times: Array
-    cameras: Integers
-    first: Integers
-    points: Array
-    precisions: Array
-    event_of: Integers
-    detection_times: Array
-
-    @staticmethod
-    def of(events: Sequence[Event]) -> Scans:
-        """Join events, which are in order of time."""
-        counts = np.array([len(event.points) for event in events], dtype=np.int64)
-        times = [
-            event.time_s + (np.zeros(len(event.points)) if event.delays is None else event.delays) for event in events
-        ]
-        return Scans(
-            tuple(events),
-            np.array([event.time_s for event in events]),
-            np.array([event.camera for event in events], dtype=np.int64),
-            np.concatenate([[0], np.cumsum(counts)]),
-            np.concatenate([event.points for event in events]),
-            np.linalg.inv(np.concatenate([event.covariances for event in events])),
-            np.repeat(np.arange(len(events)), counts),
-            np.concatenate(times),
-        )
-
-    def observations(self, trajectories: Integers, detections: Integers, inflation: float = 1.0) -> Observations:
-        """Detections (indices into all) of trajectories, their noise inflated."""
-        events = self.event_of[detections]
-        precisions = self.precisions[detections] / inflation**2
-        return Observations(
-            trajectories, self.cameras[events], self.detection_times[detections], self.points[detections], precisions
-        )
 
 
 @dataclass(frozen=True)

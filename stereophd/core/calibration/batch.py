@@ -22,8 +22,9 @@ from stereophd.core.disparity.move_kernels import Look
 from stereophd.core.multi.base import IMPORTANT_WEIGHT
 from stereophd.core.multi.birth import birth_moments
 from stereophd.core.multi.intensity import GaussianMixture, Parts, empty_mixture
+from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.multi.pmb import PmbFilter, PmbSettings
+from stereophd.core.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -183,7 +184,7 @@ class FilterBatch:
             prune_weight=float(settings.prune_weight),
             merge_distance=float(settings.merge_distance),
             max_components=int(settings.max_components),
-            mutual=True if isinstance(settings, PmbSettings) else bool(settings.merge_mutual),
+            mutual=True if isinstance(settings, PmbSettings) else settings.merge_rule == "mutual",
             recycle_below=float(settings.recycle_below) if isinstance(settings, PmbSettings) else 0.0,
             hypothesis_distance=float(settings.hypothesis_distance) if isinstance(settings, PmbSettings) else 0.0,
             least_share=float(settings.least_share) if isinstance(settings, PmbSettings) else 0.0,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration import kernels
-from stereophd.core.calibration.adjustment import Loss, Observations, Problem, adjust
+from stereophd.core.calibration.adjustment import Loss, Observations, Problem, adjust, true_times
 from stereophd.core.calibration.association import (
-    Scans,
     fitted_detections,
     keep,
     shared,
@@ -55,19 +56,20 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     trajectories, detections = of_object[order], detections[order]
     rows, points = meeting_points(task.parameters, task.pairs, pairing)
     met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
-    observations = task.tracking.observations(trajectories, detections)
+    cameras = task.parameters.build(pairing.values)
+    observations = task.observations(cameras, trajectories, detections)
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     knot, weights = interpolation(knots, met, task.pairs.times[rows])
     states = fit_states(knots, knot, weights, points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
-    return Fit(adjust(problem, pairing.values, states), knots, observations, detections)
+    return _fit(task, problem, pairing.values, states, detections)
 
 
 def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any."""
     cameras = task.parameters.build(values)
-    scans = task.tracking
+    scans = task.tracked_scans(cameras)
     found = track_detections(with_cameras(task.filter, cameras), scans, inflation)
     if not len(found):
         return None
@@ -75,19 +77,21 @@ def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
     if not len(chosen):
         return None
     rows, tracks = keep(found.tracks, chosen)
-    observations = scans.observations(tracks, found.detections[rows], inflation)
+    detections = scans.source[found.detections[rows]]
+    observations = task.observations(cameras, tracks, detections, inflation)
     knots = _knots(task, observations, found.positions[rows], values)
     knot, weights = interpolation(knots, tracks, observations.times)
     precision = 1.0 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, knot, weights, found.positions[rows], precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
-    return Fit(adjust(problem, values, states), knots, observations, found.detections[rows])
+    return _fit(task, problem, values, states, detections)
 
 
-def refitted(task: Task, fit: Fit, scans: Scans) -> Fit | None:
-    """Let fitted trajectories choose their detections anew, and adjust again."""
+def refitted(task: Task, fit: Fit, tracked: bool = False) -> Fit | None:
+    """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again."""
     counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
     cameras = task.parameters.build(fit.adjustment.values)
+    scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
     states = fit.adjustment.states
     noise = _noise(task, fit)
     std = float(task.filter.motion.acceleration_std.max())
@@ -99,8 +103,9 @@ def refitted(task: Task, fit: Fit, scans: Scans) -> Fit | None:
     if not len(chosen):
         return None
     rows, numbers = keep(trajectories, chosen)
-    observations = scans.observations(numbers, detections[rows])
-    return adjusted_to(task, fit, observations, trajectories[rows], detections[rows], task.scale)
+    chosen_detections = scans.source[detections[rows]]
+    observations = task.observations(cameras, numbers, chosen_detections)
+    return adjusted_to(task, fit, observations, trajectories[rows], chosen_detections, task.scale)
 
 
 def fit_from(task: Task, values: Array) -> Fit | None:
@@ -108,7 +113,7 @@ def fit_from(task: Task, values: Array) -> Fit | None:
     fit = tracked_fit(task, values, 1.0)
     for _ in range(FITTED_PASSES):
         if fit is not None:
-            fit = refitted(task, fit, task.scans)
+            fit = refitted(task, fit)
     return fit
 
 
@@ -118,7 +123,8 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
     if not len(trajectories):
         return None
-    observations = task.scans.observations(numbers.astype(np.int64), fit.detections[rows])
+    cameras = task.parameters.build(fit.adjustment.values)
+    observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
     return adjusted_to(task, fit, observations, fit.observations.trajectories[rows], fit.detections[rows], task.scale)
 
 
@@ -137,7 +143,16 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, knot, weights, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
-    return Fit(adjust(problem, fit.adjustment.values, states), knots, observations, detections)
+    return _fit(task, problem, fit.adjustment.values, states, detections)
+
+
+def _fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
+    """Adjust, and time the detections by the cameras found."""
+    found = adjust(problem, values, states)
+    cameras, observations = task.parameters.build(found.values), problem.observations
+    if not task.parameters.only_moves:
+        observations = replace(observations, times=true_times(cameras, observations))
+    return Fit(found, problem.knots, observations, detections)
 
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:

@@ -19,15 +19,13 @@ BEHIND = 1e4
 @compiled
 def accumulate(
     cameras: Integers,
-    points: Array,
+    errors: Array,
+    visible: NDArray[np.bool_],
     precisions: Array,
+    by_point: Array,
+    by_value: Array,
     knots: Integers,
     weights: Array,
-    states: Array,
-    focal: Array,
-    rotations: Array,
-    centers: Array,
-    jacobians: Array,
     columns: Integers,
     loss: int,
     loss_scale: float,
@@ -40,55 +38,38 @@ def accumulate(
 ) -> float:
     """Add the detections to the normal equations, and return their robust cost.
 
-    With residuals e = z - projection and their precision P, weighted by the derivative w of the loss:
-    matrix += w J^T P J and vector += w J^T P e.
+    With residuals e = z - projection, their precision P and the derivatives J of the projection, weighted by the
+    derivative w of the loss: matrix += w J^T P J and vector += w J^T P e.
 
     Parameters
     ----------
     cameras : array (n,)
         Index of the camera of each detection.
-    points, precisions : arrays (n, 2), (n, 2, 2)
-        Undistorted pixels and their inverse covariances.
+    errors, visible, precisions : arrays (n, 2), (n,) of bool, (n, 2, 2)
+        Residuals in pixels, whether the camera can see the point, and inverse covariances.
+    by_point, by_value : arrays (n, 2, 3), (n, 2, q)
+        Derivatives of the projection with respect to the point in the world, and to the values of its camera.
     knots, weights : arrays (n,), (n, 4)
         From `trajectories.interpolation`.
-    states : array (k, 2, 3)
-        Knots.
-    focal : array (c, 4)
-        fx, fy, cx, cy.
-    rotations, centers : arrays (c, 3, 3), (c, 3)
-        Poses.
-    jacobians : array (c, 3, 3)
-        Left Jacobians of the rotation vectors.
-    columns : array (c, 6)
-        Place of each camera's centre and rotation among the parameters, -1 where known.
+    columns : array (c, q)
+        Place of each camera's values among the parameters, -1 where known.
     loss, loss_scale
         Kind of the loss and its scale (`CAUCHY`: in standard deviations; `FLOOR`: height of the floor
         relative to the peak of the density).
     bands, coupling, camera_matrix, state_vector, camera_vector : arrays
         (12, 6 k), (6 k, m), (m, m), (6 k,), (m,): added to.
     distances : array (n,)
-        Set to the squared Mahalanobis distance of every detection, `BEHIND` behind the camera.
+        Set to the squared Mahalanobis distance of every detection, `BEHIND` where the camera cannot see the point.
     """
     cost = 0.0
     n_weights = 4
-    n_params = camera_vector.shape[0]
-    jp = np.empty((2, 3))
-    jc = np.zeros((2, 6))
+    n_params, n_values = camera_vector.shape[0], by_value.shape[2]
     pj = np.empty((2, 3))
-    e = np.empty(2)
     for n in range(cameras.shape[0]):
         c = cameras[n]
         k = knots[n]
         used = n_weights if weights[n, 2] != 0.0 or weights[n, 3] != 0.0 else 2
-        x = np.zeros(3)
-        for b in range(used):
-            for a in range(3):
-                x[a] += weights[n, b] * states[k + b // 2, b % 2, a]
-        y = np.zeros(3)
-        for i in range(3):
-            for a in range(3):
-                y[i] += rotations[c, i, a] * (x[a] - centers[c, a])
-        if y[2] <= 0.0:
+        if not visible[n]:
             distances[n] = BEHIND
             if loss == FLOOR:
                 cost += -2.0 * np.log(loss_scale)
@@ -97,10 +78,7 @@ def accumulate(
             else:
                 cost += BEHIND
             continue
-        inverse = 1.0 / y[2]
-        u, v = y[0] * inverse, y[1] * inverse
-        e[0] = points[n, 0] - (focal[c, 0] * u + focal[c, 2])
-        e[1] = points[n, 1] - (focal[c, 1] * v + focal[c, 3])
+        e, jp, jc = errors[n], by_point[n], by_value[n]
         p00, p01, p11 = precisions[n, 0, 0], precisions[n, 0, 1], precisions[n, 1, 1]
         distance = p00 * e[0] * e[0] + 2.0 * p01 * e[0] * e[1] + p11 * e[1] * e[1]
         distances[n] = distance
@@ -114,22 +92,6 @@ def accumulate(
             w = peak / (peak + loss_scale)
         else:
             cost += distance
-        # d pixel / d point in the camera
-        d00, d02 = focal[c, 0] * inverse, -focal[c, 0] * u * inverse
-        d11, d12 = focal[c, 1] * inverse, -focal[c, 1] * v * inverse
-        for a in range(3):
-            jp[0, a] = d00 * rotations[c, 0, a] + d02 * rotations[c, 2, a]
-            jp[1, a] = d11 * rotations[c, 1, a] + d12 * rotations[c, 2, a]
-            jc[0, a] = -jp[0, a]
-            jc[1, a] = -jp[1, a]
-        # d (point in the camera) / d (rotation vector) = -[y]_x J_left
-        for a in range(3):
-            l0, l1, l2 = jacobians[c, 0, a], jacobians[c, 1, a], jacobians[c, 2, a]
-            t0 = y[2] * l1 - y[1] * l2
-            t1 = y[0] * l2 - y[2] * l0
-            t2 = y[1] * l0 - y[0] * l1
-            jc[0, 3 + a] = d00 * t0 + d02 * t2
-            jc[1, 3 + a] = d11 * t1 + d12 * t2
         pe0 = w * (p00 * e[0] + p01 * e[1])
         pe1 = w * (p01 * e[0] + p11 * e[1])
         for a in range(3):
@@ -150,7 +112,7 @@ def accumulate(
                             )
         if n_params == 0:
             continue
-        for i in range(6):
+        for i in range(n_values):
             column = columns[c, i]
             if column < 0:
                 continue
@@ -158,7 +120,7 @@ def accumulate(
             for b in range(used):
                 for a in range(3):
                     coupling[start + 3 * b + a, column] += weights[n, b] * (pj[0, a] * jc[0, i] + pj[1, a] * jc[1, i])
-            for i2 in range(6):
+            for i2 in range(n_values):
                 other = columns[c, i2]
                 if other >= 0:
                     camera_matrix[column, other] += w * (

@@ -19,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.batch import FilterBatch
-from stereophd.core.calibration.parameters import CENTER as CENTER_NAMES
-from stereophd.core.calibration.parameters import ROTATION as ROTATION_NAMES
-from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.parameters import ParameterSet, taken
 from stereophd.core.calibration.scale import ScaleMeasurement, predicted
 from stereophd.core.disparity.events import Event, Rig, make_rig
-from stereophd.core.geometry.layout import CENTER, ROTATION
+from stereophd.core.geometry.layout import CENTER
 
 Array = NDArray[np.float64]
 
@@ -80,20 +78,17 @@ class Evidence:
 def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Array:
     """Packed disparity spaces (k, c, 30) of the cameras of parameter values (k, m).
 
-    The same as packing the cameras of `ParameterSet.build` row by row, for all rows at once where the parameters
-    are poses: thousands of hypotheses that move after an event would spend more time on that than on the event.
+    The same as packing the cameras of `ParameterSet.build` row by row, for all rows at once where the quantities
+    can be packed: thousands of hypotheses that move after an event would spend more time on that than on the event.
     """
-    if {parameter.name for parameter in parameters.parameters} - {*CENTER_NAMES, *ROTATION_NAMES}:
+    if any(quantity.pack is None for quantity in parameters.quantities):
         return np.stack([make_rig(parameters.build(row), rig.baseline, rig.rectification).packed for row in values])
     packed = make_rig(parameters.cameras, rig.baseline, rig.rectification).packed
     spaces = np.repeat(packed[None], len(values), axis=0)
-    # a column of zeros stands for the quantities that are known
-    padded = np.concatenate([values, np.zeros((len(values), 1))], axis=1)
     for number, camera in enumerate(parameters.cameras):
-        center = padded[:, parameters.index(camera.name, CENTER_NAMES)]
-        turn = _rotations(padded[:, parameters.index(camera.name, ROTATION_NAMES)])
-        spaces[:, number, CENTER : CENTER + 3] += center
-        spaces[:, number, ROTATION : ROTATION + 9] = (turn @ camera.pose.rotation).reshape(-1, 9)
+        for quantity, index in parameters.unknown(camera.name):
+            assert quantity.pack is not None
+            quantity.pack(spaces[:, number], camera, taken(values, index))
     return spaces
 
 
@@ -127,15 +122,3 @@ def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
     pivot = centers[:, reference, None]
     scaled[:, :, CENTER : CENTER + 3] = pivot + ratio[:, None, None] * (centers - pivot)
     return scaled
-
-
-def _rotations(vectors: Array) -> Array:
-    """Rotation matrices (k, 3, 3) of rotation vectors (k, 3), rad (`stereophd.core.geometry.pose`)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-    angle = np.linalg.norm(vectors, axis=1)[:, None, None]
-    # sin(a) / a and (1 - cos a) / a^2, to full precision at a = 0
-    return np.asarray(
-        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * cross @ cross
-    )

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from stereophd.core.calibration.association import Scans, track_detections
+from stereophd.core.calibration.association import track_detections
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.recording import Scans
 from stereophd.core.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
@@ -70,15 +71,13 @@ class TrackPairs:
 
 
 def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tuple[int, Integers]]:
-    """Track each camera's detections by themselves: (camera, detections) of every track long enough."""
+    """Track each camera's detections by themselves: (camera, detections of the recording) of every long track."""
     out = []
     for camera in np.unique(scans.cameras).tolist():
-        numbers = np.flatnonzero(scans.cameras == camera)
-        alone = Scans.of([scans.events[i] for i in numbers])
-        rows = np.concatenate([np.arange(scans.first[i], scans.first[i + 1]) for i in numbers])
+        alone = scans.of_camera(camera)
         found = track_detections(template, alone, 1.0)
         for track in range(int(found.tracks.max()) + 1 if len(found) else 0):
-            detections = rows[found.detections[found.tracks == track]]
+            detections = alone.source[found.detections[found.tracks == track]]
             if len(detections) >= least:
                 out.append((camera, detections))
     return out
@@ -92,8 +91,9 @@ def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[in
     rays: list[Array] = []
     sigma: list[Array] = []
     at: list[Array] = []
-    for a, (camera_a, rows_a) in enumerate(tracks):
-        for b, (camera_b, rows_b) in enumerate(tracks):
+    placed = [(camera, scans.places(detections)) for camera, detections in tracks]
+    for a, (camera_a, rows_a) in enumerate(placed):
+        for b, (camera_b, rows_b) in enumerate(placed):
             if camera_b <= camera_a:
                 continue
             times_a, times_b = scans.detection_times[rows_a], scans.detection_times[rows_b]

@@ -4,67 +4,72 @@ The values of a parameter set are offsets from the cameras at the prior mean, so
 
     values ~ N(mean, diag(std^2)),   mean = 0 unless stated,
 
-and the cameras of `values` are those of the prior mean, moved (paper VII-A): the centre by an offset in the
-world's axes, the rotation by a rotation vector in the camera's own axes,
-
-    center   = center_0 + (center_x, center_y, center_z),
-    rotation = exp([rotation_x, rotation_y, rotation_z]_x) rotation_0,
-
-so that rotation_x is pitch, rotation_y yaw and rotation_z roll. Samplers and optimisers see nothing but
-vectors of values: another quantity of a camera (intrinsics, lens, clock) is one more entry of `QUANTITIES`
-and its part in `moved_camera`.
+and the cameras of `values` are those of the prior mean, moved by each quantity of
+`stereophd.core.calibration.quantities`. Samplers and optimisers see nothing but vectors of values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stereophd.core.calibration.quantities.base import MOVES, Quantity
+from stereophd.core.calibration.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 
 Array = NDArray[np.float64]
-
-LENGTH, RADIANS = "length", "rad"
-CENTER = ("center_x", "center_y", "center_z")
-ROTATION = ("rotation_x", "rotation_y", "rotation_z")
-# What of a camera can be a parameter, and its unit.
-QUANTITIES: Mapping[str, str] = {**dict.fromkeys(CENTER, LENGTH), **dict.fromkeys(ROTATION, RADIANS)}
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown of one camera, with its Gaussian prior.
+    """One unknown of one camera, or of several that share it, with its Gaussian prior.
 
     Attributes
     ----------
     name : str
-        A key of `QUANTITIES`.
+        A component of a quantity (`stereophd.core.calibration.quantities.registry`).
     camera : str
         Name of the camera.
-    unit : str
-        ``length`` or ``rad``.
     mean, std : float
-        Prior of the value, in that unit.
+        Prior of the value, in the unit of the quantity.
+    shared_with : tuple of str
+        Other cameras that have the same value.
     """
 
     name: str
     camera: str
-    unit: str
     mean: float
     std: float
+    shared_with: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if QUANTITIES.get(self.name) != self.unit:
-            raise ValueError(f"parameter {self.name} in {self.unit}: expected one of {dict(QUANTITIES)}")
+        if self.name not in component_names():
+            raise ValueError(f"parameter {self.name}: expected one of {', '.join(component_names())}")
         if not (0.0 < self.std < np.inf and np.isfinite(self.mean)):
             raise ValueError(
                 f"{self.camera}.{self.name}: expected a finite mean and a positive standard deviation, found "
                 f"{self.mean}, {self.std}"
             )
+
+    @property
+    def quantity(self) -> Quantity:
+        """The quantity that the parameter is a component of."""
+        return quantity_of(self.name)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value."""
+        return self.quantity.unit
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """All cameras that have the value."""
+        return (self.camera, *self.shared_with)
 
 
 @dataclass(frozen=True)
@@ -83,10 +88,12 @@ class ParameterSet:
     parameters: tuple[Parameter, ...]
 
     def __post_init__(self) -> None:
-        unknown = {p.camera for p in self.parameters} - {c.name for c in self.cameras}
+        unknown = {name for p in self.parameters for name in p.cameras} - {c.name for c in self.cameras}
         if unknown:
             raise ValueError(f"parameters of {sorted(unknown)}: expected cameras of the set")
-        if len(set(self.names)) != self.size:
+        if len({(camera, p.name) for p in self.parameters for camera in p.cameras}) != sum(
+            len(p.cameras) for p in self.parameters
+        ):
             raise ValueError("expected every parameter once")
 
     @property
@@ -96,7 +103,7 @@ class ParameterSet:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the values, ``camera.quantity``."""
+        """Names of the values, ``camera.component``."""
         return tuple(f"{p.camera}.{p.name}" for p in self.parameters)
 
     @property
@@ -109,31 +116,78 @@ class ParameterSet:
         """Standard deviations of the prior (m,)."""
         return np.array([p.std for p in self.parameters])
 
-    def index(self, camera: str, names: tuple[str, ...]) -> NDArray[np.int64]:
-        """Places of a camera's quantities among the values; -1 where one is known."""
-        places = {name: i for i, name in enumerate(self.names)}
-        return np.array([places.get(f"{camera}.{name}", -1) for name in names], dtype=np.int64)
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], int]:
+        return {(camera, p.name): i for i, p in enumerate(self.parameters) for camera in p.cameras}
+
+    @cached_property
+    def _unknown(self) -> dict[str, tuple[tuple[Quantity, Integers], ...]]:
+        """Quantities of each camera that have an unknown component, with the places of all their components."""
+        out = {}
+        for camera in self.cameras:
+            places = [(quantity, self.index(camera.name, quantity.components)) for quantity in quantities()]
+            out[camera.name] = tuple((quantity, index) for quantity, index in places if (index >= 0).any())
+        return out
+
+    def unknown(self, camera: str) -> tuple[tuple[Quantity, Integers], ...]:
+        """Quantities of a camera that are unknown, each with the places of its components; -1 where one is known."""
+        return self._unknown[camera]
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The quantities that have an unknown component, in the order of the registry."""
+        names = {p.quantity.name for p in self.parameters}
+        return tuple(quantity for quantity in quantities() if quantity.name in names)
+
+    @property
+    def only_moves(self) -> bool:
+        """Whether cameras only move: the undistorted pixels and the times of the detections are known."""
+        return all(quantity.affects == MOVES for quantity in self.quantities)
+
+    def index(self, camera: str, names: Sequence[str]) -> Integers:
+        """Places of components of a camera among the values; -1 where one is known."""
+        return np.array([self._places.get((camera, name), -1) for name in names], dtype=np.int64)
 
     def build(self, values: ArrayLike) -> tuple[Camera, ...]:
         """Return the cameras of values (m,)."""
-        offsets = np.asarray(values, dtype=np.float64)
-        if offsets.shape != (self.size,):
-            raise ValueError(f"expected {self.size} values, found shape {offsets.shape}")
-        of_camera: dict[str, dict[str, float]] = {}
-        for parameter, value in zip(self.parameters, offsets.tolist(), strict=True):
-            of_camera.setdefault(parameter.camera, {})[parameter.name] = value
-        return tuple(moved_camera(c, of_camera[c.name]) if c.name in of_camera else c for c in self.cameras)
+        return tuple(self._moved(camera, self._checked(values)) for camera in self.cameras)
 
     def guess(self, values: ArrayLike) -> tuple[Camera, ...]:
         """Return the prior-mean cameras from which values (m,) lead to the cameras of this set.
 
         With values drawn from the prior the cameras of this set are a draw from the prior about the guess.
         """
+        return tuple(self._moved(camera, -self._checked(values)) for camera in self.cameras)
+
+    def _checked(self, values: ArrayLike) -> Array:
         offsets = np.asarray(values, dtype=np.float64)
-        of_camera: dict[str, dict[str, float]] = {}
-        for parameter, value in zip(self.parameters, offsets.tolist(), strict=True):
-            of_camera.setdefault(parameter.camera, {})[parameter.name] = value
-        return tuple(guess_of(c, of_camera[c.name]) if c.name in of_camera else c for c in self.cameras)
+        if offsets.shape != (self.size,):
+            raise ValueError(f"expected {self.size} values, found shape {offsets.shape}")
+        return offsets
+
+    def _moved(self, camera: Camera, values: Array) -> Camera:
+        for quantity, index in self._unknown[camera.name]:
+            camera = quantity.apply(camera, taken(values, index))
+        return camera
+
+    def difference(self, cameras: Sequence[Camera]) -> Array:
+        """Return the values (m,) that lead from the prior mean to cameras, given in any order.
+
+        Quantities that are no parameter are left out; of a shared parameter the mean over its cameras is returned.
+        """
+        by_name = {camera.name: camera for camera in cameras}
+        totals, counts = np.zeros(self.size), np.zeros(self.size)
+        for camera in self.cameras:
+            for quantity, index in self._unknown[camera.name]:
+                found = quantity.difference(camera, by_name[camera.name])
+                used = index >= 0
+                totals[index[used]] += found[used]
+                counts[index[used]] += 1.0
+        return np.asarray(totals / np.maximum(counts, 1.0))
+
+    def about(self, cameras: Sequence[Camera]) -> ParameterSet:
+        """Return the same parameters about other cameras."""
+        return replace(self, cameras=tuple(cameras))
 
     def log_prior(self, values: ArrayLike) -> Array:
         """Log-density of the prior at values (..., m), shape (...)."""
@@ -146,25 +200,6 @@ class ParameterSet:
         return np.asarray(self.prior_mean + self.prior_std * rng.standard_normal((count, self.size)))
 
 
-def moved_camera(camera: Camera, values: Mapping[str, float]) -> Camera:
-    """Return a camera with its quantities moved by the values of the given names."""
-    pose = camera.pose
-    offset = np.array([values.get(name, 0.0) for name in CENTER])
-    turn = rotation_from_vector([values.get(name, 0.0) for name in ROTATION])
-    moved = Pose(turn @ pose.rotation, pose.center + offset, pose.velocity, pose.rotation_rate, pose.time_s)
-    return replace(camera, pose=moved)
-
-
-def guess_of(camera: Camera, values: Mapping[str, float]) -> Camera:
-    """Return the camera that `moved_camera` moves to this one, by the same values."""
-    pose = camera.pose
-    offset = np.array([values.get(name, 0.0) for name in CENTER])
-    turn = rotation_from_vector([values.get(name, 0.0) for name in ROTATION])
-    back = Pose(turn.T @ pose.rotation, pose.center - offset, pose.velocity, pose.rotation_rate, pose.time_s)
-    return replace(camera, pose=back)
-
-
-def pose_offsets(camera: Camera, other: Camera) -> Array:
-    """Values (6,) of centre and rotation that move the pose of `camera` to that of `other`."""
-    vector = rotation_to_vector(other.pose.rotation @ camera.pose.rotation.T)
-    return np.concatenate([other.pose.center - camera.pose.center, vector])
+def taken(values: Array, index: Integers) -> Array:
+    """Values (..., k) at the places of `ParameterSet.index`, zero where one is known."""
+    return np.where(index >= 0, values[..., index], 0.0)

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.parameters import CENTER, ROTATION, ParameterSet
+from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.quantities.base import LENGTH, LENGTH_PER_SECOND
+from stereophd.core.calibration.quantities.center import CENTER
+from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.calibration.scale import log_scale
 
 Array = NDArray[np.float64]
@@ -110,8 +113,8 @@ def laplace_draws(
     rest = steps - amount[:, None] * along
     # a scene turned inside out does not go with the data
     amount = np.maximum(amount, LEAST_SCALE - 1.0)
-    centers = np.array([parameter.name in CENTER for parameter in parameters.parameters])
-    rest[:, centers] *= 1.0 + amount[:, None]
+    lengths = np.array([parameter.unit in (LENGTH, LENGTH_PER_SECOND) for parameter in parameters.parameters])
+    rest[:, lengths] *= 1.0 + amount[:, None]
     return np.asarray(values + amount[:, None] * along + rest)
 
 

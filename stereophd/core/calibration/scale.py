@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.parameters import CENTER, ParameterSet
+from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.quantities.center import CENTER
 
 Array = NDArray[np.float64]
 

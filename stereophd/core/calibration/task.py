@@ -1,18 +1,20 @@
-"""What annealed calibration works on and brings forth: the task, a fit of cameras and trajectories, a start."""
+"""What annealed calibration works on and returns: the task, a fit of cameras and trajectories, a start."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.adjustment import Adjustment, Observations
-from stereophd.core.calibration.association import Scans
 from stereophd.core.calibration.pairing import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.trajectories import Knots
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
@@ -43,12 +45,13 @@ class Task:
         Index of the reference camera.
     filter : PmbFilter
         Template; its cameras are replaced.
-    scans : Scans
-        All events.
-    tracking : Scans
-        Those that are tracked: all, or a part of a long log.
+    recording : Recording
+    frames : array of int
+        Frames of the recording that are tracked: all, or a part of a long log.
+    scans, tracking : Scans
+        Events of all frames and of those that are tracked, by the cameras of the prior mean.
     tracks : tuple of (int, array)
-        One-camera tracks among those events: camera and detections.
+        One-camera tracks among the tracked frames: camera and detections of the recording.
     pairs : TrackPairs
         Which of them may be one object.
     scale : ScaleMeasurement or None
@@ -58,6 +61,8 @@ class Task:
     parameters: ParameterSet
     reference: int
     filter: PmbFilter
+    recording: Recording
+    frames: Integers
     scans: Scans
     tracking: Scans
     tracks: tuple[tuple[int, Integers], ...]
@@ -75,20 +80,39 @@ class Task:
         parameters: ParameterSet,
         reference: int,
         multi_filter: PmbFilter,
-        scans: Scans,
-        tracking: Scans,
+        recording: Recording,
+        frames: Integers,
         scale: ScaleMeasurement | None,
         settings: AnnealedSettings,
     ) -> Task:
         """Prepare what all starts share: the tracks that each camera has by itself."""
-        tracks = one_camera_tracks(multi_filter, tracking, settings.min_detections)
+        scans = Scans.of(recording, parameters.cameras)
+        tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
+        tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
         pairs = make_pairs(parameters, tracking, tracks)
-        return Task(parameters, reference, multi_filter, scans, tracking, tuple(tracks), pairs, scale, settings)
+        return Task(
+            parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings
+        )
+
+    def all_scans(self, cameras: Sequence[Camera]) -> Scans:
+        """Return the events of all frames by these cameras."""
+        return self.scans if self.parameters.only_moves else Scans.of(self.recording, cameras)
+
+    def tracked_scans(self, cameras: Sequence[Camera]) -> Scans:
+        """Return the events of the tracked frames by these cameras."""
+        return self.tracking if self.parameters.only_moves else Scans.of(self.recording, cameras, self.frames)
+
+    def observations(
+        self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0
+    ) -> Observations:
+        """Return detections of the recording that belong to trajectories, timed by cameras, their noise inflated."""
+        source = self.scans if self.parameters.only_moves else self.recording
+        return source.observations(cameras, trajectories, detections, inflation)
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Cameras and trajectories after an adjustment, with the detections they were adjusted to."""
+    """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to."""
 
     adjustment: Adjustment
     knots: Knots

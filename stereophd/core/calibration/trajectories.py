@@ -149,6 +149,24 @@ def interpolation(knots: Knots, trajectories: Integers, times: Array) -> tuple[I
     return knot, weights
 
 
+def slopes(knots: Knots, trajectories: Integers, times: Array) -> Array:
+    """Weights (n, 4) of the knots of `interpolation` in the velocities at given times."""
+    weights = np.zeros((len(times), 4))
+    for j in np.unique(trajectories):
+        low, high = int(knots.first[j]), int(knots.first[j + 1])
+        rows = np.flatnonzero(trajectories == j)
+        at = knots.times[low:high]
+        if high - low == 1:
+            weights[rows, 1] = 0.0 if knots.static else 1.0
+            continue
+        left = np.clip(np.searchsorted(at, times[rows], side="right") - 1, 0, high - low - 2)
+        step = at[left + 1] - at[left]
+        s = np.clip((times[rows] - at[left]) / step, 0.0, 1.0)
+        bend = 6.0 * (s - s**2) / step
+        weights[rows] = np.column_stack([-bend, 1.0 - 4.0 * s + 3.0 * s**2, bend, 3.0 * s**2 - 2.0 * s])
+    return weights
+
+
 def positions(states: Array, knot: Integers, weights: Array) -> Array:
     """Positions (n, 3) from the states of all knots (k, 2, 3) and the weights of `interpolation`."""
     following = np.minimum(knot + 1, len(states) - 1)

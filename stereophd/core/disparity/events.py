@@ -135,19 +135,8 @@ def make_event(
     Event
         Without the detections at which the lens model cannot be inverted; it counts them.
     """
-    std = np.broadcast_to(np.asarray(camera.detector.sigma, dtype=float) if sigma is None else sigma, pixels.shape)
-    if camera.lens.code == 0:
-        order = np.lexsort((pixels[:, 1], pixels[:, 0]))
-        covariances = np.zeros((len(pixels), 2, 2))
-        covariances[:, 0, 0] = std[order, 0] ** 2
-        covariances[:, 1, 1] = std[order, 1] ** 2
-        delays = camera.row_delays(pixels[order, 1])
-        points, areas = pixels[order], np.ones(len(pixels))
-        return Event(time_s, index, points, covariances, areas, delays, frame, 0, sigma is not None)
-    points, jacobian = camera.undistort_pixels(pixels)
-    scaled = jacobian * std[:, None, :]
-    covariances = scaled @ np.swapaxes(scaled, 1, 2)
-    areas = np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])
+    std = np.broadcast_to(np.asarray(camera.detector.sigma if sigma is None else sigma, dtype=float), pixels.shape)
+    points, covariances, areas = undistorted_detections(camera, pixels, std)
     order = np.lexsort((points[:, 1], points[:, 0]))
     order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
     delays = camera.row_delays(pixels[order, 1])
@@ -155,3 +144,23 @@ def make_event(
         time_s, index, points[order], covariances[order], areas[order], delays, frame, len(pixels) - len(order),
         sigma is not None,
     )  # fmt: skip
+
+
+def undistorted_detections(camera: Camera, pixels: Array, std: Array) -> tuple[Array, Array, Array]:
+    """Undistorted pixels (m, 2) of detections, their covariances (m, 2, 2), and areas (m,) as those of an `Event`.
+
+    Parameters
+    ----------
+    camera : Camera
+    pixels, std : arrays (m, 2)
+        Distorted pixels and their standard deviations, px.
+    """
+    if camera.lens.code == 0:
+        covariances = np.zeros((len(pixels), 2, 2))
+        covariances[:, 0, 0], covariances[:, 1, 1] = std[:, 0] ** 2, std[:, 1] ** 2
+        return pixels, covariances, np.ones(len(pixels))
+    points, jacobian = camera.undistort_pixels(pixels)
+    scaled = jacobian * std[:, None, :]
+    covariances = scaled @ np.swapaxes(scaled, 1, 2)
+    areas = np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])
+    return points, covariances, areas

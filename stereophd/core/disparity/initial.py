@@ -13,8 +13,6 @@ near, fast objects and make far ones fly; the paper's experiments use one, so it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,64 +21,6 @@ from stereophd.core.geometry.layout import CX, CY, FX, FY
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
-
-# Distance in standard deviations of disparity at which a depth range ends.
-DEPTH_RANGE_SIGMAS = 2.0
-
-
-@dataclass(frozen=True)
-class InitialPrior:
-    """Prior of what the first detection of an object does not tell.
-
-    Attributes
-    ----------
-    disparity : tuple of float or None
-        Mean and standard deviation of the disparity, px.
-    depth_range : tuple of float or None
-        Instead of `disparity`, near and far depth: two standard deviations either side of the mean.
-    velocity_std : float
-        Standard deviation of each component of velocity in the world, length/s.
-    disparity_velocity_std : tuple of float or None
-        Instead of `velocity_std`, standard deviations of du, dv and dd, px/s, about 0.
-
-    Raises
-    ------
-    ValueError
-        Unless exactly one of `disparity` and `depth_range` is given.
-    """
-
-    disparity: tuple[float, float] | None = None
-    depth_range: tuple[float, float] | None = None
-    velocity_std: float = 0.0
-    disparity_velocity_std: tuple[float, float, float] | None = None
-
-    def __post_init__(self) -> None:
-        if (self.disparity is None) == (self.depth_range is None):
-            raise ValueError("prior: expected exactly one of disparity and depth_range")
-
-    def disparity_moments(self, space: Array) -> tuple[float, float]:
-        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
-        return disparity_moments(self.disparity, self.depth_range, space)
-
-    def moments(self, points: Array, noises: Array, space: Array, size: int) -> tuple[Array, Array]:
-        """Means (m, d) and covariances (m, d, d) of objects first seen at `points`: see `initial_moments`."""
-        mean, std = self.disparity_moments(space)
-        means, covariances = initial_moments(points, noises, space, mean, std, self.velocity_std, size)
-        if size == 6 and self.disparity_velocity_std is not None:
-            covariances[:, 3:, 3:] = np.diag(np.square(self.disparity_velocity_std))
-        return means, covariances
-
-
-def disparity_moments(
-    disparity: tuple[float, float] | None, depth_range: tuple[float, float] | None, space: Array
-) -> tuple[float, float]:
-    """Mean and standard deviation of the disparity (px) in a packed space (30,), given either prior."""
-    if disparity is not None:
-        return disparity
-    assert depth_range is not None
-    scale = float((space[FY] if space[VERTICAL] == 1.0 else space[FX]) * space[BASELINE])
-    near, far = scale / depth_range[0], scale / depth_range[1]
-    return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)
 
 
 @compiled

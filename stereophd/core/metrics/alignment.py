@@ -1,7 +1,6 @@
 """Which events are scored, and where the true objects are at their times.
 
-Times are true times in seconds. Times closer than `TIME_TOLERANCE_S` are the same time: it absorbs the
-rounding of clock corrections, and is far below the period of any camera.
+Times are true times in seconds.
 """
 
 from __future__ import annotations
@@ -13,10 +12,9 @@ from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets
+from stereophd.core.numerics.times import SAME_TIME_S
 
 BoolArray = NDArray[np.bool_]
-
-TIME_TOLERANCE_S = 1e-9
 
 # Without --max-gap the truth may be interpolated over intervals a little longer than its usual step.
 DEFAULT_GAP_STEPS = 1.5
@@ -101,7 +99,7 @@ def last_event_of_each_time(time_s: FloatArray) -> IntArray:
     """Return the index of the last of all events that share a time, for times (k,) in order."""
     if len(time_s) == 0:
         return np.zeros(0, dtype=np.int64)
-    return np.flatnonzero(np.append(np.diff(time_s) > TIME_TOLERANCE_S, True)).astype(np.int64)
+    return np.flatnonzero(np.append(np.diff(time_s) > SAME_TIME_S, True)).astype(np.int64)
 
 
 def add_truth_times(events: Events, truth_time_s: FloatArray) -> Events:
@@ -121,7 +119,7 @@ def add_truth_times(events: Events, truth_time_s: FloatArray) -> Events:
         when the other events were.
     """
     grid = np.unique(truth_time_s)
-    grid = grid[np.append(True, np.diff(grid) > TIME_TOLERANCE_S)] if len(grid) else grid
+    grid = grid[np.append(True, np.diff(grid) > SAME_TIME_S)] if len(grid) else grid
     if not _is_near(events.time_s, grid).all():
         return events
     missing = grid[~_is_near(grid, events.time_s)]
@@ -143,16 +141,16 @@ def _is_near(time_s: FloatArray, grid: FloatArray) -> BoolArray:
     after = np.clip(np.searchsorted(grid, time_s), 0, len(grid) - 1)
     before = np.maximum(after - 1, 0)
     distance = np.minimum(np.abs(grid[after] - time_s), np.abs(grid[before] - time_s))
-    return np.asarray(distance <= TIME_TOLERANCE_S)
+    return np.asarray(distance <= SAME_TIME_S)
 
 
 def in_window(time_s: FloatArray, from_s: float | None, to_s: float | None) -> BoolArray:
     """Return which times lie in ``[from_s, to_s]``; None is no bound."""
     inside = np.ones(len(time_s), dtype=bool)
     if from_s is not None:
-        inside &= time_s >= from_s - TIME_TOLERANCE_S
+        inside &= time_s >= from_s - SAME_TIME_S
     if to_s is not None:
-        inside &= time_s <= to_s + TIME_TOLERANCE_S
+        inside &= time_s <= to_s + SAME_TIME_S
     return inside
 
 
@@ -177,8 +175,8 @@ def align_truth(truth: Truth, time_s: FloatArray, max_gap_s: float) -> AlignedTr
     starts = truth.object_start
     first, end = starts[:-1], starts[1:]
     birth, death = truth.time_s[first], truth.time_s[end - 1]
-    begin = np.searchsorted(time_s, birth - TIME_TOLERANCE_S, side="left")
-    stop = np.searchsorted(time_s, death + TIME_TOLERANCE_S, side="right")
+    begin = np.searchsorted(time_s, birth - SAME_TIME_S, side="left")
+    stop = np.searchsorted(time_s, death + SAME_TIME_S, side="right")
     count = stop - begin
     owner = np.repeat(np.arange(len(first)), count)
     scan = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + begin[owner]
@@ -219,15 +217,15 @@ def _interpolate(
     right = np.minimum(left + 1, last)
     span = truth.time_s[right] - truth.time_s[left]
     elapsed = time - truth.time_s[left]
-    on_row = np.minimum(elapsed, truth.time_s[right] - time) <= TIME_TOLERANCE_S
-    long = span > max_gap_s + TIME_TOLERANCE_S
+    on_row = np.minimum(elapsed, truth.time_s[right] - time) <= SAME_TIME_S
+    long = span > max_gap_s + SAME_TIME_S
     weight = np.divide(elapsed, span, out=np.zeros_like(span), where=span > 0)[:, None]
     position = (1 - weight) * truth.position[left] + weight * truth.position[right]
     if truth.velocity is not None:
         velocity = (1 - weight) * truth.velocity[left] + weight * truth.velocity[right]
     else:
         # On the row before a gap the segment that ends there tells the velocity.
-        back = long & (elapsed <= TIME_TOLERANCE_S) & (left > first)
+        back = long & (elapsed <= SAME_TIME_S) & (left > first)
         velocity = _segment_velocity(truth, left - back, right - back, max_gap_s)
     return position, velocity, long & ~on_row
 
@@ -235,6 +233,6 @@ def _interpolate(
 def _segment_velocity(truth: Truth, left: IntArray, right: IntArray, max_gap_s: float) -> FloatArray:
     """Return the velocity (n, 3) along segments, NaN for those without length or too long."""
     span = truth.time_s[right] - truth.time_s[left]
-    usable = (span > 0) & (span <= max_gap_s + TIME_TOLERANCE_S)
+    usable = (span > 0) & (span <= max_gap_s + SAME_TIME_S)
     step = truth.position[right] - truth.position[left]
     return np.where(usable[:, None], step / np.where(usable, span, 1.0)[:, None], np.nan)

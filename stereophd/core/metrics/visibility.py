@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.alignment import TIME_TOLERANCE_S, BoolArray
+from stereophd.core.metrics.alignment import BoolArray
 from stereophd.core.metrics.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.numerics.times import SAME_TIME_S
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def cameras_that_saw(sightings: Sightings, time_s: FloatArray, object_id: IntArr
             latest = _latest_before(detected_at, np.zeros(len(detected_at), dtype=np.int64), time_s, None)
         else:
             latest = _latest_before(detected_at, sightings.object_id[of_camera], time_s, object_id)
-        count += time_s - latest <= within_s + TIME_TOLERANCE_S
+        count += time_s - latest <= within_s + SAME_TIME_S
     return count
 
 
@@ -70,7 +71,7 @@ def _latest_before(
     """
     asked = np.zeros(len(time_s), dtype=np.int64) if object_id is None else object_id
     label = np.concatenate([detected, asked])
-    time = np.concatenate([detected_at, time_s + TIME_TOLERANCE_S])
+    time = np.concatenate([detected_at, time_s + SAME_TIME_S])
     is_question = np.arange(len(label)) >= len(detected)
     order = np.lexsort((is_question, time, label))
     place = np.maximum.accumulate(np.where(is_question[order], -1, np.arange(len(order))))

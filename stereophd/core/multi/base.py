@@ -17,9 +17,10 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
 from stereophd.core.motion.models import Motion, Static
 from stereophd.core.multi.association import kalman_updates
-from stereophd.core.multi.birth import BirthPrior, birth_moments
-from stereophd.core.multi.extract import Hysteresis, select_objects
+from stereophd.core.multi.birth import birth_moments
+from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info, empty_mixture
+from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.samples import SampleSets
 

@@ -5,41 +5,14 @@ What a detection says about a new object, and what the prior adds to it: `stereo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.initial import disparity_moments, initial_moments
+from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class BirthPrior:
-    """Prior of new objects.
-
-    Attributes
-    ----------
-    per_frame : float
-        Expected number of new objects a frame, uniform over the image.
-    disparity : tuple of float or None
-        Mean and standard deviation of the disparity, px.
-    depth_range : tuple of float or None
-        Instead of `disparity`, near and far depth: two standard deviations either side of the mean.
-    velocity_std : float
-        Standard deviation of each component of velocity, length/s.
-    """
-
-    per_frame: float
-    disparity: tuple[float, float] | None
-    depth_range: tuple[float, float] | None
-    velocity_std: float
-
-    def disparity_moments(self, space: Array) -> tuple[float, float]:
-        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
-        return disparity_moments(self.disparity, self.depth_range, space)
 
 
 def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> tuple[Array, Array]:

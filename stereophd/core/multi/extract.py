@@ -8,26 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.multi.intensity import UNLABELLED, GaussianMixture
+from stereophd.core.multi.settings import Hysteresis
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Hysteresis:
-    """Thresholds of reporting.
-
-    Attributes
-    ----------
-    confirm : float
-        A label is reported from this weight (PHD) or existence on.
-    release : float
-        A reported label stays reported until its weight or existence falls below this.
-    """
-
-    confirm: float
-    release: float
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ log-likelihood of an event is that of the conditional filter of VII-B.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,41 +18,12 @@ from stereophd.core.motion.models import Motion
 from stereophd.core.multi.association import pair_likelihoods
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, missed_states, updated_components
-from stereophd.core.multi.birth import BirthPrior
-from stereophd.core.multi.extract import Hysteresis
 from stereophd.core.multi.intensity import Info, concatenate
+from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.reduce import reduce_mixture
 from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class PhdSettings:
-    """Parameters of the filter (paper, Table III).
-
-    Attributes
-    ----------
-    survival_per_s : float
-        Probability that an object survives one second.
-    birth : BirthPrior
-        Prior of new objects.
-    prune_weight, merge_distance, max_components, merge_mutual : float, float, int, bool
-        See `stereophd.core.multi.reduce.reduce_mixture`.
-    hysteresis : Hysteresis
-        Which components are reported.
-    split_missed : bool
-        See `DisparityFilter`.
-    """
-
-    survival_per_s: float
-    birth: BirthPrior
-    prune_weight: float = 1e-6
-    merge_distance: float = 7.0
-    max_components: int = 1000
-    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.8, 0.001))
-    merge_mutual: bool = True
-    split_missed: bool = True
 
 
 @dataclass(frozen=True, init=False)
@@ -68,9 +39,9 @@ class PhdFilter(DisparityFilter):
             sets,
             settings.survival_per_s,
             settings.birth,
-            settings.hysteresis,
+            settings.extraction,
             threads,
-            settings.split_missed,
+            settings.missed == "split",
         )
         object.__setattr__(self, "settings", settings)
 
@@ -108,7 +79,7 @@ class PhdFilter(DisparityFilter):
             settings.prune_weight,
             settings.merge_distance,
             settings.max_components,
-            settings.merge_mutual,
+            settings.merge_rule == "mutual",
         )
         info = Info(log_likelihood, float(reduced.weights.sum()), len(reduced), detected_now)
         label = state.next_label + len(event.points)

@@ -13,7 +13,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -24,9 +24,9 @@ from stereophd.core.disparity.kernels import MovedArrays
 from stereophd.core.motion.models import Motion
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
-from stereophd.core.multi.birth import BirthPrior, birth_moments
-from stereophd.core.multi.extract import Hysteresis
+from stereophd.core.multi.birth import birth_moments
 from stereophd.core.multi.intensity import GaussianMixture, Info, Parts
+from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.pmb_reduce import reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.numerics.compilation import compiled
@@ -34,47 +34,6 @@ from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class PmbSettings:
-    """Parameters of the filter.
-
-    Attributes
-    ----------
-    survival_per_s : float
-        Probability that an object survives one second.
-    birth : BirthPrior
-        Prior of new objects.
-    recycle_below : float
-        Tracks of a smaller existence become part of the intensity of undetected objects.
-    prune_weight : float
-        Components of that intensity below this weight are dropped.
-    merge_distance : float
-        Squared Mahalanobis distance, in the covariances of both, below which two tracks are one object.
-    max_components : int
-        The most probable tracks are kept.
-    hypothesis_distance : float
-        Squared Mahalanobis distance, in the covariances of both, below which two hypotheses of a track merge;
-        infinity for one Gaussian a track in each camera's space.
-    least_share : float
-        Hypotheses of a smaller share of their track are dropped.
-    hysteresis : Hysteresis
-        Which tracks are reported.
-    split_missed : bool
-        See `DisparityFilter`.
-    """
-
-    survival_per_s: float
-    birth: BirthPrior
-    recycle_below: float = 1e-3
-    prune_weight: float = 1e-4
-    merge_distance: float = 4.0
-    max_components: int = 1000
-    hypothesis_distance: float = 4.0
-    least_share: float = 1e-3
-    hysteresis: Hysteresis = field(default_factory=lambda: Hysteresis(0.98, 0.01))
-    split_missed: bool = False
 
 
 @dataclass(frozen=True, init=False)
@@ -96,9 +55,9 @@ class PmbFilter(DisparityFilter):
             sets,
             settings.survival_per_s,
             settings.birth,
-            settings.hysteresis,
+            settings.extraction,
             threads,
-            settings.split_missed,
+            settings.missed == "split",
         )
         object.__setattr__(self, "settings", settings)
 

@@ -7,18 +7,50 @@ static objects has three.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from stereophd.core.numerics.sobol import normal_quantiles, sobol_points
+from stereophd.core.settings import Positive, parameter, settings
 
 Array = NDArray[np.float64]
-Method = Literal["qmc", "particle", "adaptive", "unscented", "linear"]
+Method = Literal["adaptive", "qmc", "particle", "unscented", "linear"]
 
 # Non-linearity (`stereophd.core.disparity.rule_kernels`) up to which a component is moved by the low-order rule.
 MAX_NONLINEARITY = 0.03
+
+FEWEST_QMC_SAMPLES = 64
+
+
+@settings
+class MomentsSettings:
+    """How a Gaussian is carried from one disparity space to another (paper IV-B, V-B, VI-C)."""
+
+    method: Method = parameter(
+        "qmc: scrambled Sobol points; particle: pseudo-random, as the paper has it; adaptive: a low-order "
+        "rule for each component over which the map is nearly linear, Sobol points for the others; unscented, linear: "
+        "low-order rules throughout",
+        default="qmc",
+    )
+    samples: Annotated[int, Interval(ge=16, le=65536)] = parameter(
+        "samples per Gaussian (qmc, adaptive: a power of two, at least 64)", default=64
+    )
+    max_nonlinearity: Positive = parameter(
+        "adaptive: components are sampled above this curvature of one standard deviation, in standard "
+        "deviations of the result",
+        default=MAX_NONLINEARITY,
+    )
+
+    def __post_init__(self) -> None:
+        # mirrored points in twelve dimensions need 48 to have a covariance of full rank
+        wanting = self.samples < FEWEST_QMC_SAMPLES or self.samples & (self.samples - 1)
+        if self.method in ("qmc", "adaptive") and wanting:
+            expected = f"a power of two of at least {FEWEST_QMC_SAMPLES} for method {self.method}"
+            raise ValueError(f"samples: expected {expected}, found {self.samples}")
+
 
 # Sets drawn once and used in turn, event by event: enough that a set's own error does not repeat
 # from step to step, few enough to stay in the cache.

@@ -8,10 +8,10 @@ import numpy as np
 # of 30 and 60 Hz share their common instants exactly: k / 30 and 2 k / 60 differ in the last bit otherwise.
 TIME_DECIMALS = 9
 
-# Times nearer than this are one time: half of the last decimal, far below the period of any camera.
-SAME_TIME_S = 0.5e-9
+# Times nearer than this are one time: the last decimal, far below the period of any camera.
+SAME_TIME_S = 1e-9
 
-# Rounding errors of clock corrections, in units of the last place: these exceed half a nanosecond beyond 1e6 s.
+# Rounding errors of clock corrections, in units of the last place: these exceed a nanosecond beyond 1e6 s.
 SAME_TIME_ULPS = 4.0
 
 

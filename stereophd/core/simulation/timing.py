@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.numerics.times import TIME_DECIMALS
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-# Frame times are rounded to the nanosecond, so that cameras of 30 and 60 Hz share their common instants
-# exactly: k / 30 and 2 k / 60 differ in the last bit otherwise, and would be two events and two truth rows.
-TIME_DECIMALS = 9
 
 # Instants handled at once: large enough for array operations to dominate, small enough for the cache.
 INSTANTS_PER_WINDOW = 4096

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.models import Motion, Static
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.models import Motion, Static
-from stereophd.core.numerics.samples import MAX_NONLINEARITY, Method, SampleSets, draw_sample_sets
+from stereophd.core.numerics.samples import MAX_NONLINEARITY, Method, MomentsSettings, SampleSets, draw_sample_sets
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.cartesian import CartesianEstimator
 from stereophd.core.single.disparity import DisparityEstimator, RectifiedEstimator
@@ -55,7 +55,7 @@ def build_estimator(
     """
     if isinstance(settings, DisparitySettings):
         if sets is None:
-            sets = sample_sets(settings, motion, rng)
+            sets = sample_sets(settings.moments, motion, rng)
         kind = RectifiedEstimator if settings.rectified else DisparityEstimator
         return kind(rig, motion, prior, sets)
     if isinstance(settings, ParticleSettings):
@@ -65,7 +65,7 @@ def build_estimator(
     return InverseDepthEstimator(rig, motion, prior)
 
 
-def sample_sets(settings: DisparitySettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
+def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
     """Return the samples of an estimator's moves; of ``particle`` drawn from the generator."""
     rows = 3 if isinstance(motion, Static) else 12
     if settings.method == "particle":

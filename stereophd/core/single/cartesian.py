@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.motion.models import Motion
 from stereophd.core.numerics.moment_kernels import condition

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.initial import InitialPrior
 from stereophd.core.disparity.kernels import disparity_scale
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 
 Array = NDArray[np.float64]
@@ -51,10 +51,10 @@ def inverse_depth_prior(prior: InitialPrior, space: Array) -> tuple[float, float
 
 def velocity_covariance(prior: InitialPrior, space: Array, pixel: Array, rho: float) -> Array:
     """Prior covariance (3, 3) of the velocity in the world, about 0, of an object of known inverse depth."""
-    if prior.disparity_velocity_std is None:
-        return prior.velocity_std**2 * np.eye(3)
+    if prior.disparity_velocity_std_px_s is None:
+        return prior.velocity_spread**2 * np.eye(3)
     # v = (r' - r rho' / rho) / rho in the camera's axes, with r' = (du / fx, dv / fy, 0), rho' = dd / (f b)
     per_pixel = np.diag([1.0 / space[FX], 1.0 / space[FY], 0.0]) / rho
     per_pixel[:, 2] = -ray(space, pixel) / (disparity_scale(space) * rho**2)
     jacobian = rotation(space).T @ per_pixel
-    return np.asarray(jacobian @ np.diag(np.square(prior.disparity_velocity_std)) @ jacobian.T)
+    return np.asarray(jacobian @ np.diag(np.square(prior.disparity_velocity_std_px_s)) @ jacobian.T)

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.initial import InitialPrior
 from stereophd.core.disparity.kernels import POSITION_ALONE, POSITION_WITH_VELOCITY
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.models import Motion, Static
 from stereophd.core.numerics.compilation import compiled
@@ -177,14 +177,14 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         states = np.empty((count, size))
         states[:, :2] = rng.multivariate_normal(means[0, :2], covariances[0, :2, :2], count)
         states[:, 2] = _positive_normals(*self.prior.disparity_moments(space), count, rng)
-        in_disparity = size == 6 and self.prior.disparity_velocity_std is not None
+        in_disparity = size == 6 and self.prior.disparity_velocity_std_px_s is not None
         if size == 6:
-            stds = self.prior.disparity_velocity_std if in_disparity else (0.0, 0.0, 0.0)
+            stds = self.prior.disparity_velocity_std_px_s if in_disparity else (0.0, 0.0, 0.0)
             states[:, 3:] = rng.standard_normal((count, 3)) * np.array(stds)
         limit = np.inf if self.motion.max_speed is None else self.motion.max_speed
         particles = states_in_world(states, space, 0.0, limit).T[:size].copy()
         if size == 6 and not in_disparity:
-            particles[3:] = rng.standard_normal((3, count)) * self.prior.velocity_std
+            particles[3:] = rng.standard_normal((3, count)) * self.prior.velocity_spread
         return particles
 
     def _predict(self, state: ParticleState, time_s: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:

@@ -1,11 +1,15 @@
-"""What single-object estimators are chosen from, and their parameters."""
+"""Settings of the estimators of one object, and the section ``filter`` with ``kind: single``."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from dataclasses import dataclass, field
+from typing import Annotated, Literal, TypeAlias
 
-from stereophd.core.numerics.samples import MAX_NONLINEARITY, Method
+from annotated_types import Interval
+
+from stereophd.core.disparity.prior import InitialPrior
+from stereophd.core.numerics.samples import MomentsSettings
+from stereophd.core.settings import Fraction, parameter, settings
 
 Resampling = Literal["systematic", "stratified", "residual", "multinomial"]
 Weights = Literal["logarithmic", "linear"]
@@ -17,60 +21,96 @@ class DisparitySettings:
 
     Attributes
     ----------
-    method : str
-        How the Gaussian is carried from one disparity space to another (`stereophd.core.disparity.moments`).
-    samples : int
-        Samples of a move; the paper's experiments use 100 and 250.
+    moments : MomentsSettings
+        How the Gaussian is carried from one disparity space to another.
     rectified : bool
         Algorithm 1: one disparity space for all cameras, which must be rectified.
-    max_nonlinearity : float
-        Of method ``adaptive``.
     """
 
-    method: Method = "qmc"
-    samples: int = 64
+    moments: MomentsSettings = field(default_factory=MomentsSettings)
     rectified: bool = False
-    max_nonlinearity: float = MAX_NONLINEARITY
 
 
-@dataclass(frozen=True)
+@settings
+class DisparityChoice:
+    """Gaussian on disparity space, carried as ``moments`` says (paper, Algorithm 2)."""
+
+    kind: Literal["disparity"] = parameter("the estimator", default="disparity")
+
+    def with_moments(self, moments: MomentsSettings) -> DisparitySettings:
+        """Return the settings of the estimator."""
+        return DisparitySettings(moments)
+
+
+@settings
+class RectifiedChoice:
+    """The same for cameras that are rectified with one another (paper, Algorithm 1)."""
+
+    kind: Literal["rectified"] = parameter("the estimator", default="rectified")
+
+    def with_moments(self, moments: MomentsSettings) -> DisparitySettings:
+        """Return the settings of the estimator."""
+        return DisparitySettings(moments, rectified=True)
+
+
+@settings
 class ParticleSettings:
-    """Particle filter in world space.
+    """Particle filter in world space."""
 
-    Attributes
-    ----------
-    particles : int
-    weights : {"logarithmic", "linear"}
-        Linear weights underflow where the prior is poor, as those of the paper's Table II must have.
-    resampling : {"systematic", "stratified", "residual", "multinomial"}
-    resample_below : float
-        Resample where the effective number of particles is below this fraction; 0 is never.
-    regularised : bool
-        Spread resampled particles by a Gaussian kernel of the optimal width (paper [37]).
-    """
+    kind: Literal["particle"] = parameter("the estimator", default="particle")
+    particles: Annotated[int, Interval(ge=2, le=10_000_000)] = parameter("number of particles", default=1000)
+    weights: Weights = parameter("linear: weights underflow where the prior is poor", default="logarithmic")
+    resampling: Resampling = parameter("how particles are drawn again by their weights", default="systematic")
+    resample_below: Fraction = parameter(
+        "resample below this effective fraction of the particles; 0: never", default=0.5
+    )
+    regularised: bool = parameter(
+        "spread resampled particles by a Gaussian kernel of the optimal width (paper [37])", default=False
+    )
 
-    particles: int = 1000
-    weights: Weights = "logarithmic"
-    resampling: Resampling = "systematic"
-    resample_below: float = 0.5
-    regularised: bool = False
+    def with_moments(self, moments: MomentsSettings) -> ParticleSettings:
+        """Return the settings of the estimator, which has particles instead of moments."""
+        return self
 
 
-@dataclass(frozen=True)
+@settings
 class InverseDepthSettings:
     """Extended Kalman filter on ray and inverse depth at the first camera (paper [7], [32])."""
 
+    kind: Literal["inverse_depth"] = parameter("the estimator", default="inverse_depth")
 
-@dataclass(frozen=True)
+    def with_moments(self, moments: MomentsSettings) -> InverseDepthSettings:
+        """Return the settings of the estimator, which linearises."""
+        return self
+
+
+@settings
 class CartesianSettings:
-    """Kalman filter in world space.
+    """Kalman filter in world space."""
 
-    Attributes
-    ----------
-    rule : {"extended", "unscented"}
-    """
+    kind: Literal["cartesian"] = parameter("the estimator", default="cartesian")
+    rule: Literal["extended", "unscented"] = parameter(
+        "of the observation: linearised, or by points", default="extended"
+    )
 
-    rule: Literal["extended", "unscented"] = "extended"
+    def with_moments(self, moments: MomentsSettings) -> CartesianSettings:
+        """Return the settings of the estimator, which has a rule of its own."""
+        return self
 
 
 EstimatorSettings: TypeAlias = DisparitySettings | ParticleSettings | InverseDepthSettings | CartesianSettings
+EstimatorChoice: TypeAlias = (
+    DisparityChoice | RectifiedChoice | ParticleSettings | InverseDepthSettings | CartesianSettings
+)
+
+
+@settings
+class SingleSettings:
+    """One object, seen at most once a frame: no clutter, no association."""
+
+    kind: Literal["single"] = parameter("the filter", default="single")
+    prior: InitialPrior = parameter("of the object at its first detection")
+    estimator: EstimatorChoice = parameter("how it is estimated", default_factory=DisparityChoice, discriminator="kind")
+    point: Literal["mean", "map"] = parameter(
+        "what is written: the mean, or the state of greatest density", default="mean"
+    )

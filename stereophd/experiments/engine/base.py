@@ -95,13 +95,3 @@ def find_kind(name: str) -> Kind:
     kind = import_module(f"stereophd.experiments.kinds.{name}").KIND
     assert isinstance(kind, Kind)
     return kind
-
-
-def run_seed(seed: int, run: int) -> np.random.SeedSequence:
-    """Return the seed of a run: that of run k of ``simulate --runs``, whatever the number of runs."""
-    return np.random.SeedSequence(seed, spawn_key=(run,))
-
-
-def seed_number(seed: int, run: int) -> int:
-    """Return the first 63 bits that the seed of a run gives: they tell runs apart, and show which saw the same data."""
-    return int(run_seed(seed, run).generate_state(1, np.uint64)[0] >> 1)

@@ -13,9 +13,7 @@ from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.parts import PartStore
 from stereophd.experiments.engine.work import Chunk, ChunkResult, Part
 from stereophd.experiments.engine.workers import DaskWorkers, Workers, WorkersLostError, in_this_process, on_cores
-
-# Called with the runs done and their total.
-Progress = Callable[[int, int], None]
+from stereophd.pipeline.progress import Progress
 
 # Called with method, case and series of a run.
 See = Callable[[str, str, Sequence[Series]], None]

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
+import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +20,13 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import stereophd
+from stereophd.core.numerics.random_streams import run_number
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Series, seed_number
+from stereophd.experiments.engine.base import Array, Series
 from stereophd.experiments.engine.tables import columns_of, pieces
-from stereophd.experiments.engine.work import BOUND_RUN, Chunk, Outcome
-from stereophd.io.atomic import atomic_write
+from stereophd.experiments.engine.work import BOUND_RUN, Chunk, RunOutcome
+from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
+from stereophd.io.commit import files_below
 from stereophd.io.provenance import sha256_of
 from stereophd.io.table_reading import damaged_is_input_error, open_parquet
 from stereophd.io.tables import RUNS, TableWriter
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
 PREFIX = "partial-"
 PATTERN = f"{PREFIX}*/*.parquet"
 HASH_LENGTH = 16
+_FOLDER_NAME = re.compile(rf"{PREFIX}[0-9a-f]{{{HASH_LENGTH}}}")
 
 # Keys of the experiment that do not change a run.
 NOT_IN_HASH = ("runs", "windows", "table", "figure")
@@ -77,11 +82,30 @@ class PartStore:
         """Return the folders of other configurations beside this one."""
         return sorted(p for p in self.folder.parent.glob(f"{PREFIX}*") if p.is_dir() and p != self.folder)
 
+    def remove(self, others_only: bool) -> None:
+        """Remove finished runs: those of other configurations, and this one's unless `others_only`.
+
+        Raises
+        ------
+        InputError
+            A folder has the name of ours, and does not hold finished runs: nothing is removed.
+        """
+        folders = [*self.others(), *([] if others_only or not self.folder.exists() else [self.folder])]
+        for folder in folders:
+            foreign = [path for path in files_below(folder) if not (_is_leftover(path) or is_part(folder / path))]
+            if foreign or not _FOLDER_NAME.fullmatch(folder.name):
+                raise InputError(
+                    f"output folder {self.folder.parent} holds {Path(folder.name, *foreign[:1])}, which is not a part "
+                    "of an experiment; move it away, or choose another folder"
+                )
+        for folder in folders:
+            shutil.rmtree(folder, ignore_errors=True)
+
     def exists(self) -> bool:
         """Whether there are finished runs."""
         return any(self.folder.glob("*.parquet"))
 
-    def add(self, chunk: Chunk, outcomes: Sequence[Outcome]) -> None:
+    def add(self, chunk: Chunk, outcomes: Sequence[RunOutcome]) -> None:
         """Store the outcomes of a chunk that came without an error."""
         method, case = chunk.part.method, chunk.part.case
         key = json.dumps([method, case, [outcome.run for outcome in outcomes]])
@@ -96,7 +120,7 @@ class PartStore:
         ):
             for outcome in outcomes:
                 bound = outcome.run == BOUND_RUN
-                seed = 0 if bound else seed_number(chunk.part.config.config.seed, outcome.run)
+                seed = 0 if bound else run_number(chunk.part.config.config.seed, outcome.run)
                 for series in outcome.series:
                     table.append(columns_of("", method, case, outcome.run, seed, series))
 
@@ -134,6 +158,19 @@ def _series(quantities: list[str], units: list[str], times_s: Array, values: Arr
     for piece in pieces(quantities, times_s):
         own = None if np.isnan(times_s[piece.start]) else times_s[piece]
         yield Series(quantities[piece.start], units[piece.start], values[piece], own)
+
+
+def _is_leftover(path: Path) -> bool:
+    """Whether a file is one that a killed process was writing."""
+    return path.name.startswith(TEMPORARY_PREFIX)
+
+
+def is_part(path: Path) -> bool:
+    """Whether a file carries the mark of a part of an experiment."""
+    try:
+        return ABOUT_KEY in (pq.read_schema(path).metadata or {})
+    except (OSError, ValueError):  # ValueError: damaged, or another kind of file
+        return False
 
 
 def parquet_metadata(path: Path) -> dict[bytes, bytes]:

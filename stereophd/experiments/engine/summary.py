@@ -12,13 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.experiments.engine.base import Array, Series
 
 CONFIDENCE = 0.95
 ERROR, RMSE = "_error", "_rmse"
-
-# Times are equal if they agree to the nanosecond, as those of the frames do.
-TIME_DECIMALS = 9
 
 Windows = Mapping[str, tuple[float, float]]
 

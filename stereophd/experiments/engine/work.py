@@ -38,7 +38,7 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """What became of one run: its series, or the error that ended it.
 
     Attributes
@@ -64,7 +64,7 @@ class ChunkResult:
     """Outcomes of a chunk, and the version of the package that made them."""
 
     chunk: Chunk
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[RunOutcome, ...]
     version: str
 
 
@@ -73,7 +73,7 @@ def run_chunk(chunk: Chunk) -> ChunkResult:
     return ChunkResult(chunk, tuple(_run(chunk.part, run) for run in chunk.runs), stereophd.__version__)
 
 
-def _run(part: Part, run: int) -> Outcome:
+def _run(part: Part, run: int) -> RunOutcome:
     start = time.thread_time()
     seconds: list[float] = []
     series: Sequence[Series] = ()
@@ -87,4 +87,4 @@ def _run(part: Part, run: int) -> Outcome:
         if users:
             error = str(failure)
     whole = time.thread_time() - start
-    return Outcome(run, tuple(series), error, users, sum(seconds) if seconds else whole)
+    return RunOutcome(run, tuple(series), error, users, sum(seconds) if seconds else whole)

@@ -18,14 +18,16 @@ import numpy as np
 from stereophd.config.experiment import CalibrationScenario
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
-from stereophd.core.calibration.association import Scans
-from stereophd.core.calibration.parameters import RADIANS, ParameterSet, pose_offsets
+from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread
+from stereophd.core.calibration.quantities.base import RADIANS
+from stereophd.core.calibration.recording import Recording
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
+from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_METHOD, RUN_OBJECTS
+from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
-from stereophd.pipeline.build import build_motion
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import (
     CalibrationProblem,
@@ -40,20 +42,14 @@ from stereophd.pipeline.calibration.outcome import HistoryRow
 from stereophd.pipeline.calibration.report import status_of
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
-from stereophd.pipeline.simulation import GUESS_KEY, build_scene
-from stereophd.pipeline.stream import EventStream, frames_in_order
+from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.stream import frames_in_order
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-# Key of the calibration's own random numbers among those of a run.
-METHOD_KEY = 3
-
 # Half of the interval that holds 90 % of a Gaussian, in standard deviations.
 INTERVAL_90 = 1.6448536269514722
-
-# Times are equal if they agree to the nanosecond.
-SAME_TIME_S = 1e-9
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -68,10 +64,10 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the errors of the cameras over time, the spread that the calibration states, and its NEES."""
     section = calibration_section(loaded)
     scene, guessed, parameters, reference, true = _setting(loaded, number)
-    frame_seed = run_seed(loaded.config.seed, number).spawn(2)[1]
+    frame_seed = RUN_FRAMES.seed(loaded.config.seed, number)
     frames = frames_in_order(parameters.cameras, simulate_frames(scene, frame_seed))
-    events = list(EventStream(parameters.cameras, frames))
-    problem = CalibrationProblem(parameters, reference, Scans.of(events), build_scale(guessed, parameters), {})
+    recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
+    problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
         outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False), 1, None)
@@ -91,7 +87,7 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
 def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
     """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
     scene, guessed, parameters, reference, true = _setting(loaded, number)
-    motion, scale = build_motion(loaded.config.motion), build_scale(guessed, parameters)
+    motion, scale = loaded.config.motion.build(), build_scale(guessed, parameters)
     objects, cameras, at, positions = scene_positions(scene)
     bounds = []
     for time_s in _times(loaded).tolist():
@@ -123,20 +119,12 @@ def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, Pa
     """Return the scene of a run, the configuration with guessed cameras, its unknowns, and their true values."""
     config = loaded.config
     true_cameras = loaded.build_cameras()
-    scene = build_scene(config, true_cameras, run_seed(config.seed, number).spawn(2)[0])
-    guess = draw_guess(loaded, np.random.SeedSequence(config.seed, spawn_key=(number, GUESS_KEY)))
-    own = np.random.SeedSequence(config.seed, spawn_key=(number, METHOD_KEY)).generate_state(1)
+    scene = build_scene(config, true_cameras, RUN_OBJECTS.seed(config.seed, number))
+    guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, number))
+    own = RUN_METHOD.seed(config.seed, number).generate_state(1)
     guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0])}), cameras=guess)
     parameters, reference = build_parameters(guessed)
-    offsets = {
-        f"{guess.name}.{name}": value
-        for guess, true in zip(parameters.cameras, true_cameras, strict=True)
-        for name, value in zip(OFFSETS, pose_offsets(guess, true).tolist(), strict=True)
-    }
-    return scene, guessed, parameters, reference, np.array([offsets[name] for name in parameters.names])
-
-
-OFFSETS = ("center_x", "center_y", "center_z", "rotation_x", "rotation_y", "rotation_z")
+    return scene, guessed, parameters, reference, parameters.difference(true_cameras)
 
 
 def _errors(

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereophd.config import experiment as config_experiment
+from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
-from stereophd.experiments.single_object.runs import LocalisationScenario, localisation_bound, localisation_run
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.experiments.single_object.runs import LocalisationProblem, localisation_bound, localisation_run
 from stereophd.experiments.single_object.series import (
     bounds_of,
     last_of,
@@ -17,7 +18,7 @@ from stereophd.experiments.single_object.series import (
     series_of_errors,
     single_config,
 )
-from stereophd.pipeline.tracking.single import estimator_settings, initial_prior
+from stereophd.pipeline.tracking.single import estimator_settings
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -39,7 +40,7 @@ def check(loaded: LoadedConfig) -> None:
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the error of the position after each observation, and after the last one."""
     scenario = _scenario(loaded)
-    rng = np.random.default_rng(run_seed(loaded.config.seed, number))
+    rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
     result = localisation_run(scenario, estimator_settings(loaded.config), rng, method_clock())
     reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
     unit = loaded.config.units.length
@@ -66,7 +67,7 @@ def _times(loaded: LoadedConfig) -> Array:
     return settings.interval_s * np.arange(len(settings.sequence) * settings.rounds, dtype=np.float64)
 
 
-def _scenario(loaded: LoadedConfig) -> LocalisationScenario:
+def _scenario(loaded: LoadedConfig) -> LocalisationProblem:
     settings = _settings(loaded)
     rig = rig_of(loaded)
     names = [camera.name for camera in rig.cameras]
@@ -77,7 +78,7 @@ def _scenario(loaded: LoadedConfig) -> LocalisationScenario:
                 f"found {name}"
             )
     sequence = tuple(names.index(name) for name in settings.sequence) * settings.rounds
-    return LocalisationScenario(rig, np.array(settings.position), initial_prior(single_config(loaded).prior), sequence)
+    return LocalisationProblem(rig, np.array(settings.position), single_config(loaded).prior, sequence)
 
 
 KIND = Kind(run, bounds, check)

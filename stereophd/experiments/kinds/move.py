@@ -13,8 +13,9 @@ import numpy as np
 from stereophd.config.experiment import MoveScenario
 from stereophd.config.model import Config
 from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, run_seed
+from stereophd.experiments.engine.base import Kind, Series
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
     MoveMoments,
@@ -23,13 +24,9 @@ from stereophd.experiments.single_object.move_comparison import (
     reference_moments,
 )
 from stereophd.io.provenance import canonical_json
-from stereophd.pipeline.build import build_motion
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
-
-# Key of the reference's samples among the purposes of a seed (runs count from 0).
-REFERENCE_KEY = 2**31 + 2
 
 AXES = ("u", "v", "d")
 
@@ -52,7 +49,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the divergence of the reference from the Gaussian of the method, and that Gaussian's moments."""
     case, reference = _case(loaded)
     moments = loaded.config.moments
-    rng = np.random.default_rng(run_seed(loaded.config.seed, number))
+    rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
     found = compare_move(case, moments.method, moments.samples, reference, rng)
     return [Series("divergence", "nat", np.array([found.divergence])), *_moments(found)]
 
@@ -87,7 +84,7 @@ def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
         DisparitySpace(cameras[name], config.disparity.baseline, config.disparity.rectification)
         for name in (settings.home, settings.destination)
     )
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(REFERENCE_KEY,)))
+    rng = np.random.default_rng(MOVE_REFERENCE.seed(config.seed))
     mean, covariance = gaussian_of_object(
         home,
         np.array(settings.point_px),
@@ -96,7 +93,7 @@ def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
         settings.velocity_std,
         rng,
     )
-    case = MoveCase(home, destination, mean, covariance, settings.interval_s, build_motion(config.motion))
+    case = MoveCase(home, destination, mean, covariance, settings.interval_s, config.motion.build())
     return case, reference_moments(case, rng, settings.reference_samples)
 
 

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereophd.config.experiment import MultiObjectScenario
-from stereophd.core.bounds.known_association import Sightings, sight, straight_lines
+from stereophd.core.bounds.known_association import AssociatedDetections, sight, straight_lines
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.alignment import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, run_seed
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import EventStream, frames_in_order
@@ -49,9 +50,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return OSPA and the error of the number of objects over time, of one run."""
     config = loaded.config
     cameras = loaded.build_cameras()
-    object_seed, frame_seed = run_seed(config.seed, number).spawn(2)
-    scene = build_scene(config, cameras, object_seed)
-    frames = frames_in_order(cameras, simulate_frames(scene, frame_seed))
+    scene = build_scene(config, cameras, RUN_OBJECTS.seed(config.seed, number))
+    frames = frames_in_order(cameras, simulate_frames(scene, RUN_FRAMES.seed(config.seed, number)))
     truth = _truth(scene)
     event_times = np.array([frame.time_s for frame in frames])
     last = last_event_of_each_time(event_times)
@@ -121,8 +121,8 @@ def _known(
         for row, point in zip(parts[-1][0].tolist(), parts[-1][3], strict=True):
             if first[row] is None:
                 first[row] = DisparitySpace(camera.at(time_s), baseline, rectification), time_s, point
-    sightings = Sightings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    states, covariances, seen = straight_lines(sightings, first, multi_filter.birth, times_s)
+    detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    states, covariances, seen = straight_lines(detections, first, multi_filter.birth, times_s)
     exists = np.zeros(seen.shape, dtype=bool)
     exists[truth.scan, np.searchsorted(labels, truth.label)] = True
     scan, row = np.nonzero(seen & exists)

@@ -7,23 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereophd.config import experiment as config_experiment
+from stereophd.core.numerics.random_streams import BOUND_TRAJECTORIES, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, run_seed
-from stereophd.experiments.single_object.runs import TrackingScenario, tracking_bound, tracking_run
+from stereophd.experiments.engine.base import Kind, Series, method_clock
+from stereophd.experiments.single_object.runs import TrackingProblem, tracking_bound, tracking_run
 from stereophd.experiments.single_object.series import (
     bounds_of,
     rig_of,
     series_of_errors,
     single_config,
 )
-from stereophd.pipeline.build import build_motion
-from stereophd.pipeline.tracking.single import estimator_settings, initial_prior
+from stereophd.pipeline.tracking.single import estimator_settings
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
-
-# Key of the bound's trajectories among the purposes of a seed (runs count from 0).
-BOUND_KEY = 2**31 + 1
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -40,7 +37,7 @@ def check(loaded: LoadedConfig) -> None:
 
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the errors of position and velocity over time."""
-    rng = np.random.default_rng(run_seed(loaded.config.seed, number))
+    rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
     result = tracking_run(_scenario(loaded), estimator_settings(loaded.config), rng, method_clock())
     reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
     series = []
@@ -53,7 +50,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the posterior Cramer-Rao bound of position and velocity over time."""
     settings, scenario = _settings(loaded), _scenario(loaded)
-    seed = np.random.SeedSequence(loaded.config.seed, spawn_key=(BOUND_KEY,))
+    seed = BOUND_TRAJECTORIES.seed(loaded.config.seed)
     covariances = tracking_bound(scenario, np.random.default_rng(seed), settings.bound_trajectories)
     times = np.unique(scenario.times)
     return [
@@ -73,16 +70,16 @@ def _settings(loaded: LoadedConfig) -> config_experiment.TrackingScenario:
     return scenario
 
 
-def _scenario(loaded: LoadedConfig) -> TrackingScenario:
+def _scenario(loaded: LoadedConfig) -> TrackingProblem:
     settings = _settings(loaded)
     rig = rig_of(loaded)
     count = len(rig.cameras)
     times = np.repeat(settings.interval_s * np.arange(settings.steps), count)
-    return TrackingScenario(
+    return TrackingProblem(
         rig,
         np.array([*settings.position, *settings.velocity]),
-        build_motion(loaded.config.motion),
-        initial_prior(single_config(loaded).prior),
+        loaded.config.motion.build(),
+        single_config(loaded).prior,
         times,
         np.tile(np.arange(count), settings.steps),
     )

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.moments import OUT_OF_VIEW, move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import Motion
-from stereophd.core.numerics.samples import SETS_IN_TURN, Method
+from stereophd.core.numerics.samples import SETS_IN_TURN, Method, MomentsSettings
 from stereophd.core.single.build import sample_sets
 from stereophd.core.single.disparity import WIDE, widened
-from stereophd.core.single.settings import DisparitySettings
 
 Array = NDArray[np.float64]
 
@@ -142,7 +141,7 @@ def compare_move(
     case: MoveCase, method: Method, samples: int, reference: MoveMoments, rng: np.random.Generator
 ) -> MoveMoments:
     """Carry the Gaussian over by one method, once, with one of its sample sets, and compare with the reference."""
-    settings = DisparitySettings(method, samples)
+    settings = MomentsSettings(method=method, samples=samples)
     moved = move(
         case.mean[None],
         case.covariance[None],

@@ -22,7 +22,7 @@ from stereophd.core.bounds.cramer_rao import (
     state_jacobian,
 )
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import Motion, Static
 from stereophd.core.single.base import AnyEstimator
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LocalisationScenario:
+class LocalisationProblem:
     """A static object observed by one camera after another (paper VIII-A).
 
     Attributes
@@ -73,7 +73,7 @@ class LocalisationRun:
 
 
 def localisation_run(
-    scenario: LocalisationScenario,
+    scenario: LocalisationProblem,
     settings: EstimatorSettings,
     rng: np.random.Generator,
     clock: AbstractContextManager[None] | None = None,
@@ -101,7 +101,7 @@ def localisation_run(
     return LocalisationRun(maps[:, :3] - scenario.position, means[:, :3] - scenario.position, covariances[:, :3, :3])
 
 
-def localisation_bound(scenario: LocalisationScenario, with_prior: bool) -> Array:
+def localisation_bound(scenario: LocalisationProblem, with_prior: bool) -> Array:
     """Cramer-Rao bound on the covariance of the position (k, 3, 3) after each observation, length^2.
 
     Infinite where the observations so far (and the prior, if it is counted) do not determine the position.
@@ -118,7 +118,7 @@ def localisation_bound(scenario: LocalisationScenario, with_prior: bool) -> Arra
 
 
 @dataclass(frozen=True)
-class TrackingScenario:
+class TrackingProblem:
     """A moving object observed by several cameras (paper VIII-B).
 
     Attributes
@@ -165,7 +165,7 @@ class TrackingRun:
 
 
 def tracking_run(
-    scenario: TrackingScenario,
+    scenario: TrackingProblem,
     settings: EstimatorSettings,
     rng: np.random.Generator,
     clock: AbstractContextManager[None] | None = None,
@@ -189,7 +189,7 @@ def tracking_run(
 
 
 def tracking_bound(
-    scenario: TrackingScenario,
+    scenario: TrackingProblem,
     rng: np.random.Generator,
     trajectories: int = 100,
     kind: Literal["conditional", "posterior"] = "conditional",
@@ -198,7 +198,7 @@ def tracking_bound(
 
     Parameters
     ----------
-    scenario : TrackingScenario
+    scenario : TrackingProblem
     rng : Generator
         Of the trajectories; detections are not drawn.
     trajectories : int
@@ -227,7 +227,7 @@ def tracking_bound(
     return np.asarray(bounds[last_events(scenario.times)].mean(axis=1))
 
 
-def _state_prior_information(scenario: TrackingScenario) -> Array:
+def _state_prior_information(scenario: TrackingProblem) -> Array:
     """Information (6, 6) on the first state in the world in the prior on disparity and velocity.
 
     The camera that sees the object first is taken to be that of the first event.
@@ -238,15 +238,15 @@ def _state_prior_information(scenario: TrackingScenario) -> Array:
     to_disparity = state_jacobian(space, scenario.start)
     precision = np.zeros(6)
     precision[2] = prior.disparity_moments(space.packed())[1] ** -2
-    if prior.disparity_velocity_std is not None:
-        precision[3:] = np.array(prior.disparity_velocity_std) ** -2
+    if prior.disparity_velocity_std_px_s is not None:
+        precision[3:] = np.array(prior.disparity_velocity_std_px_s) ** -2
     information = to_disparity.T @ np.diag(precision) @ to_disparity
-    if prior.disparity_velocity_std is None:
-        information[3:, 3:] += np.eye(3) / prior.velocity_std**2
+    if prior.disparity_velocity_std_px_s is None:
+        information[3:, 3:] += np.eye(3) / prior.velocity_spread**2
     return np.asarray(information)
 
 
-def draw_trajectory(scenario: TrackingScenario, rng: np.random.Generator) -> Array:
+def draw_trajectory(scenario: TrackingProblem, rng: np.random.Generator) -> Array:
     """Draw the states (k, 6) of the object at the scenario's events."""
     states = [np.asarray(scenario.start, dtype=float)]
     shocks = rng.standard_normal((len(scenario.times) - 1, 2, 3)) * scenario.motion.acceleration_std

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.config.single import SingleConfig
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.metrics.consistency import nees
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Series
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 
-def single_config(loaded: LoadedConfig) -> SingleConfig:
+def single_config(loaded: LoadedConfig) -> SingleSettings:
     """Return the section ``filter``, which must be of kind single.
 
     Raises
@@ -26,7 +26,7 @@ def single_config(loaded: LoadedConfig) -> SingleConfig:
         It is not.
     """
     settings = loaded.config.filter
-    if not isinstance(settings, SingleConfig):
+    if not isinstance(settings, SingleSettings):
         found = "none" if settings is None else settings.kind
         raise InputError(f"{loaded.path}: filter: expected a filter of kind single for one object, found {found}")
     return settings

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 from pathlib import Path
 from typing import Any
 
+from stereophd.core.calibration.sequential import SequentialInfo, SequentialState
+from stereophd.core.calibration.task import Start
+from stereophd.core.calibration.tempered_state import TemperedInfo, TemperedState
 from stereophd.errors import InputError
-from stereophd.io.atomic import atomic_write
+from stereophd.io.atomic import atomic_write, temporary_beside
+from stereophd.io.checkpoints import is_checkpoint, read_checkpoint, write_checkpoint
 
 # Seconds between two checkpoints.
 CHECKPOINT_EVERY_S = 60.0
+
+# What the methods keep.
+KEPT = (Start, SequentialState, SequentialInfo, TemperedState, TemperedInfo)
 
 
 class Checkpoint:
@@ -24,6 +30,11 @@ class Checkpoint:
         Of configuration and log: a checkpoint of another run is refused.
     resume : bool
         Whether to begin with what the file holds.
+
+    Raises
+    ------
+    InputError
+        There is another file of that name, or nothing to resume.
     """
 
     def __init__(self, path: Path, identity: str, resume: bool) -> None:
@@ -31,20 +42,16 @@ class Checkpoint:
         self._identity = identity
         self._parts: dict[str, Any] = {}
         self._saved = time.monotonic()
+        temporary_beside(path).unlink(missing_ok=True)  # of a run that was killed while it saved
         if resume:
-            self._parts = self._load()
-
-    def _load(self) -> dict[str, Any]:
-        try:
-            with open(self.path, "rb") as stream:
-                identity, parts = pickle.load(stream)
-        except FileNotFoundError:
-            raise InputError(f"--resume: expected a checkpoint {self.path}, found none") from None
-        except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path}: expected a checkpoint of this version, found {error}") from None
-        if identity != self._identity:
-            raise InputError(f"{self.path}: expected a checkpoint of this configuration and log, found another's")
-        return dict(parts)
+            if not path.exists():
+                raise InputError(f"nothing to resume: expected a checkpoint {path}, found none")
+            self._parts = read_checkpoint(path, identity, KEPT)
+        elif path.exists() and not is_checkpoint(path):
+            raise InputError(
+                f"{path}: the checkpoint of this run has this name; expected none, or a checkpoint of an earlier run, "
+                "found another file; move it away, or choose another output folder"
+            )
 
     @property
     def holds_anything(self) -> bool:
@@ -52,7 +59,7 @@ class Checkpoint:
         return bool(self._parts)
 
     def get(self, name: str) -> Any:
-        """What was kept under a name, or None."""
+        """Return what was kept under a name, or None."""
         return self._parts.get(name)
 
     def keep(self, name: str, value: Any) -> None:
@@ -64,8 +71,8 @@ class Checkpoint:
     def save(self) -> None:
         """Write the file."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(self.path) as temporary, open(temporary, "wb") as stream:
-            pickle.dump((self._identity, self._parts), stream)
+        with atomic_write(self.path) as temporary:
+            write_checkpoint(temporary, self._identity, self._parts)
         self._saved = time.monotonic()
 
     def remove(self) -> None:

@@ -6,23 +6,28 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stereophd.config.calibration import BaselineScale, CalibrationConfig, per_axis
-from stereophd.config.cameras import CameraConfig, PoseConfig
-from stereophd.config.filter import MomentsConfig, PhdConfig, PmbConfig
+from stereophd.config.calibration import BaselineScale, CalibrationConfig
+from stereophd.config.cameras import CameraConfig
 from stereophd.config.model import Config
-from stereophd.config.single import SingleConfig
-from stereophd.core.calibration.association import Scans
-from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.quantities.base import Quantity
+from stereophd.core.calibration.quantities.registry import quantities
+from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import AnnealedSettings, Task
-from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
+from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.numerics.samples import MomentsSettings
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import open_stream
@@ -40,7 +45,7 @@ class CalibrationProblem:
     parameters : ParameterSet
     reference : int
         Index of the reference camera.
-    scans : Scans
+    recording : Recording
         The log.
     scale : ScaleMeasurement or None
         A known baseline.
@@ -50,9 +55,14 @@ class CalibrationProblem:
 
     parameters: ParameterSet
     reference: int
-    scans: Scans
+    recording: Recording
     scale: ScaleMeasurement | None
     counts: dict[str, int]
+
+    def scans(self, most: int | None = None) -> Scans:
+        """Return the events by the cameras of the prior mean, at most so many."""
+        frames = None if most is None else tracked_frames(self.recording, most)
+        return Scans.of(self.recording, self.parameters.cameras, frames)
 
 
 def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
@@ -89,37 +99,59 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
             )
     if any(not camera.pose.is_static for camera in cameras):
         raise InputError(f"{loaded.path}: cameras: expected cameras that stand still, found one that moves")
-    parameters = []
-    for camera in cameras:
-        prior = section.priors.get(camera.name)
-        if prior is None:
-            continue
-        stds = (*per_axis(prior.center_std), *np.deg2rad(per_axis(prior.rotation_std_deg)).tolist())
-        for name, std in zip(CENTER + ROTATION, stds, strict=True):
-            if std > 0.0:
-                parameters.append(Parameter(name, camera.name, QUANTITIES[name], 0.0, std))
+    parameters = [
+        Parameter(component, camera.name, 0.0, std)
+        for camera in cameras
+        if camera.name in section.priors
+        for quantity in quantities()
+        for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True)
+        if std > 0.0
+    ]
     return ParameterSet(cameras, tuple(parameters)), names.index(section.reference)
+
+
+def prior_stds(section: CalibrationConfig, camera: str, quantity: Quantity) -> tuple[float, ...]:
+    """Prior standard deviations of the components of a quantity, in its unit; 0 where one is known."""
+    spread = getattr(section.priors[camera], quantity.prior)
+    if quantity.named:
+        given = {} if spread is None else spread.model_dump()
+        values: tuple[float, ...] = tuple(given.get(name, 0.0) for name in quantity.components)
+    elif isinstance(spread, (int, float)):
+        values = (float(spread),) * len(quantity.components)
+    else:
+        values = tuple(float(value) for value in spread)
+    return tuple((np.array(values) * quantity.prior_unit).tolist())
 
 
 def draw_guess(loaded: LoadedConfig, seed: np.random.SeedSequence) -> dict[str, CameraConfig]:
     """Draw prior means about which the configuration's cameras are a draw from the prior."""
     parameters, _ = build_parameters(loaded)
     guess = parameters.guess(parameters.sample(np.random.default_rng(seed), 1)[0])
-    return with_poses(loaded.cameras, guess)
+    return with_quantities(loaded.cameras, guess)
 
 
-def with_poses(configs: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
-    """Return the configurations of cameras with the poses of others; what did not move stays as it was written."""
+def with_quantities(configs: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
+    """Return the configurations of cameras with the quantities of others; what is the same stays as it was written."""
     out = {}
     for camera in cameras:
         config = configs[camera.name]
-        if config.pose.build() != camera.pose:
-            rows = [(float(a), float(b), float(c)) for a, b, c in camera.pose.rotation.tolist()]
-            x, y, z = camera.pose.center.tolist()
-            pose = PoseConfig(center=(x, y, z), rotation_matrix=(rows[0], rows[1], rows[2]))
-            config = config.model_copy(update={"pose": pose})
+        before, values = config.build(camera.name), config.model_dump()
+        changed = [quantity for quantity in quantities() if quantity.entry(before) != quantity.entry(camera)]
+        for quantity in changed:
+            _merge(values, quantity.entry(camera))
+        if changed:
+            config = CameraConfig.model_validate(values)
         out[camera.name] = config
     return out
+
+
+def _merge(values: dict[str, Any], entry: Mapping[str, Any]) -> None:
+    """Put a nested entry into nested values."""
+    for key, value in entry.items():
+        if isinstance(value, Mapping) and isinstance(values.get(key), dict):
+            _merge(values[key], value)
+        else:
+            values[key] = value
 
 
 def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
@@ -154,20 +186,22 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     parameters, reference = build_parameters(loaded)
     scale = build_scale(loaded, parameters)
     stream = open_stream(loaded.config, parameters.cameras, log_path)
-    events = list(stream)
-    _check_overlap(parameters.cameras, events, {p.camera for p in parameters.parameters}, log_path)
-    return CalibrationProblem(parameters, reference, Scans.of(events), scale, stream.counts)
+    recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in stream.frames])
+    _check_overlap(parameters, recording, log_path)
+    counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
+    return CalibrationProblem(parameters, reference, recording, scale, counts)
 
 
-def _check_overlap(cameras: tuple[Camera, ...], events: list[Event], unknown: set[str], path: Path | str) -> None:
+def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | str) -> None:
     """Refuse a log in which an unknown camera shares no time with another."""
     spans: dict[int, tuple[float, float]] = {}
-    for event in events:
-        if len(event.points):
-            first = spans.get(event.camera, (event.time_s, 0.0))[0]
-            spans[event.camera] = (first, event.time_s)
-    for number, camera in enumerate(cameras):
-        if camera.name not in unknown:
+    seen = np.diff(recording.first) > 0
+    for number in range(len(parameters.cameras)):
+        times = recording.times[seen & (recording.cameras == number)]
+        if len(times):
+            spans[number] = (float(times[0]), float(times[-1]))
+    for number, camera in enumerate(parameters.cameras):
+        if not parameters.unknown(camera.name):
             continue
         if number not in spans:
             raise InputError(f"{path}: expected detections of camera {camera.name}, which is unknown, found none")
@@ -180,25 +214,17 @@ def _check_overlap(cameras: tuple[Camera, ...], events: list[Event], unknown: se
             )
 
 
-def thinned(scans: Scans, most: int) -> Scans:
+def tracked_frames(recording: Recording, most: int) -> NDArray[np.int64]:
     """Return every n-th frame of each camera, so that at most so many are left."""
-    every = math.ceil(len(scans.events) / most)
-    if every <= 1:
-        return scans
-    chosen, seen = [], {int(camera): 0 for camera in np.unique(scans.cameras)}
-    for event in scans.events:
-        if seen[event.camera] % every == 0:
-            chosen.append(event)
-        seen[event.camera] += 1
-    return Scans.of(chosen)
+    return recording.every(max(math.ceil(len(recording.cameras) / most), 1))
 
 
 def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int = 1) -> PmbFilter:
     """Return the PMB filter of a configuration; of a PHD one, that of the same births and survival."""
     config = loaded.config
     settings = _filter_section(loaded)
-    if not isinstance(settings, PmbConfig):
-        settings = PmbConfig(kind="pmb", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    if not isinstance(settings, PmbSettings):
+        settings = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
     built = build_filter(config.model_copy(update={"filter": settings}), cameras, loaded.path, threads)
     assert isinstance(built, PmbFilter)
     return built
@@ -210,11 +236,11 @@ def phd_filter(
     """Return the PHD filter of a configuration, with so many pseudo-random samples (default: the config's)."""
     config: Config = loaded.config
     settings = _filter_section(loaded)
-    if not isinstance(settings, PhdConfig):
-        settings = PhdConfig(kind="phd", survival_per_s=settings.survival_per_s, birth=settings.birth)
+    if not isinstance(settings, PhdSettings):
+        settings = PhdSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
     update: dict[str, object] = {"filter": settings}
     if samples is not None:
-        update["moments"] = MomentsConfig(method="particle", samples=samples)
+        update["moments"] = MomentsSettings(method="particle", samples=samples)
     built = build_filter(config.model_copy(update=update), cameras, loaded.path, threads)
     assert isinstance(built, PhdFilter)
     return built
@@ -227,8 +253,8 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
         problem.parameters,
         problem.reference,
         pmb_filter(loaded, problem.parameters.cameras),
-        problem.scans,
-        thinned(problem.scans, settings.max_events),
+        problem.recording,
+        tracked_frames(problem.recording, settings.max_events),
         problem.scale,
         AnnealedSettings(
             settings.starts,
@@ -240,10 +266,10 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
     )
 
 
-def _filter_section(loaded: LoadedConfig) -> PhdConfig | PmbConfig:
+def _filter_section(loaded: LoadedConfig) -> FilterSettings:
     if loaded.config.filter is None:
         raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
-    if isinstance(loaded.config.filter, SingleConfig):
+    if isinstance(loaded.config.filter, SingleSettings):
         raise InputError(
             f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
         )

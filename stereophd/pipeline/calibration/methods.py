@@ -25,19 +25,16 @@ from stereophd.core.calibration.known_scale import measured_scale, rescaled
 from stereophd.core.calibration.posterior import laplace_draws
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import Fit, Start, Task
+from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
 from stereophd.pipeline.calibration.outcome import (
-    DRAWS_KEY,
-    PAIRING_KEY,
-    STARTS_KEY,
     Array,
     HistoryRow,
     Outcome,
-    Progress,
-    seed_for,
 )
 from stereophd.pipeline.calibration.samplers import smc_outcome
+from stereophd.pipeline.progress import Progress
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -76,7 +73,7 @@ def annealed_outcome(
     details["fit"] = _fit_report(problem, best, fit)
     history = tuple(
         HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
-        for time_s in np.linspace(problem.scans.times[0], problem.scans.times[-1], HISTORY_TIMES + 1)[1:]
+        for time_s in np.linspace(problem.recording.times[0], problem.recording.times[-1], HISTORY_TIMES + 1)[1:]
         if (until := fit_until(task, fit, float(time_s))) is not None
     )
     if section.posterior == "smc":
@@ -87,7 +84,7 @@ def annealed_outcome(
             loaded, section, problem, task.scale, modes, fit, history, details, checkpoint, jobs, progress
         )
         return replace(outcome, doubt=doubt)
-    rng = np.random.default_rng(seed_for(loaded, DRAWS_KEY))
+    rng = np.random.default_rng(POSTERIOR_DRAWS.seed(loaded.config.seed))
     draws = laplace_draws(problem.parameters, problem.reference, mean, covariance, LAPLACE_DRAWS, rng)
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(mean, covariance, draws, weights, history, "", doubt, fit, details)
@@ -98,8 +95,8 @@ def _all_starts(
 ) -> list[Start]:
     """Run starts until enough agree."""
     count, agreeing = task.settings.starts, task.settings.agreeing_starts
-    values = start_values(task.parameters, seed_for(loaded, STARTS_KEY), count)
-    seeds = seed_for(loaded, PAIRING_KEY).spawn(count)
+    values = start_values(task.parameters, CALIBRATION_STARTS.seed(loaded.config.seed), count)
+    seeds = CALIBRATION_PAIRING.seed(loaded.config.seed).spawn(count)
     starts: list[Start] = list(checkpoint.get("starts") or [])
     if enough(starts, agreeing):
         return starts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +11,9 @@ from numpy.typing import NDArray
 from stereophd.core.calibration.task import Fit
 
 if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
+    pass
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, int], None]
-
-# Keys of random numbers among the purposes of a seed (simulated runs count from 0).
-STARTS_KEY, SEQUENTIAL_KEY, SMC_KEY, DRAWS_KEY, PAIRING_KEY = (2**31 + k for k in range(1, 6))
 
 
 @dataclass(frozen=True)
@@ -60,8 +55,3 @@ class Outcome:
     doubt: str = ""
     fit: Fit | None = None
     details: dict[str, Any] = field(default_factory=dict)
-
-
-def seed_for(loaded: LoadedConfig, key: int) -> np.random.SeedSequence:
-    """Random numbers of a purpose."""
-    return np.random.SeedSequence(loaded.config.seed, spawn_key=(key,))

@@ -18,6 +18,7 @@ from stereophd.core.calibration.posterior import (
     observability,
     pose_spread,
 )
+from stereophd.io.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
 
@@ -84,8 +85,8 @@ def _cameras(problem: CalibrationProblem, outcome: Outcome) -> dict[str, Any]:
         spread = pose_spread(problem.parameters, problem.reference, outcome.values, outcome.covariance, name)
         out[name] = {
             "rotation_std_deg": math.degrees(spread.rotation),
-            "direction_std_deg": _finite(math.degrees(spread.direction)),
-            "scale_std": _finite(spread.scale),
+            "direction_std_deg": finite_or_none(math.degrees(spread.direction)),
+            "scale_std": finite_or_none(spread.scale),
             "center_std": spread.center,
         }
     return out
@@ -125,7 +126,3 @@ def _observability(problem: CalibrationProblem, found: Observability) -> dict[st
         "of_directions": len(names),
         "directions": directions,
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -15,18 +15,16 @@ from stereophd.core.calibration.likelihood import Evidence
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.task import Fit
+from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter, thinned
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter
 from stereophd.pipeline.calibration.outcome import (
-    SEQUENTIAL_KEY,
-    SMC_KEY,
     Array,
     HistoryRow,
     Outcome,
-    Progress,
-    seed_for,
 )
+from stereophd.pipeline.progress import Progress
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -46,9 +44,9 @@ def sequential_outcome(
     template = (
         phd_filter(loaded, cameras, settings.samples) if settings.likelihood == "phd" else pmb_filter(loaded, cameras)
     )
-    per_unit = {"length": settings.center_noise, "rad": float(np.deg2rad(settings.rotation_noise_deg))}
-    walk = np.array([per_unit[p.unit] for p in parameters.parameters])
-    events = problem.scans.events
+    noises = {"center": settings.center_noise, "rotation": float(np.deg2rad(settings.rotation_noise_deg))}
+    walk = np.array([noises.get(p.quantity.name, 0.0) for p in parameters.parameters])
+    events = problem.scans().events
 
     def after(number: int, state: Any, history: Any) -> None:
         checkpoint.keep("sequential", (state, list(history)))
@@ -62,7 +60,7 @@ def sequential_outcome(
         sequential.SequentialSettings(
             settings.particles, settings.resample_below, settings.roughening, walk if walk.any() else None
         ),
-        seed_for(loaded, SEQUENTIAL_KEY),
+        SEQUENTIAL_PARTICLES.seed(loaded.config.seed),
         checkpoint.get("sequential"),
         after,
     )
@@ -126,7 +124,7 @@ def smc_outcome(
     template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
     evidence = Evidence(
         problem.parameters,
-        thinned(problem.scans, settings.max_events).events,
+        problem.scans(settings.max_events).events,
         FilterBatch(template, jobs),
         problem.reference if scale_is_free(problem.parameters) else None,
         scale,
@@ -136,7 +134,7 @@ def smc_outcome(
         evidence,
         modes,
         tempered.TemperedSettings(settings.particles, settings.resample_below, settings.moves, settings.spread),
-        seed_for(loaded, SMC_KEY),
+        TEMPERED_PARTICLES.seed(loaded.config.seed),
     )
 
     def after(state: Any, steps: Any) -> None:

@@ -14,8 +14,10 @@ from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.posterior import PoseSpread, pose_spread
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
+from stereophd.io.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import build_parameters, build_scale
 from stereophd.pipeline.simulation import build_scene
 
@@ -41,10 +43,10 @@ def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
 def spread_figures(spread: PoseSpread) -> dict[str, Any]:
     """Root mean square errors of a `PoseSpread`, as the errors are named."""
     return {
-        "rotation_deg": _finite(math.degrees(spread.rotation)),
-        "direction_deg": _finite(math.degrees(spread.direction)),
-        "scale": _finite(spread.scale),
-        "center": _finite(spread.center),
+        "rotation_deg": finite_or_none(math.degrees(spread.rotation)),
+        "direction_deg": finite_or_none(math.degrees(spread.direction)),
+        "scale": finite_or_none(spread.scale),
+        "center": finite_or_none(spread.center),
     }
 
 
@@ -64,8 +66,7 @@ def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, ru
     settings = loaded.config.simulate
     if settings is None:
         raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
-    object_seed, _ = np.random.SeedSequence(loaded.config.seed, spawn_key=(run,)).spawn(2)
-    scene = build_scene(loaded.config, truth.cameras, object_seed)
+    scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, run))
     objects, cameras, times, positions = scene_positions(scene)
     std = np.broadcast_to(np.asarray(settings.acceleration_std, dtype=float), 3)
     return calibration_bound(
@@ -89,7 +90,3 @@ def scene_positions(
             times.append(instants[instant])
             positions.append(states[row, instant, :3])
     return np.concatenate(objects), np.concatenate(cameras), np.concatenate(times), np.concatenate(positions)
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import pyarrow as pa
 
 from stereophd.core.metrics.scans import PointSets
 from stereophd.errors import GateError, InputError
+from stereophd.io.json_text import plain
 from stereophd.io.tables import FLOAT, INTEGER, TableWriter
 from stereophd.pipeline.evaluation.options import Options
 
@@ -67,7 +67,7 @@ def build_report(
     visible = None
     if options.seen_by is not None:
         visible = {"cameras": options.seen_by, "within_s": options.within_s}
-    report: dict[str, Any] = _without_nan(
+    report: dict[str, Any] = plain(
         {
             "report_version": REPORT_VERSION,
             "command": "evaluate",
@@ -81,13 +81,6 @@ def build_report(
         }
     )
     return report
-
-
-def write_report(path: Path, report: Mapping[str, Any]) -> None:
-    """Write a report as JSON."""
-    with open(path, "w", encoding="utf-8") as stream:
-        json.dump(report, stream, indent=2, ensure_ascii=False, allow_nan=False)
-        stream.write("\n")
 
 
 def write_per_scan(path: Path, columns: Mapping[str, NDArray[Any]], metadata: Mapping[bytes, bytes]) -> None:
@@ -128,11 +121,3 @@ def _figures_by_key(figures: Mapping[str, Any], scans: Mapping[str, int]) -> dic
             if value is None or isinstance(value, int | float):
                 flat[f"{group}.{name}".rstrip(".")] = value
     return flat
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _without_nan(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.report import ReportConfig
-from stereophd.config.single import SingleConfig
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import Motion
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.tables import SCANS, TRACKS, TableWriter
-from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
+from stereophd.pipeline.build import build_filter, build_labelled_filter, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
@@ -86,10 +86,10 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
         The configuration has no filter or no cameras, or they do not fit each other.
     """
     config, cameras = loaded.config, loaded.build_cameras()
-    if not isinstance(config.filter, SingleConfig):
+    if not isinstance(config.filter, SingleSettings):
         multi_filter = build_filter(config, cameras, loaded.path, threads)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
-    motion = build_motion(config.motion)
+    motion = config.motion.build()
     estimator = build_single(config, motion, cameras, loaded.path)
     if estimated_cameras(loaded):
         raise InputError(f"{loaded.path}: detector: expected given where filter.kind is single, found estimate")

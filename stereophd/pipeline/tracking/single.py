@@ -11,28 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.model import Config
-from stereophd.config.single import (
-    CartesianEstimatorConfig,
-    InverseDepthEstimatorConfig,
-    ParticleEstimatorConfig,
-    RectifiedEstimatorConfig,
-    SingleConfig,
-    SinglePriorConfig,
-)
 from stereophd.core.disparity.events import Event, Rig, make_rig
-from stereophd.core.disparity.initial import InitialPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion
 from stereophd.core.multi.intensity import Estimates, Info
+from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
 from stereophd.core.single.build import build_estimator
-from stereophd.core.single.settings import (
-    CartesianSettings,
-    DisparitySettings,
-    EstimatorSettings,
-    InverseDepthSettings,
-    ParticleSettings,
-)
+from stereophd.core.single.settings import EstimatorSettings, SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.stream import EventStream
 
@@ -40,28 +26,11 @@ from stereophd.pipeline.stream import EventStream
 TRACK = np.zeros(1, dtype=np.int64)
 NOTHING = Estimates(TRACK[:0], np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0), TRACK[:0])
 
-# Key of the estimator's random numbers among the purposes of a seed (`stereophd.commands.track.SAMPLES_KEY` is 2^31).
-ESTIMATOR_KEY = 2**31 + 1
-
 
 def estimator_settings(config: Config) -> EstimatorSettings:
     """Return the settings of the single-object estimator that a configuration (``filter.kind: single``) names."""
-    assert isinstance(config.filter, SingleConfig)
-    chosen = config.filter.estimator
-    if isinstance(chosen, ParticleEstimatorConfig):
-        return ParticleSettings(**chosen.model_dump(exclude={"kind"}))
-    if isinstance(chosen, InverseDepthEstimatorConfig):
-        return InverseDepthSettings()
-    if isinstance(chosen, CartesianEstimatorConfig):
-        return CartesianSettings(chosen.rule)
-    rectified = isinstance(chosen, RectifiedEstimatorConfig)
-    return DisparitySettings(config.moments.method, config.moments.samples, rectified, config.moments.max_nonlinearity)
-
-
-def initial_prior(config: SinglePriorConfig) -> InitialPrior:
-    """Return the prior that a configuration describes."""
-    disparity = None if config.disparity is None else (config.disparity.mean_px, config.disparity.std_px)
-    return InitialPrior(disparity, config.depth_range, config.velocity_std or 0.0, config.disparity_velocity_std_px_s)
+    assert isinstance(config.filter, SingleSettings)
+    return config.filter.estimator.with_moments(config.moments)
 
 
 def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], path: Path | str) -> AnyEstimator:
@@ -73,15 +42,15 @@ def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], pa
         The configuration (read from `path`) has no prior of the velocity of a moving object; or its cameras are
         not rectified, and its estimator needs them to be.
     """
-    assert isinstance(config.filter, SingleConfig)
+    assert isinstance(config.filter, SingleSettings)
     prior = config.filter.prior
     no_velocity = prior.velocity_std is None and prior.disparity_velocity_std_px_s is None
     if isinstance(motion, ConstantVelocity) and no_velocity:
         raise InputError(f"{path}: filter.prior: expected velocity_std, found none (motion.model is not static)")
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification)
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(ESTIMATOR_KEY,)))
+    rng = np.random.default_rng(SINGLE_ESTIMATOR.seed(config.seed))
     try:
-        return build_estimator(estimator_settings(config), rig, motion, initial_prior(prior), rng)
+        return build_estimator(estimator_settings(config), rig, motion, prior, rng)
     except ValueError as error:
         raise InputError(f"{path}: filter.estimator: {error}") from None
 

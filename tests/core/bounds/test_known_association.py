@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.bounds.known_association import Sightings, sight, straight_lines
+from stereophd.core.bounds.known_association import AssociatedDetections, sight, straight_lines
+from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.multi.birth import BirthPrior
+from stereophd.core.multi.settings import BirthPrior
 
 STARTS = np.array([[5.0, -3.0, 120.0], [-10.0, 8.0, 90.0]])
 VELOCITIES = np.array([[0.5, 0.2, -0.8], [0.3, -0.4, 1.0]])
@@ -38,14 +39,16 @@ def estimate(prior: BirthPrior, noise: float, seed: int, lens: Lens) -> tuple[np
             for row, point in zip(rows.tolist(), parts[-1][3], strict=True):
                 if first[row] is None:
                     first[row] = DisparitySpace(one), time_s, point
-    sightings = Sightings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    sightings = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
     return straight_lines(sightings, first, prior, TIMES)
 
 
 @pytest.mark.parametrize("lens", [Lens(), Lens("radial", k1=-0.1)], ids=["pinhole", "radial"])
 def test_without_noise_it_finds_the_truth(lens: Lens) -> None:
     # the prior, which pulls towards rest, is too weak to matter
-    states, _, seen = estimate(BirthPrior(0.1, (5.0, 1e5), None, 1e5), 0.0, 0, lens)
+    states, _, seen = estimate(
+        BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=5.0, std_px=1e5), velocity_std=1e5), 0.0, 0, lens
+    )
     assert seen[:, 0].all()
     assert seen[:, 1].tolist() == [False] * 3 + [True] * 9
     assert np.isnan(states[:3, 1]).all()
@@ -56,7 +59,7 @@ def test_without_noise_it_finds_the_truth(lens: Lens) -> None:
 
 
 def test_errors_agree_with_the_stated_covariance() -> None:
-    prior = BirthPrior(0.1, (5.0, 3.0), None, 1.0)
+    prior = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=5.0, std_px=3.0), velocity_std=1.0)
     squares = []
     for seed in range(60):
         states, covariances, _ = estimate(prior, 1.0, seed, Lens())

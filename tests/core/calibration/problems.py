@@ -7,13 +7,18 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.quantities.center import CENTER
+from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.disparity.events import Event, make_event, make_rig
+from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
-from stereophd.core.multi.birth import BirthPrior
-from stereophd.core.multi.phd import PhdFilter, PhdSettings
-from stereophd.core.multi.pmb import PmbFilter, PmbSettings
+from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.multi.pmb import PmbFilter
+from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera
 
@@ -27,7 +32,7 @@ def make_parameters(angle: float = 0.26) -> ParameterSet:
     left = replace(make_camera((0.0, -angle, 0.0), (-20.0, 0.0, 0.0)), name="left")
     right = replace(make_camera((0.0, angle, 0.0), (20.0, 0.0, 0.0)), name="right")
     names = CENTER + ROTATION
-    parameters = [Parameter(n, "right", QUANTITIES[n], 0.0, s) for n, s in zip(names, PRIOR_STD, strict=True)]
+    parameters = [Parameter(n, "right", 0.0, s) for n, s in zip(names, PRIOR_STD, strict=True)]
     return ParameterSet((left, right), tuple(parameters))
 
 
@@ -44,10 +49,10 @@ def make_template(
     rows = 3 if isinstance(motion, Static) else 12
     sets = draw_sample_sets("qmc", samples, rows, np.random.SeedSequence(7))
     rig = make_rig(cameras, 1.0, "horizontal", region)
-    birth = BirthPrior(per_frame=0.1, disparity=(7.0, 3.0), depth_range=None, velocity_std=2.0)
+    birth = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=2.0)
     if kind == "pmb":
-        return PmbFilter(rig, motion, sets, PmbSettings(0.99, birth, **settings))  # type: ignore[arg-type]
-    return PhdFilter(rig, motion, sets, PhdSettings(0.99, birth, **settings))  # type: ignore[arg-type]
+        return PmbFilter(rig, motion, sets, PmbSettings(survival_per_s=0.99, birth=birth, **settings))  # type: ignore[arg-type]
+    return PhdFilter(rig, motion, sets, PhdSettings(survival_per_s=0.99, birth=birth, **settings))  # type: ignore[arg-type]
 
 
 def make_events(cameras: tuple[Camera, ...], count: int, seed: int = 3, clutter: float = 3.0) -> list[Event]:

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.adjustment import Observations
-from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.quantities.center import CENTER
+from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
@@ -43,9 +45,7 @@ def make_problem(seed: int, objects: int = 6, frames: int = 60, three: bool = Fa
         cameras.append(camera("above", (0, -25, 0), (0.166, 0, 0)))
     unknown = [c.name for c in cameras[1:]]
     parameters = tuple(
-        Parameter(name, c, QUANTITIES[name], 0.0, std)
-        for c in unknown
-        for name, std in zip(CENTER + ROTATION, STDS, strict=True)
+        Parameter(name, c, 0.0, std) for c in unknown for name, std in zip(CENTER + ROTATION, STDS, strict=True)
     )
     true = ParameterSet(tuple(cameras), parameters)
     truth = true.sample(rng, 1)[0]
@@ -65,4 +65,5 @@ def make_problem(seed: int, objects: int = 6, frames: int = 60, three: bool = Fa
         pixels[numbers == k] = c.project(points[numbers == k])
     pixels += SIGMA * rng.standard_normal(pixels.shape)
     precisions = np.tile(np.eye(2) / SIGMA**2, (len(table), 1, 1))
-    return MadeUp(guess, truth, Observations(indices, numbers, times, pixels, precisions), points)
+    observations = Observations(indices, numbers, times, pixels, precisions, times, pixels[:, 1] / 600.0)
+    return MadeUp(guess, truth, observations, points)

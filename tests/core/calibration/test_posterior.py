@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.parameters import CENTER, QUANTITIES, ROTATION, Parameter, ParameterSet
+from stereophd.core.calibration.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.posterior import DETERMINED, PARTLY, UNDETERMINED, laplace_draws, observability
+from stereophd.core.calibration.quantities.center import CENTER
+from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
@@ -22,7 +24,7 @@ def parameters() -> ParameterSet:
         for name, x, yaw in (("left", -20.0, -0.2), ("right", 20.0, 0.3))
     )  # fmt: skip
     chosen = zip(CENTER + ROTATION, STDS, strict=True)
-    return ParameterSet(cameras, tuple(Parameter(n, "right", QUANTITIES[n], 0.0, float(s)) for n, s in chosen))
+    return ParameterSet(cameras, tuple(Parameter(n, "right", 0.0, float(s)) for n, s in chosen))
 
 
 def test_what_the_data_leave_as_the_prior_has_it_is_undetermined(parameters: ParameterSet) -> None:

@@ -27,7 +27,7 @@ def plane() -> ParameterSet:
     stds = (2.0, 1.0)
     return ParameterSet(
         cameras,
-        tuple(Parameter(n, "right", "length", 0.0, s) for n, s in zip(("center_x", "center_y"), stds, strict=True)),
+        tuple(Parameter(n, "right", 0.0, s) for n, s in zip(("center_x", "center_y"), stds, strict=True)),
     )
 
 

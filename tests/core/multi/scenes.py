@@ -6,16 +6,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stereophd.core.disparity.events import Rig, make_rig
+from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
-from stereophd.core.multi.birth import BirthPrior
-from stereophd.core.multi.extract import Hysteresis
 from stereophd.core.multi.intensity import GaussianMixture
-from stereophd.core.multi.phd import PhdFilter, PhdSettings
+from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera, random_covariance
 
-PRIOR = BirthPrior(per_frame=0.1, disparity=(7.0, 3.0), depth_range=None, velocity_std=1.5)
+PRIOR = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.5)
 
 
 def make_filter(
@@ -36,7 +37,12 @@ def make_filter(
     rig: Rig = make_rig(cameras, baseline, "horizontal")
     rows = 3 if isinstance(motion, Static) else 12
     sets = draw_sample_sets(method, samples, rows, np.random.SeedSequence(7))  # type: ignore[arg-type]
-    values = {"survival_per_s": 0.99, "birth": birth, "hysteresis": hysteresis or Hysteresis(0.5, 0.5), **settings}
+    values = {
+        "survival_per_s": 0.99,
+        "birth": birth,
+        "extraction": hysteresis or Hysteresis(confirm=0.5, release=0.5),
+        **settings,
+    }
     return PhdFilter(rig, motion, sets, PhdSettings(**values), threads)  # type: ignore[arg-type]
 
 

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.multi.extract import Hysteresis, Selection, select_objects
+from stereophd.core.multi.extract import Selection, select_objects
 from stereophd.core.multi.intensity import empty_mixture
+from stereophd.core.multi.settings import Hysteresis
 from tests.core.multi.scenes import make_mixture
 
-HALF = Hysteresis(0.5, 0.5)
-SLOW = Hysteresis(0.8, 0.1)
+HALF = Hysteresis(confirm=0.5, release=0.5)
+SLOW = Hysteresis(confirm=0.8, release=0.1)
 
 
 def identities(selection: Selection) -> list[int]:

@@ -10,13 +10,13 @@ import pytest
 from stereophd.core.disparity import moments
 from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import ConstantVelocity, Static
 from stereophd.core.multi.base import FilterState
-from stereophd.core.multi.birth import BirthPrior
-from stereophd.core.multi.extract import Hysteresis
 from stereophd.core.multi.intensity import Estimates, GaussianMixture, Info
 from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from tests.core.disparity.cases import LENSES, make_camera, state_in
 from tests.core.multi.scenes import make_filter, make_mixture
 
@@ -68,7 +68,7 @@ def test_eq_5_by_hand(size: int) -> None:
     """One component in view and one detection: three components, with weights from the formula."""
     motion = Static() if size == 3 else ConstantVelocity([0.0] * 3)
     camera = make_camera(p_detect=0.9, sigma=(1.5, 1.5), clutter=10.0)
-    birth = BirthPrior(0.2, (7.0, 2.0), None, 1.5)
+    birth = BirthPrior(per_frame=0.2, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
     multi_filter = make_filter([camera], motion, birth=birth, survival_per_s=0.9, merge_distance=0.0)
     mean = np.array([400.0, 300.0, 8.0, 0.0, 0.0, 0.0])[:size]
     covariance = np.diag([4.0, 9.0, 1.0, 1e-6, 1e-6, 1e-8])[:size, :size].copy()
@@ -240,7 +240,7 @@ def test_a_state_can_be_used_again() -> None:
 @pytest.mark.parametrize("method", ["qmc", "particle", "unscented", "linear"])
 def test_objects_are_found_where_they_are(method: str) -> None:
     """Three objects seen by both cameras, after twelve frames: each within 3 cm, and within what is reported."""
-    multi_filter = make_filter(method=method, samples=256, hysteresis=Hysteresis(0.5, 0.02))
+    multi_filter = make_filter(method=method, samples=256, extraction=Hysteresis(confirm=0.5, release=0.02))
     frames = made_up_frames(multi_filter, 24)
     _, info, estimates = run(multi_filter, frames)[-1]
     truth = np.array([[5.0, 3.0, 100.0], [-10.0, -8.0, 140.0], [12.0, 6.0, 180.0]])
@@ -265,7 +265,7 @@ def test_every_covariance_of_a_run_has_full_rank() -> None:
 
 def test_same_time_in_two_cameras_and_static_objects() -> None:
     """Frames of several cameras at one time, and cameras in no fixed order."""
-    multi_filter = make_filter(motion=Static(), hysteresis=Hysteresis(0.5, 0.02))
+    multi_filter = make_filter(motion=Static(), extraction=Hysteresis(confirm=0.5, release=0.02))
     rng = np.random.default_rng(5)
     truth = np.array([[5.0, 3.0, 100.0], [-10.0, -8.0, 140.0]])
     frames = []

@@ -9,13 +9,14 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.disparity.events import make_event
+from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
-from stereophd.core.multi.birth import BirthPrior
 from stereophd.core.multi.intensity import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.multi.settings import BirthPrior
 from tests.core.multi.scenes import make_filter
 from tests.core.multi.textbook import TextbookPhd
 
@@ -42,10 +43,14 @@ class LinearCase:
     velocity_covariance: np.ndarray
 
     def filter(self, method: str) -> PhdFilter:
-        prior = BirthPrior(BIRTHS, self.disparity, None, self.velocity_std)
+        prior = BirthPrior(
+            per_frame=BIRTHS,
+            disparity=DisparityPrior(mean_px=self.disparity[0], std_px=self.disparity[1]),
+            velocity_std=self.velocity_std,
+        )
         return make_filter(
             [self.camera], self.motion, method, 128, prior, self.baseline, survival_per_s=SURVIVAL,
-            prune_weight=1e-6, merge_distance=7.0, max_components=CAP, merge_mutual=False,
+            prune_weight=1e-6, merge_distance=7.0, max_components=CAP, merge_rule="vo_ma",
         )  # fmt: skip
 
     def textbook(self) -> TextbookPhd:

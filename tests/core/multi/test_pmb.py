@@ -12,15 +12,16 @@ from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
+from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
 from stereophd.core.multi.base import FilterState
-from stereophd.core.multi.birth import BirthPrior
-from stereophd.core.multi.extract import Hysteresis
 from stereophd.core.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info
-from stereophd.core.multi.pmb import PmbFilter, PmbSettings
+from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.pmb_update import mix_gaussians
+from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera, random_covariance, state_in, weighted
 from tests.core.multi.scenes import PRIOR, make_mixture
@@ -67,7 +68,7 @@ def make_pmb(
     motion = ConstantVelocity([0.01] * 3, 6.0) if motion is None else motion
     rows = 3 if isinstance(motion, Static) else 12
     sets = draw_sample_sets(method, samples, rows, np.random.SeedSequence(7))  # type: ignore[arg-type]
-    values = {"survival_per_s": 0.99, "birth": birth, "hysteresis": Hysteresis(0.9, 0.02), **options}
+    values = {"survival_per_s": 0.99, "birth": birth, "extraction": Hysteresis(confirm=0.9, release=0.02), **options}
     return PmbFilter(make_rig(cameras, 1.0, "horizontal"), motion, sets, PmbSettings(**values), threads)  # type: ignore[arg-type]
 
 
@@ -251,8 +252,14 @@ def assert_same(found: GaussianMixture, expected: list[Component], margin: float
 
 def naive(case: LinearCase) -> tuple[PmbFilter, TextbookPmb]:
     phd, textbook = case.filter("qmc"), case.textbook()
-    birth = BirthPrior(BIRTHS, case.disparity, None, case.velocity_std)
-    settings = PmbSettings(SURVIVAL, birth, recycle_below=1e-3, prune_weight=1e-5, merge_distance=4.0, **ONE_GAUSSIAN)
+    birth = BirthPrior(
+        per_frame=BIRTHS,
+        disparity=DisparityPrior(mean_px=case.disparity[0], std_px=case.disparity[1]),
+        velocity_std=case.velocity_std,
+    )
+    settings = PmbSettings(
+        survival_per_s=SURVIVAL, birth=birth, recycle_below=1e-3, prune_weight=1e-5, merge_distance=4.0, **ONE_GAUSSIAN
+    )
     return PmbFilter(phd.rig, phd.motion, phd.sets, settings), TextbookPmb(
         textbook.transition, textbook.process, np.diag(SIGMA**2), SURVIVAL**STEP, P_DETECT, CLUTTER, BIRTHS,
         WIDTH * HEIGHT, textbook.birth_mean, textbook.birth_covariance, 1e-3, 1e-5, 4.0,
@@ -455,7 +462,9 @@ def test_tracks_on_one_object_become_one() -> None:
 
 def test_identities_with_hysteresis() -> None:
     """Confirmed from 0.9 on, kept through two misses, gone below 0.02; identities in order of confirmation."""
-    multi_filter = make_pmb([make_camera(clutter=0.5)], Static(), survival_per_s=1.0, hysteresis=Hysteresis(0.9, 0.02))
+    multi_filter = make_pmb(
+        [make_camera(clutter=0.5)], Static(), survival_per_s=1.0, extraction=Hysteresis(confirm=0.9, release=0.02)
+    )
     camera = multi_filter.rig.cameras[0]
     place, other = np.array([[300.0, 300.0]]), np.array([[500.0, 200.0]])
     both = np.concatenate([place, other])

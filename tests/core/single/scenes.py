@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from stereophd.core.disparity.events import Rig, make_rig
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.models import ConstantVelocity
-from stereophd.experiments.single_object.runs import LocalisationScenario, TrackingScenario
+from stereophd.experiments.single_object.runs import LocalisationProblem, TrackingProblem
 
 SIGMA = math.sqrt(2.0)
 
@@ -29,24 +29,31 @@ def rig(*cameras: Camera) -> Rig:
     return make_rig(cameras, 1.0, "horizontal")
 
 
-def table_two(depth: float, mean: float, variance: float) -> LocalisationScenario:
+def table_two(depth: float, mean: float, variance: float) -> LocalisationProblem:
     cameras = rig(camera("left", 0.0, 0.0), camera("right", 30.0, math.pi / 12))
-    return LocalisationScenario(cameras, np.array([0.0, 0.0, depth]), InitialPrior((mean, math.sqrt(variance))), (0, 1))
+    return LocalisationProblem(
+        cameras,
+        np.array([0.0, 0.0, depth]),
+        InitialPrior(disparity=DisparityPrior(mean_px=mean, std_px=math.sqrt(variance))),
+        (0, 1),
+    )
 
 
-def figure_ten(steps: int = 20) -> LocalisationScenario:
+def figure_ten(steps: int = 20) -> LocalisationProblem:
     cameras = rig(camera("left", 0.0, 0.0), camera("right", 80.0, math.pi / 4))
     sequence = tuple(step % 2 for step in range(steps))
-    return LocalisationScenario(cameras, np.array([0.0, 0.0, 150.0]), InitialPrior((12.5, 4.2)), sequence)
+    return LocalisationProblem(
+        cameras, np.array([0.0, 0.0, 150.0]), InitialPrior(disparity=DisparityPrior(mean_px=12.5, std_px=4.2)), sequence
+    )
 
 
-def figure_eleven(steps: int = 300) -> TrackingScenario:
+def figure_eleven(steps: int = 300) -> TrackingProblem:
     cameras = rig(camera("left", -20.0, -math.pi / 12), camera("right", 20.0, math.pi / 12))
-    return TrackingScenario(
+    return TrackingProblem(
         cameras,
         np.array([0.0, 0.0, 100.0, 0.0, 0.0, 6.0]),
         ConstantVelocity([0.05, 0.05, 0.1]),
-        InitialPrior((12.5, 4.2), velocity_std=3.0),
+        InitialPrior(disparity=DisparityPrior(mean_px=12.5, std_px=4.2), velocity_std=3.0),
         np.repeat(0.5 * np.arange(steps), 2),
         np.tile([0, 1], steps),
     )

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.events import Event, Rig, make_event
-from stereophd.core.disparity.initial import InitialPrior
+from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import (
@@ -25,15 +26,15 @@ from tests.core.single import scenes
 
 ALL: dict[str, EstimatorSettings] = {
     "disparity": DisparitySettings(),
-    "adaptive": DisparitySettings("adaptive"),
-    "linear": DisparitySettings("linear"),
-    "unscented": DisparitySettings("unscented"),
-    "pseudo-random": DisparitySettings("particle", 250),
-    "particle": ParticleSettings(2000),
-    "regularised": ParticleSettings(500, regularised=True, resampling="residual"),
+    "adaptive": DisparitySettings(MomentsSettings(method="adaptive")),
+    "linear": DisparitySettings(MomentsSettings(method="linear")),
+    "unscented": DisparitySettings(MomentsSettings(method="unscented")),
+    "pseudo-random": DisparitySettings(MomentsSettings(method="particle", samples=250)),
+    "particle": ParticleSettings(particles=2000),
+    "regularised": ParticleSettings(particles=500, regularised=True, resampling="residual"),
     "inverse depth": InverseDepthSettings(),
-    "extended": CartesianSettings("extended"),
-    "unscented, world": CartesianSettings("unscented"),
+    "extended": CartesianSettings(rule="extended"),
+    "unscented, world": CartesianSettings(rule="unscented"),
 }
 KALMAN = [name for name in ALL if name not in ("pseudo-random", "particle", "regularised")]
 STATE = np.array([2.0, -3.0, 120.0, 1.0, 0.5, 3.0])
@@ -79,7 +80,7 @@ def test_rectified_static_is_least_squares(name: str) -> None:
     # a companion of other intrinsics, beside and below
     right = scenes.camera("right", -12.0, 0.0, fx=700.0, cx=380.0)
     right = replace(right, pose=replace(right.pose, center=np.array([-12.0, 3.0, 0.0])))
-    rig, prior = scenes.rig(left, right), InitialPrior((6.0, 2.0))
+    rig, prior = scenes.rig(left, right), InitialPrior(disparity=DisparityPrior(mean_px=6.0, std_px=2.0))
     sequence = events(rig, np.array([2.0, -3.0, 140.0, 0.0, 0.0, 0.0]), [0.0, 1.0], np.random.default_rng(3))
     space = DisparitySpace(left)
     first = np.array([*sequence[0].points[0], 6.0])
@@ -113,7 +114,10 @@ def test_rectified_static_is_least_squares(name: str) -> None:
 def test_rectified_moving_agrees_with_the_general_algorithm() -> None:
     """The same moves in another order: equal but for the non-linearity of the motion, far below the noise."""
     rig = scenes.rig(scenes.camera("left", 0.0, 0.0), scenes.camera("right", -20.0, 0.0))
-    prior, motion = InitialPrior((8.0, 2.0), velocity_std=3.0), ConstantVelocity([0.05] * 3)
+    prior, motion = (
+        InitialPrior(disparity=DisparityPrior(mean_px=8.0, std_px=2.0), velocity_std=3.0),
+        ConstantVelocity([0.05] * 3),
+    )
     sequence = events(rig, STATE, [0.5 * k for k in range(40)], np.random.default_rng(4))
     one, two = (
         run(build_estimator(DisparitySettings(rectified=r), rig, motion, prior, np.random.default_rng(1)), sequence)
@@ -125,7 +129,7 @@ def test_rectified_moving_agrees_with_the_general_algorithm() -> None:
 
 
 def test_rectified_refuses_other_cameras() -> None:
-    settings, prior = DisparitySettings(rectified=True), InitialPrior((8.0, 2.0))
+    settings, prior = DisparitySettings(rectified=True), InitialPrior(disparity=DisparityPrior(mean_px=8.0, std_px=2.0))
     with pytest.raises(ValueError, match="right to be rectified with left"):
         build_estimator(settings, converging(), Static(), prior, np.random.default_rng(1))
     ahead = scenes.camera("right", 20.0, 0.0)
@@ -139,7 +143,7 @@ def test_rectified_refuses_other_cameras() -> None:
 @pytest.mark.parametrize("motion", [Static(), ConstantVelocity([0.02] * 3)], ids=["static", "moving"])
 def test_exact_detections_lead_to_the_truth(name: str, motion: Motion) -> None:
     truth = STATE if isinstance(motion, ConstantVelocity) else np.array([*STATE[:3], 0.0, 0.0, 0.0])
-    rig, prior = converging(), InitialPrior((8.0, 1.0), velocity_std=3.0)
+    rig, prior = converging(), InitialPrior(disparity=DisparityPrior(mean_px=8.0, std_px=1.0), velocity_std=3.0)
     times = [0.5 * k for k in range(60)]
     estimate = run(build(name, rig, motion, prior), events(rig, truth, times))
     expected = np.array([*(truth[:3] + times[-1] * truth[3:]), *truth[3:]])
@@ -151,7 +155,11 @@ def test_exact_detections_lead_to_the_truth(name: str, motion: Motion) -> None:
 @pytest.mark.parametrize("name", ALL)
 def test_pure_and_patient(name: str) -> None:
     """Nothing outside the state; nothing known at first; an empty frame only lets time pass."""
-    rig, motion, prior = converging(), ConstantVelocity([0.05] * 3), InitialPrior((8.0, 1.0), velocity_std=3.0)
+    rig, motion, prior = (
+        converging(),
+        ConstantVelocity([0.05] * 3),
+        InitialPrior(disparity=DisparityPrior(mean_px=8.0, std_px=1.0), velocity_std=3.0),
+    )
     estimator = build(name, rig, motion, prior)
     sequence = events(rig, STATE, [0.0, 0.5, 1.0], np.random.default_rng(5))
     state = estimator.init()
@@ -183,7 +191,10 @@ def test_rolling_shutter(name: str) -> None:
     """A detection is of the time of its row: an object that falls 20 cm a frame is not misplaced."""
     truth = np.array([0.0, -60.0, 200.0, 5.0, 40.0, 0.0])
     rig = converging(readout_s=0.4)
-    prior, motion = InitialPrior((4.5, 0.5), velocity_std=20.0), ConstantVelocity([0.1] * 3)
+    prior, motion = (
+        InitialPrior(disparity=DisparityPrior(mean_px=4.5, std_px=0.5), velocity_std=20.0),
+        ConstantVelocity([0.1] * 3),
+    )
     times = [0.1 * k for k in range(25)]
     estimate = run(build(name, rig, motion, prior), events(rig, truth, times))
     expected = np.array([*(truth[:3] + times[-1] * truth[3:]), *truth[3:]])
@@ -197,7 +208,7 @@ def test_moving_camera(name: str) -> None:
     camera = scenes.camera("moving", -20.0, 0.0)
     camera = replace(camera, pose=replace(camera.pose, velocity=np.array([10.0, 0.0, 0.0])))
     rig, truth = scenes.rig(camera), np.array([2.0, -3.0, 120.0])
-    estimator = build(name, rig, Static(), InitialPrior((8.0, 1.0)))
+    estimator = build(name, rig, Static(), InitialPrior(disparity=DisparityPrior(mean_px=8.0, std_px=1.0)))
     state = estimator.init()
     for k in range(40):
         frozen = camera.at(0.1 * k)
@@ -210,7 +221,7 @@ def test_detection_where_no_sample_is_in_view() -> None:
     """A camera that sees none of the prior still locates the object: lines stay lines."""
     left, right = scenes.camera("left", 0.0, 0.0), scenes.camera("right", 100.0, math.pi / 3)
     rig, truth = scenes.rig(left, right), np.array([0.0, 0.0, 50.0])
-    estimator = build("disparity", rig, Static(), InitialPrior((3.0, 0.5)))
+    estimator = build("disparity", rig, Static(), InitialPrior(disparity=DisparityPrior(mean_px=3.0, std_px=0.5)))
     sequence = [make_event(camera, k, 0.0, camera.project(truth[None])) for k, camera in enumerate(rig.cameras)]
     estimate = run(estimator, sequence)
     assert np.linalg.norm(estimate.map[:3] - truth) < 1.0
@@ -220,7 +231,7 @@ def test_object_beyond_infinity_has_no_place() -> None:
     """The Gaussian may be centred at or beyond infinity; the estimate is then NaN, and not an error."""
     rig = scenes.rig(scenes.camera("left", 0.0, 0.0), scenes.camera("right", -20.0, 0.0))
     for name in ("disparity", "inverse depth"):
-        estimator = build(name, rig, Static(), InitialPrior((0.2, 0.5)))
+        estimator = build(name, rig, Static(), InitialPrior(disparity=DisparityPrior(mean_px=0.2, std_px=0.5)))
         sequence = [
             make_event(rig.cameras[0], 0, 0.0, np.array([[400.0, 300.0]])),
             make_event(rig.cameras[1], 1, 0.0, np.array([[380.0, 300.0]])),

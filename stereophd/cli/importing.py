@@ -1,0 +1,178 @@
+"""``stereophd import``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, print_data, print_report
+
+Value = TypeVar("Value")
+
+
+def _option(name: str, metavar: str, text: str) -> Any:
+    return typer.Option(name, metavar=metavar, help=text, show_default=False)
+
+
+def import_command(
+    context: typer.Context,
+    form: Annotated[
+        str,
+        typer.Argument(metavar="FORMAT", help="Format, such as csv (all: docs/interchange.md).", show_default=False),
+    ],
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="SOURCE...", help="Files or folders of that format.", show_default=False)
+    ],
+    out: options.Out,
+    cameras: Annotated[
+        Path | None, _option("--cameras", "FILE", "Cameras, native or foreign, for detections without any.")
+    ] = None,
+    columns: Annotated[
+        list[str] | None, _option("--column", "NAME=COLUMN", "Column of a table for a native one: u_px=x (repeatable).")
+    ] = None,
+    fps: Annotated[list[str] | None, _option("--fps", "[CAM=]HZ", "Frame rate: times are frame / rate.")] = None,
+    offset: Annotated[
+        list[str] | None, _option("--offset", "[CAM=]S", "Seconds to add to the times of a camera.")
+    ] = None,
+    frames: Annotated[
+        list[str] | None, _option("--frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty.")
+    ] = None,
+    image_size: Annotated[
+        list[str] | None, _option("--image-size", "[CAM=]WxH", "Width and height of the images.")
+    ] = None,
+    rename: Annotated[list[str] | None, _option("--rename", "OLD=NEW", "Another name for a camera.")] = None,
+    length_unit: Annotated[str | None, _option("--length-unit", "UNIT", "Unit of the cameras: mm, cm, m, km.")] = None,
+    time_unit: Annotated[str, _option("--time-unit", "UNIT", "Unit of the times: s, ms, us, ns.")] = "s",
+    pixel_origin: Annotated[
+        str | None,
+        _option(
+            "--pixel-origin", "WHERE", "Pixel (0, 0) is the center or corner of the top-left pixel; one: (1, 1) is."
+        ),
+    ] = None,
+    rows_from: Annotated[str | None, _option("--rows-from", "SIDE", "Rows count from the top or bottom.")] = None,
+    fill: Annotated[bool, typer.Option("--fill/--no-fill", help="Missing frame numbers become empty frames.")] = True,
+    box_point: Annotated[str, _option("--box-point", "POINT", "Point of a box: center or bottom.")] = "center",
+    least_score: Annotated[
+        float | None, _option("--least-score", "S", "Leave out detections of a lower score.")
+    ] = None,
+    undistorted: Annotated[bool, typer.Option("--undistorted", help="The pixels are undistorted already.")] = False,
+    sigma_px: Annotated[
+        float | None, _option("--sigma-px", "PX", "Noise of the detections; default: estimated.")
+    ] = None,
+    p_detect: Annotated[float, typer.Option("--p-detect", metavar="P", help="With --sigma-px.")] = 0.9,
+    clutter: Annotated[
+        float, typer.Option("--clutter", metavar="N", help="With --sigma-px: false detections a frame.")
+    ] = 1.0,
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Turn files of another program into detections.parquet, cameras.yaml and report.json."""
+    session = begin(context)
+    from stereophd.commands.importing import import_recording
+    from stereophd.io.interchange.base import ImportOptions
+
+    detector = None
+    if sigma_px is not None:
+        detector = {"sigma_px": (sigma_px, sigma_px), "p_detect": p_detect, "clutter_per_frame": clutter}
+    stated = ImportOptions(
+        columns=_pairs("--column", columns),
+        rates=_per_camera("--fps", fps, _number),
+        offsets=_per_camera("--offset", offset, _number),
+        frames=_per_camera("--frames", frames, _range),
+        image_sizes=_per_camera("--image-size", image_size, _size),
+        rename=_pairs("--rename", rename),
+        length_unit=_choice("--length-unit", length_unit, ("mm", "cm", "m", "km")),
+        time_unit=_choice("--time-unit", time_unit, ("s", "ms", "us", "ns")) or "s",
+        pixel_origin=_choice("--pixel-origin", pixel_origin, ("center", "corner", "one")),
+        rows_from=_choice("--rows-from", rows_from, ("top", "bottom")),
+        fill=fill,
+        box_point=_choice("--box-point", box_point, ("center", "bottom")) or "center",
+        least_score=least_score,
+        undistorted=undistorted,
+        detector=detector,
+    )
+    report = import_recording(form, sources, out, stated, cameras, force)
+    if session.json:
+        print_report(session, report)
+    elif not session.quiet:
+        print_data("\n".join(_lines(report, out)))
+
+
+def _lines(report: dict[str, Any], out: Path) -> list[str]:
+    """Return what a person reads of an import."""
+    lines = [f"{sentence[:1].upper()}{sentence[1:]}." for sentence in report["assumed"]]
+    for name, row in report["cameras"].items():
+        size = " x ".join(map(str, row["image_size_px"])) + " px" if "image_size_px" in row else "no camera"
+        if "frames" not in row:
+            lines.append(f"{name}: {size}")
+            continue
+        rate = f"{row['rate_hz']:.6g} Hz" if row["rate_hz"] else "no rate"
+        lines.append(
+            f"{name}: {row['detections']} detections in {row['frames']} frames ({row['empty_frames']} empty, "
+            f"{row['filled_frames']} of them filled in), {row['first_s']:.6g} to {row['last_s']:.6g} s, {rate}, {size}"
+        )
+    files = [name for name in ("detections.parquet", "cameras.yaml") if (out / name).exists()]
+    return [*lines, f"Written to {out}: {', '.join(files)}, report.json"]
+
+
+def _pairs(option: str, words: Sequence[str] | None) -> dict[str, str]:
+    result = {}
+    for word in words or ():
+        name, separator, value = word.partition("=")
+        if not separator or not name or not value:
+            raise typer.BadParameter(f"{option}: expected NAME=VALUE, found {word}")
+        result[name] = value
+    return result
+
+
+def _per_camera(option: str, words: Sequence[str] | None, parse: Callable[[str], Value]) -> Any:
+    """Return the values of an option that may be stated for each camera (CAM=VALUE) or for all (VALUE)."""
+    from stereophd.io.interchange.base import PerCamera
+
+    named: dict[str, Value] = {}
+    other: Value | None = None
+    for word in words or ():
+        name, separator, text = word.rpartition("=")
+        try:
+            value = parse(text)
+        except ValueError:
+            raise typer.BadParameter(f"{option}: expected [CAM=]VALUE, found {word}") from None
+        if separator:
+            named[name] = value
+        else:
+            other = value
+    return PerCamera(named, other)
+
+
+def _number(text: str) -> float:
+    """Return a number, also a fraction such as 30000/1001."""
+    above, separator, below = text.partition("/")
+    value = float(above) / float(below) if separator and float(below) else float(above)
+    if value != value or value in (float("inf"), float("-inf")):
+        raise ValueError(text)
+    return value
+
+
+def _range(text: str) -> tuple[int, int]:
+    first, last = map(int, text.split(":"))
+    return first, last
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, height = map(int, text.lower().split("x"))
+    if width <= 0 or height <= 0:
+        raise ValueError(text)
+    return width, height
+
+
+def _choice(option: str, value: str | None, known: Sequence[str]) -> str | None:
+    if value is not None and value not in known:
+        raise typer.BadParameter(f"{option}: expected one of {', '.join(known)}, found {value}")
+    return value

@@ -1,0 +1,179 @@
+"""Bring detections and cameras of another program into native files."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereophd.config.cameras import CameraConfig
+from stereophd.errors import InputError
+from stereophd.io.atomic import OutputFolder
+from stereophd.io.cameras import write_cameras
+from stereophd.io.interchange.assembly import CameraSummary, write_log
+from stereophd.io.interchange.base import ImportOptions, Recording
+from stereophd.io.interchange.camera_files import read_cameras
+from stereophd.io.interchange.registry import find
+from stereophd.io.provenance import provenance, to_metadata
+
+DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
+FILES = (DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE)
+REPORT_VERSION = 1
+# A camera's pixels may reach this far outside its image before the size of the image is doubted.
+IMAGE_MARGIN_PX = 10.0
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def import_recording(
+    form: str,
+    sources: Sequence[Path | str],
+    out_dir: Path | str,
+    options: ImportOptions | None = None,
+    cameras_path: Path | str | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Import detections, cameras, or both.
+
+    Parameters
+    ----------
+    form
+        Name of the format, a module of `stereophd.io.formats`.
+    sources
+        Files or folders, as the format has them.
+    out_dir
+        Folder for ``detections.parquet`` and ``cameras.yaml`` (what the sources hold) and ``report.json``.
+    options
+        What the user states about the sources.
+    cameras_path
+        A native or foreign camera file, for sources that hold detections only.
+    force
+        Whether the outputs of an earlier run may be replaced.
+
+    Returns
+    -------
+    dict
+        The report, as in ``report.json``: counts by camera, and under ``assumed`` and ``warnings`` the sentences about
+        what the sources do not say.
+
+    Raises
+    ------
+    InputError
+        An unknown format, a source that is not of it, a statement that is missing, or an unusable output folder.
+    """
+    options = options or ImportOptions()
+    read = find(form).read
+    if read is None:
+        raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
+    paths = [Path(source) for source in sources]
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"{path}: there is no such file or folder")
+    with OutputFolder(out_dir, FILES, force) as out:
+        recording = _read(read(paths, options), options, cameras_path)
+        inputs = {f"source.{index}": path for index, path in enumerate(recording.files)}
+        config = {"format": form, **options.plain()}
+        record = provenance("import", config, inputs=inputs, length_unit=recording.length_unit)
+        summaries: dict[str, CameraSummary] = {}
+        if recording.pieces is not None:
+            log = out.path(DETECTIONS_FILE)
+            summaries = write_log(recording, options, log, log.parent, to_metadata(record))
+        cameras = _with_rates(recording.cameras, summaries)
+        if cameras:
+            assert recording.length_unit is not None
+            write_cameras(out.path(CAMERAS_FILE), cameras, recording.length_unit, record)
+        _check(recording, summaries)
+        report = {
+            "report_version": REPORT_VERSION,
+            "command": "import",
+            "format": form,
+            "length_unit": recording.length_unit,
+            "assumed": recording.assumed,
+            "warnings": recording.warnings,
+            "detections": sum(summary.detections for summary in summaries.values()) if summaries else None,
+            "cameras": _camera_rows(cameras, summaries),
+            "labels": {str(number): label for number, label in recording.labels.items()},
+            "provenance": record,
+        }
+        text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        out.path(REPORT_FILE).write_text(text, encoding="utf-8")
+    for sentence in recording.warnings:
+        LOGGER.warning("%s", sentence)
+    return report
+
+
+def _read(recording: Recording, options: ImportOptions, cameras_path: Path | str | None) -> Recording:
+    """Add the cameras of another file to a recording."""
+    if cameras_path is not None:
+        if recording.cameras:
+            raise InputError(f"{cameras_path}: expected cameras in the source or in a file of their own, found both")
+        cameras, unit, assumed = read_cameras(Path(cameras_path), options)
+        recording.cameras.update(cameras)
+        recording.length_unit = unit
+        recording.assumed += assumed
+        recording.files.append(Path(cameras_path))
+    return recording
+
+
+def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]) -> dict[str, CameraConfig]:
+    """State the frame rates of the log where the cameras have none."""
+    result = {}
+    for name, camera in cameras.items():
+        rate = summaries[name].rate_hz if name in summaries else None
+        if camera.frame_rate_hz is None and rate is not None:
+            camera = camera.model_copy(update={"frame_rate_hz": rate})
+        result[name] = camera
+    return result
+
+
+def _check(recording: Recording, summaries: Mapping[str, CameraSummary]) -> None:
+    """Add warnings about what does not fit together."""
+    warn = recording.warnings.append
+    if summaries and recording.cameras:
+        for name in sorted(summaries.keys() - recording.cameras.keys()):
+            warn(
+                f"camera {name} has detections, but the cameras ({', '.join(recording.cameras)}) have none of that name"
+            )
+        for name in recording.cameras.keys() - summaries.keys():
+            warn(f"camera {name} has no detections (the log has {', '.join(summaries)})")
+    for name, summary in summaries.items():
+        if not summary.detections:
+            warn(f"camera {name} has frames, but no detections")
+            continue
+        low, high = np.array(summary.lowest_px), np.array(summary.highest_px)
+        if summary.detections > 1 and (low >= 0).all() and (high <= 1).all():
+            warn(f"camera {name}: all pixels lie between 0 and 1: they seem to be divided by the image size")
+        if name in recording.cameras:
+            size = np.array(recording.cameras[name].image_size_px)
+            if (low < -0.5 - IMAGE_MARGIN_PX).any() or (high > size - 0.5 + IMAGE_MARGIN_PX).any():
+                warn(
+                    f"camera {name}: pixels from ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) do not fit the "
+                    f"image of {size[0]} x {size[1]} px"
+                )
+    spans = {
+        name: (s.first_s, s.last_s) for name, s in summaries.items() if s.first_s is not None and s.last_s is not None
+    }
+    if spans and max(first for first, _ in spans.values()) > min(last for _, last in spans.values()):
+        listed = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
+        warn(f"the cameras have no time in common ({listed}): check rates, offsets and the unit of times")
+
+
+def _camera_rows(
+    cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]
+) -> dict[str, dict[str, Any]]:
+    """Return the report's row of each camera."""
+    rows: dict[str, dict[str, Any]] = {}
+    for name in [*cameras, *(name for name in summaries if name not in cameras)]:
+        row: dict[str, Any] = {}
+        if name in summaries:
+            row = asdict(summaries[name])
+            row.pop("lowest_px"), row.pop("highest_px")
+        if name in cameras:
+            row["image_size_px"] = list(cameras[name].image_size_px)
+        rows[name] = row
+    return rows

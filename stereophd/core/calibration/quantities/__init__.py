@@ -1,0 +1,1 @@
+"""Unknown quantities of a camera: one file each, found by name in `registry`."""

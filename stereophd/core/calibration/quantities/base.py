@@ -1,0 +1,129 @@
+"""What a calibration quantity is, and what its derivatives are computed from.
+
+A quantity is one kind of unknown of a camera (its centre, its focal length, the offset of its clock, ...) with one or
+more components. Values are offsets from the camera at the prior mean. Values of several quantities commute: the camera
+does not depend on the order in which they are applied, and the negative values undo them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+LENGTH, RADIANS, RATIO, PIXELS, SECONDS = "length", "rad", "1", "px", "s"
+LENGTH_PER_SECOND, RADIANS_PER_SECOND = "length/s", "rad/s"
+# What of an event depends on a quantity: nothing (the camera only moves), its undistorted pixels, or its times.
+MOVES, IMAGES, TIMES = "moves", "images", "times"
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera sees of n points of trajectories at the times of its detections.
+
+    Attributes
+    ----------
+    camera : Camera
+        At the current values.
+    visible : array (n,) of bool
+        Whether the point lies before the camera and within the lens's `max_radius`; other rows are meaningless.
+    elapsed : array (n,)
+        Time since ``camera.pose.time_s``, s.
+    log_times : array (n,)
+        Times on the camera's own clock, s.
+    rows : array (n,)
+        Row of the detection over the height of the image.
+    points : array (n, 3)
+        The points in the camera's axes at those times, length.
+    turns : array (n, 3, 3) or None
+        Turn of a moving camera since ``camera.pose.time_s``; None of a camera that does not turn.
+    undistorted, distorted : arrays (n, 2)
+        Normalised image coordinates before and after the lens.
+    by_point, by_world : arrays (n, 2, 3)
+        Derivative of the raw pixel with respect to the point in the camera's axes, and in the world's.
+    by_time : array (n, 2)
+        Derivative of the raw pixel with respect to the true time of the detection, px/s.
+    pixels : array (n, 2)
+        Raw pixels.
+    """
+
+    camera: Camera
+    visible: NDArray[np.bool_]
+    elapsed: Array
+    log_times: Array
+    rows: Array
+    points: Array
+    turns: Array | None
+    undistorted: Array
+    distorted: Array
+    by_point: Array
+    by_world: Array
+    by_time: Array
+    pixels: Array
+
+
+def all_of(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
+    """Return the function that finds all components in any camera."""
+    return lambda camera: components
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One kind of unknown of a camera.
+
+    Attributes
+    ----------
+    name : str
+        The name of its file.
+    components : tuple of str
+        Names of its values, unique among all quantities.
+    unit : str
+        Of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``.
+    prior : str
+        Key of its standard deviation in ``calibration.priors``.
+    prior_unit : float
+        The unit of that key in units of the values (degrees: pi / 180).
+    description : str
+        Of that key.
+    apply : callable
+        (camera, values (k,)) -> the camera moved by them.
+    difference : callable
+        (camera, other) -> values (k,) that move `camera` to `other`.
+    derivative : callable
+        (view, values (k,)) -> derivative (n, 2, k) of the raw pixels with respect to the values.
+    entry : callable
+        camera -> what of ``cameras.yaml`` it determines, as nested plain values.
+    affects : {"moves", "images", "times"}
+        What of an event depends on it.
+    of_the_frame : bool
+        Whether the reference camera must not have it: it fixes the frame and the clock of the results.
+    named : bool
+        Whether the prior names the components (``{k1: 0.1}``) instead of one value or one for each.
+    available : callable
+        camera -> components that this camera has.
+    pack : callable, optional
+        (packed cameras (h, 28 or more), camera, values (h, k)): apply values to h packed copies of a camera in place.
+    """
+
+    name: str
+    components: tuple[str, ...]
+    unit: str
+    prior: str
+    description: str
+    apply: Callable[[Camera, Array], Camera]
+    difference: Callable[[Camera, Camera], Array]
+    derivative: Callable[[View, Array], Array]
+    entry: Callable[[Camera], Mapping[str, Any]]
+    affects: str
+    available: Callable[[Camera], tuple[str, ...]]
+    of_the_frame: bool = False
+    named: bool = False
+    prior_unit: float = 1.0
+    pack: Callable[[Array, Camera, Array], None] | None = None

@@ -1,0 +1,121 @@
+"""What a camera sees of trajectories: raw pixels and their derivatives with respect to points and time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.quantities.base import View
+from stereophd.core.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+
+def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> View:
+    """Project points of trajectories into a camera.
+
+    Parameters
+    ----------
+    camera : Camera
+    world, velocities : arrays (n, 3)
+        Positions and velocities of the objects at the times of the detections.
+    times, log_times : arrays (n,)
+        True times, and times on the camera's clock, s.
+    rows : array (n,)
+        Row of each detection over the height of the image.
+    """
+    pose = camera.pose
+    elapsed = times - pose.time_s
+    turns = None
+    offsets = world - pose.center
+    if pose.velocity.any():
+        offsets = offsets - elapsed[:, None] * pose.velocity
+    points = product(pose.rotation, offsets)
+    if pose.rotation_rate.any():
+        turns = rotations(-elapsed[:, None] * pose.rotation_rate)
+        points = product(turns, points)
+    visible = points[:, 2] > 0.0
+    inverse = 1.0 / np.where(visible, points[:, 2], 1.0)
+    undistorted = points[:, :2] * inverse[:, None]
+    by_point = np.zeros((len(points), 2, 3))
+    if camera.lens.code == 0:
+        distorted = undistorted
+        by_point[:, 0, 0], by_point[:, 1, 1] = camera.fx * inverse, camera.fy * inverse
+        by_point[:, 0, 2] = -camera.fx * undistorted[:, 0] * inverse
+        by_point[:, 1, 2] = -camera.fy * undistorted[:, 1] * inverse
+    else:
+        visible &= np.einsum("ni,ni->n", undistorted, undistorted) <= camera.lens.max_radius**2
+        distorted, jacobian = camera.lens.distort(np.where(visible[:, None], undistorted, 0.0))
+        scaled = jacobian * np.array([camera.fx, camera.fy])[:, None] * inverse[:, None, None]
+        by_point[:, :, :2] = scaled
+        by_point[:, :, 2] = -np.einsum("nij,nj->ni", scaled, undistorted)
+    pixels = distorted * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    axes = pose.rotation if turns is None else turns @ pose.rotation
+    by_world = row_product(by_point, axes)
+    motion = np.einsum("nij,nj->ni", by_world, velocities - pose.velocity)
+    if turns is not None:
+        motion += np.einsum("nij,nj->ni", by_point, np.cross(points, pose.rotation_rate))
+    return View(
+        camera, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world, motion,
+        pixels,
+    )  # fmt: skip
+
+
+def product(matrices: Array, vectors: Array) -> Array:
+    """Products (n, 3) of a matrix (3, 3), or one for each row (n, 3, 3), with vectors (n, 3)."""
+    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+    return np.stack([matrices[..., i, 0] * x + matrices[..., i, 1] * y + matrices[..., i, 2] * z for i in range(3)], 1)
+
+
+def row_product(rows: Array, matrices: Array) -> Array:
+    """Products (n, 2, 3) of rows (n, 2, 3) with a matrix (3, 3), or one for each (n, 3, 3)."""
+    return np.asarray(
+        rows[:, :, 0, None] * matrices[..., None, 0, :]
+        + rows[:, :, 1, None] * matrices[..., None, 1, :]
+        + rows[:, :, 2, None] * matrices[..., None, 2, :]
+    )
+
+
+def turned(view: View, axes: Array) -> Array:
+    """Derivative (n, 2, 3) of the pixels for turns of the point's coordinates: point -> point - [point]_x axes d.
+
+    Parameters
+    ----------
+    view : View
+    axes : array (3, 3) or (n, 3, 3)
+        Its columns turn with the three values.
+    """
+    out = np.empty((len(view.points), 2, 3))
+    x, y, z = view.points[:, 0], view.points[:, 1], view.points[:, 2]
+    for a in range(3):
+        l0, l1, l2 = axes[..., 0, a], axes[..., 1, a], axes[..., 2, a]
+        t0, t1, t2 = z * l1 - y * l2, x * l2 - z * l0, y * l0 - x * l1
+        for i in range(2):
+            out[:, i, a] = view.by_point[:, i, 0] * t0 + view.by_point[:, i, 1] * t1 + view.by_point[:, i, 2] * t2
+    return out
+
+
+def _cross_matrices(vectors: Array) -> Array:
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    zero = np.zeros_like(x)
+    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+
+
+def rotations(vectors: Array) -> Array:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), rad (`stereophd.core.geometry.pose`)."""
+    cross = _cross_matrices(vectors)
+    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
+    # sin(a) / a and (1 - cos a) / a^2, to full precision at a = 0
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * cross @ cross
+    )
+
+
+def left_jacobians(vectors: Array) -> Array:
+    """Left Jacobians (n, 3, 3) of rotation vectors (n, 3): exp(v + dv) = exp(J dv) exp(v) to first order."""
+    cross = _cross_matrices(vectors)
+    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
+    safe = np.where(angle < 1e-4, 1.0, angle)
+    second = np.where(angle < 1e-4, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    third = np.where(angle < 1e-4, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    return np.asarray(np.eye(3) + second * cross + third * cross @ cross)

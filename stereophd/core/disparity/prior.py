@@ -1,0 +1,93 @@
+"""Settings of the prior of what the first detection of an object does not tell: its depth and its velocity."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.space import BASELINE, VERTICAL
+from stereophd.core.geometry.layout import FX, FY
+from stereophd.core.settings import PositiveLength, PositivePixels, parameter, settings
+
+Array = NDArray[np.float64]
+
+# Distance in standard deviations of disparity at which a depth range ends.
+DEPTH_RANGE_SIGMAS = 2.0
+
+
+@settings
+class DisparityPrior:
+    """Gaussian prior of the disparity of a new object."""
+
+    mean_px: PositivePixels = parameter("mean at the baseline", unit="px")
+    std_px: PositivePixels = parameter("standard deviation at the baseline", unit="px")
+
+
+DepthRange = tuple[PositiveLength, PositiveLength]
+
+
+def check_depth(disparity: DisparityPrior | None, depth_range: DepthRange | None) -> None:
+    """Refuse a prior of the depth that is given twice, or not at all, or the wrong way round.
+
+    Raises
+    ------
+    ValueError
+        Unless exactly one of `disparity` and `depth_range` is given, and a range is near < far.
+    """
+    if (disparity is None) == (depth_range is None):
+        raise ValueError("expected exactly one of disparity and depth_range")
+    if depth_range is not None and depth_range[0] >= depth_range[1]:
+        raise ValueError(f"depth_range: expected near < far, found {list(depth_range)}")
+
+
+def disparity_moments(
+    disparity: DisparityPrior | None, depth_range: DepthRange | None, space: Array
+) -> tuple[float, float]:
+    """Mean and standard deviation of the disparity (px) in a packed space (30,), given either prior."""
+    if disparity is not None:
+        return disparity.mean_px, disparity.std_px
+    assert depth_range is not None
+    scale = float((space[FY] if space[VERTICAL] == 1.0 else space[FX]) * space[BASELINE])
+    near, far = scale / depth_range[0], scale / depth_range[1]
+    return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)
+
+
+@settings
+class InitialPrior:
+    """What is known of the object when a camera first sees it (paper V-A)."""
+
+    disparity: DisparityPrior | None = parameter("prior of the disparity, px at the baseline", default=None)
+    depth_range: DepthRange | None = parameter(
+        "near and far depth: two standard deviations either side in disparity", unit="length", default=None
+    )
+    velocity_std: PositiveLength | None = parameter(
+        "standard deviation of each component of velocity in the world", unit="length/s", default=None
+    )
+    disparity_velocity_std_px_s: tuple[PositivePixels, PositivePixels, PositivePixels] | None = parameter(
+        "instead, standard deviations of the rates of u, v and d", unit="px/s", default=None
+    )
+
+    def __post_init__(self) -> None:
+        check_depth(self.disparity, self.depth_range)
+        if self.velocity_std is not None and self.disparity_velocity_std_px_s is not None:
+            raise ValueError("expected one of velocity_std and disparity_velocity_std_px_s, found both")
+
+    @property
+    def velocity_spread(self) -> float:
+        """`velocity_std`, 0 where it is not given: length/s."""
+        return self.velocity_std or 0.0
+
+    def disparity_moments(self, space: Array) -> tuple[float, float]:
+        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
+        return disparity_moments(self.disparity, self.depth_range, space)
+
+    def moments(self, points: Array, noises: Array, space: Array, size: int) -> tuple[Array, Array]:
+        """Means (m, d) and covariances (m, d, d) of objects first seen at `points`: see `initial_moments`."""
+        # imported here: the settings are read without a compiler
+        from stereophd.core.disparity.initial import initial_moments
+
+        mean, std = self.disparity_moments(space)
+        means, covariances = initial_moments(points, noises, space, mean, std, self.velocity_spread, size)
+        if size == 6 and self.disparity_velocity_std_px_s is not None:
+            covariances[:, 3:, 3:] = np.diag(np.square(self.disparity_velocity_std_px_s))
+        return means, covariances

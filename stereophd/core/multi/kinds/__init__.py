@@ -1,0 +1,16 @@
+"""Kinds of filter for many objects: one module each, found by its name, the word of ``filter.kind``.
+
+A module holds the filter's settings (`SETTINGS`), whose `build` imports the filter itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.settings import members
+
+
+def filters() -> Mapping[str, type[FilterSettings]]:
+    """Return the settings of every kind of filter by its name."""
+    return members(__name__)

@@ -1,0 +1,61 @@
+"""The word ``pmb``: settings of the Poisson multi-Bernoulli filter."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from annotated_types import Interval
+
+from stereophd.core.multi.settings import MISSED, BirthPrior, ExistenceHysteresis, Missed
+from stereophd.core.settings import (
+    FINITE,
+    NOT_NAN,
+    Count,
+    NonNegative,
+    Positive,
+    PositiveFraction,
+    parameter,
+    settings,
+)
+
+if TYPE_CHECKING:
+    from stereophd.core.disparity.events import Rig
+    from stereophd.core.motion.models import Motion
+    from stereophd.core.multi.pmb import PmbFilter
+    from stereophd.core.numerics.samples import SampleSets
+
+
+@settings
+class PmbSettings:
+    """Poisson multi-Bernoulli filter (Williams 2015): labelled tracks."""
+
+    kind: Literal["pmb"] = parameter("the filter", default="pmb")
+    survival_per_s: PositiveFraction = parameter("probability that an object survives one second", default=0.99)
+    birth: BirthPrior = parameter("prior of new objects")
+    recycle_below: Positive = parameter(
+        "tracks of a smaller existence join the intensity of undetected objects", default=1e-3
+    )
+    prune_weight: Positive = parameter("components of that intensity below this weight are dropped", default=1e-4)
+    merge_distance: NonNegative = parameter(
+        "squared Mahalanobis distance, in both covariances, below which two tracks are one", default=4.0
+    )
+    max_components: Count = parameter("the most probable tracks are kept", default=1000)
+    hypothesis_distance: Annotated[float, Interval(ge=0), NOT_NAN] = parameter(
+        "squared Mahalanobis distance, in both covariances, below which two hypotheses of one track merge; "
+        ".inf: one Gaussian a track",
+        default=4.0,
+    )
+    least_share: Annotated[float, Interval(ge=0, lt=1), FINITE] = parameter(
+        "hypotheses of a smaller share of their track are dropped", default=1e-3
+    )
+    missed: Missed = parameter(MISSED, default="keep")
+    extraction: ExistenceHysteresis = parameter("which tracks are reported", default_factory=ExistenceHysteresis)
+
+    def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> PmbFilter:
+        """Return the filter."""
+        from stereophd.core.multi.pmb import PmbFilter
+
+        return PmbFilter(rig, motion, sets, self, threads)
+
+
+SETTINGS = PmbSettings

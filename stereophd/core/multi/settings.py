@@ -1,0 +1,105 @@
+"""Settings that the filters for many objects share: births, extraction, and what every filter must declare."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.prior import DepthRange, DisparityPrior, check_depth, disparity_moments
+from stereophd.core.settings import FINITE, PositiveFraction, PositiveLength, parameter, settings
+
+if TYPE_CHECKING:
+    from stereophd.core.disparity.events import Rig
+    from stereophd.core.motion.models import Motion
+    from stereophd.core.multi.base import DisparityFilter
+    from stereophd.core.numerics.samples import SampleSets
+
+# What a miss says of a component that is partly in view.
+Missed = Literal["split", "keep"]
+MISSED = (
+    "what a miss says of a component that is partly in view. split: the part in view becomes less "
+    "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
+    "detectors miss an occluded object for many frames in a row, and each would squeeze the shape"
+)
+
+# More new objects in one frame than any image can hold.
+BirthRate = Annotated[float, Interval(ge=1e-30, le=1e6), FINITE]
+# A weight is an expected number of objects: no threshold is beyond a thousand in one component.
+WeightThreshold = Annotated[float, Interval(ge=1e-30, le=1e3), FINITE]
+
+
+@settings
+class BirthPrior:
+    """Observation-driven birth (paper VI-B): every detection may be a new object."""
+
+    per_frame: BirthRate = parameter("expected number of new objects a frame, uniform over the image", default=0.1)
+    disparity: DisparityPrior | None = parameter("prior of the disparity, px at the baseline", default=None)
+    depth_range: DepthRange | None = parameter(
+        "near and far depth: two standard deviations either side in disparity", unit="length", default=None
+    )
+    velocity_std: PositiveLength = parameter("standard deviation of each component of velocity", unit="length/s")
+
+    def __post_init__(self) -> None:
+        check_depth(self.disparity, self.depth_range)
+
+    def disparity_moments(self, space: NDArray[np.float64]) -> tuple[float, float]:
+        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
+        return disparity_moments(self.disparity, self.depth_range, space)
+
+
+@settings
+class Hysteresis:
+    """Which components are reported as objects: thresholds with hysteresis."""
+
+    confirm: WeightThreshold = parameter("reported from this weight or existence on", default=0.8)
+    release: WeightThreshold = parameter(
+        "a reported object stays reported until its weight or existence falls below this", default=0.001
+    )
+
+    def __post_init__(self) -> None:
+        if self.release > self.confirm:
+            raise ValueError(f"expected release <= confirm, found {self.release} > {self.confirm}")
+
+
+@settings
+class ExistenceHysteresis(Hysteresis):
+    """Thresholds of existence between which a track is reported."""
+
+    confirm: PositiveFraction = parameter("reported from this existence on", default=0.98)
+    release: PositiveFraction = parameter(
+        "a reported track stays reported until its existence falls below this", default=0.01
+    )
+
+
+class FilterSettings(Protocol):
+    """What the settings of every kind of filter hold, and how they become the filter."""
+
+    @property
+    def kind(self) -> str:
+        """The word that names the filter in a configuration: the name of its module in `kinds`."""
+
+    @property
+    def survival_per_s(self) -> float:
+        """Probability that an object survives one second."""
+
+    @property
+    def birth(self) -> BirthPrior:
+        """Prior of new objects."""
+
+    @property
+    def prune_weight(self) -> float:
+        """Components below this weight are dropped: births must be heavier."""
+
+    @property
+    def missed(self) -> Missed:
+        """What a miss says of a component that is partly in view."""
+
+    @property
+    def extraction(self) -> Hysteresis:
+        """What is reported."""
+
+    def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> DisparityFilter:
+        """Return the filter. Compiled code is imported here, so that settings are read without it."""

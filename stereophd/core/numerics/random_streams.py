@@ -1,0 +1,92 @@
+"""Every random stream of the package: its purpose, and its path of keys from the seed of the configuration.
+
+A stream is ``numpy.random.SeedSequence(seed, spawn_key=path)``. Two purposes of one command never share a path, so
+their numbers are independent. Numbers below 2**31 at the beginning of a path count the runs of ``simulate`` and
+``experiment``; purposes of a whole configuration begin at 2**31.
+
+What receives a stream may spawn from it (a camera, a start of a calibration, a step): paths go on there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Paths of purposes of the whole configuration begin with this number or a greater one.
+FIRST_KEY = 2**31
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """What random numbers are for.
+
+    Attributes
+    ----------
+    path : tuple of int
+        Keys from the seed of the configuration.
+    commands : tuple of str
+        Commands that draw from this stream.
+    what : str
+    """
+
+    path: tuple[int, ...]
+    commands: tuple[str, ...]
+    what: str
+
+    def seed(self, seed: int) -> np.random.SeedSequence:
+        """Return the stream for the seed of a configuration."""
+        return np.random.SeedSequence(seed, spawn_key=self.path)
+
+
+@dataclass(frozen=True)
+class RunPurpose:
+    """What random numbers of one run are for.
+
+    Attributes
+    ----------
+    path : tuple of int
+        Keys after the number of the run.
+    commands : tuple of str
+    what : str
+    """
+
+    path: tuple[int, ...]
+    commands: tuple[str, ...]
+    what: str
+
+    def seed(self, seed: int, run: int) -> np.random.SeedSequence:
+        """Return the stream of a run, whatever the number of runs, for the seed of a configuration."""
+        return np.random.SeedSequence(seed, spawn_key=(run, *self.path))
+
+
+# One run of `simulate` or `experiment`.
+RUN_OBJECTS = RunPurpose((0,), ("simulate", "experiment", "evaluate"), "paths of the objects of a scene")
+RUN_FRAMES = RunPurpose((1,), ("simulate", "experiment"), "detections, misses and clutter of the cameras")
+RUN_GUESS = RunPurpose((2,), ("simulate", "experiment"), "cameras at which a calibration begins")
+RUN_METHOD = RunPurpose((3,), ("experiment",), "seed of the calibration itself")
+
+# A run of an experiment with one object draws all its numbers from one stream, in turn.
+RUN_SINGLE_OBJECT = RunPurpose((), ("experiment of one object",), "truth, detections and estimator of one object")
+
+# The whole configuration.
+FILTER_SAMPLES = Purpose(
+    (FIRST_KEY,), ("track", "calibrate", "experiment"), "sample sets of a filter of many objects"
+)  # fmt: skip
+SINGLE_ESTIMATOR = Purpose((FIRST_KEY + 1,), ("track",), "particles and samples of a single-object estimator")
+CALIBRATION_STARTS = Purpose((FIRST_KEY + 1,), ("calibrate",), "cameras at which the starts of annealed begin")
+SEQUENTIAL_PARTICLES = Purpose((FIRST_KEY + 2,), ("calibrate",), "particles of method sequential")
+TEMPERED_PARTICLES = Purpose((FIRST_KEY + 3,), ("calibrate",), "particles of posterior smc")
+POSTERIOR_DRAWS = Purpose((FIRST_KEY + 4,), ("calibrate",), "draws from the posterior of method annealed")
+CALIBRATION_PAIRING = Purpose((FIRST_KEY + 5,), ("calibrate",), "pairing of tracks, one child a start")
+BOUND_TRAJECTORIES = Purpose(
+    (FIRST_KEY + 1,), ("experiment", "experiment of one object"), "trajectories over which a bound is averaged"
+)
+MOVE_REFERENCE = Purpose(
+    (FIRST_KEY + 2,), ("experiment", "experiment of one object"), "samples behind the moments that moves compare with"
+)
+
+
+def run_number(seed: int, run: int) -> int:
+    """Return the first 63 bits of the stream of a run: they tell runs apart, and show which saw the same data."""
+    return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint64)[0] >> 1)

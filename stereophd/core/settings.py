@@ -1,0 +1,144 @@
+"""How a parameter is declared, once: name, default, bounds, unit, meaning and advice.
+
+The settings of an algorithm are a frozen dataclass beside it, written with `settings` and `parameter`::
+
+    @settings
+    class PruneSettings:
+        \"\"\"Which components are dropped.\"\"\"
+
+        weight: Positive = parameter("components below this weight are dropped", default=1e-6)
+
+The configuration validates a YAML mapping against that class and gives the algorithm an instance of it; the JSON
+schema and the page docs/configuration.md read the same declaration. Bounds are part of the type: those of the
+types below exclude only values that no physical set-up reaches, in any unit of length from mm to km.
+
+What exists in several kinds (filters, lenses, motion models) has a class of settings for each kind, whose field
+`kind` (or `model`) holds its word; `members` finds them by the modules of a package.
+"""
+
+from __future__ import annotations
+
+import math
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field
+from functools import cache
+from importlib import import_module
+from types import MappingProxyType
+from typing import Annotated, Any, TypeVar, dataclass_transform
+
+from annotated_types import Interval, Predicate
+
+Class = TypeVar("Class")
+
+FINITE = Predicate(math.isfinite)
+NOT_NAN = Predicate(lambda value: not math.isnan(value))
+
+# Limits of what any set-up can mean. The largest lengths are interplanetary distances in mm, the largest speeds
+# beyond that of light in mm/s; times reach from milliseconds since 1970, taken for seconds, in both directions.
+LARGEST_LENGTH = 1e15
+SMALLEST_LENGTH = 1e-12
+LARGEST_TIME_S = 1e13
+SMALLEST_TIME_S = 1e-9
+LARGEST_PX = 1e9
+SMALLEST_PX = 1e-9
+LARGEST_COUNT = 1_000_000_000
+
+#: A position or displacement along one axis, length.
+Coordinate = Annotated[float, Interval(ge=-LARGEST_LENGTH, le=LARGEST_LENGTH), FINITE]
+#: A distance, a speed or an acceleration: at least 0, length (per s, per s^2).
+Length = Annotated[float, Interval(ge=0, le=LARGEST_LENGTH), FINITE]
+#: The same above 0.
+PositiveLength = Annotated[float, Interval(ge=SMALLEST_LENGTH, le=LARGEST_LENGTH), FINITE]
+#: A time of a clock, s.
+Time = Annotated[float, Interval(ge=-LARGEST_TIME_S, le=LARGEST_TIME_S), FINITE]
+#: A span of time, at least 0, s.
+Duration = Annotated[float, Interval(ge=0, le=LARGEST_TIME_S), FINITE]
+#: A span of time above 0, s.
+PositiveDuration = Annotated[float, Interval(ge=SMALLEST_TIME_S, le=LARGEST_TIME_S), FINITE]
+#: A rate above 0, 1/s.
+Rate = Annotated[float, Interval(ge=1 / LARGEST_TIME_S, le=1 / SMALLEST_TIME_S), FINITE]
+#: A place in an image, px.
+Pixel = Annotated[float, Interval(ge=-LARGEST_PX, le=LARGEST_PX), FINITE]
+#: A focal length, a standard deviation or a disparity: above 0, px.
+PositivePixels = Annotated[float, Interval(ge=SMALLEST_PX, le=LARGEST_PX), FINITE]
+#: A margin in an image: at least 0, px.
+Pixels = Annotated[float, Interval(ge=0, le=LARGEST_PX), FINITE]
+#: A number without unit above 0: a weight, a factor, a squared distance in standard deviations.
+Positive = Annotated[float, Interval(ge=1e-30, le=1e15), FINITE]
+#: The same, or 0.
+NonNegative = Annotated[float, Interval(ge=0, le=1e15), FINITE]
+#: A probability, or another fraction, 0 and 1 included.
+Fraction = Annotated[float, Interval(ge=0, le=1), FINITE]
+#: A probability or fraction above 0.
+PositiveFraction = Annotated[float, Interval(ge=1e-30, le=1), FINITE]
+#: How many there are: at least 1.
+Count = Annotated[int, Interval(ge=1, le=LARGEST_COUNT)]
+
+
+def parameter(
+    meaning: str,
+    *,
+    default: Any = MISSING,
+    default_factory: Callable[[], Any] | Any = MISSING,
+    unit: str = "",
+    discriminator: str = "",
+    advice: str = "",
+) -> Any:
+    """Declare a field of `settings`.
+
+    Parameters
+    ----------
+    meaning : str
+        What the value stands for: the description in the schema and on the reference page.
+    default : object, optional
+        Without it the value is required.
+    default_factory : callable, optional
+        Instead of `default`, for a section of its own.
+    unit : str
+        ``length``, ``length/s``, ``px``, ``s``, ``deg``, ...; empty for plain numbers and words. ``length`` is the
+        unit that the configuration names.
+    discriminator : str
+        Of a union of settings: the field that tells its members apart.
+    advice : str
+        How to choose the value: printed on the reference page only.
+    """
+    extra = {key: value for key, value in (("unit", unit), ("advice", advice)) if value}
+    # these are the names under which pydantic reads what it needs from the metadata of a dataclass
+    metadata: dict[str, Any] = {"description": meaning, "json_schema_extra": extra}
+    if discriminator:
+        metadata["discriminator"] = discriminator
+    if default_factory is not MISSING:
+        return field(default_factory=default_factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter,))
+def settings(cls: type[Class]) -> type[Class]:
+    """Make a class of parameters: a frozen dataclass whose fields are given by name.
+
+    Checks that need several fields are in `__post_init__`, and raise `ValueError` with what they expected and
+    found.
+    """
+    return dataclass(frozen=True, kw_only=True)(cls)
+
+
+@cache
+def members(package: str, attribute: str = "SETTINGS") -> Mapping[str, Any]:
+    """Return what the modules of a package offer under one name, by the name of the module.
+
+    This is how kinds are registered: a new module in the package is found without an entry in any list. Modules
+    without the attribute are not members.
+
+    Parameters
+    ----------
+    package : str
+        Full name of the package, such as ``stereophd.core.multi.kinds``.
+    attribute : str
+        What each module defines.
+    """
+    path = import_module(package).__path__
+    names = sorted(info.name for info in pkgutil.iter_modules(path))
+    modules = {name: import_module(f"{package}.{name}") for name in names}
+    found = {name: getattr(module, attribute) for name, module in modules.items() if hasattr(module, attribute)}
+    return MappingProxyType(found)

@@ -1,0 +1,191 @@
+"""Comma-separated tables: detections of any columns in, tracks out.
+
+Detections: one row a detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
+native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``score``,
+``object_id``) or of usual other names are found by themselves; any others by the option for columns. A row without
+u and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file.
+Pixels are native (pixel (0, 0) is the centre of the top-left pixel) unless the options say otherwise.
+
+Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ... Numbers
+have 17 digits, which is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import (
+    EXTRA_COLUMNS,
+    ExportOptions,
+    Format,
+    ImportOptions,
+    Piece,
+    Recording,
+)
+from stereophd.io.interchange.pixels import native_pixels
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: Native column -> names by which other programs call it, in lower case; the first that is there is taken.
+USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
+    "time_s": ("time_s", "time", "t", "timestamp", "seconds"),
+    "camera": ("camera", "cam", "cam_id", "camera_id", "view", "camera_name"),
+    "frame": ("frame", "frame_id", "frame_number", "frame_idx", "frame_index", "framenumber", "image"),
+    "u_px": ("u_px", "u", "x_px", "x", "px", "img_x", "col", "pixel_x"),
+    "v_px": ("v_px", "v", "y_px", "y", "py", "img_y", "row", "pixel_y"),
+    "sigma_u_px": ("sigma_u_px",),
+    "sigma_v_px": ("sigma_v_px",),
+    "score": ("score", "confidence", "likelihood", "conf", "probability"),
+    "object_id": ("object_id",),
+}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+NULLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "None"]
+AXES = ("x", "y", "z", "vx", "vy", "vz")
+
+
+def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+    """Read tables of detections."""
+    recording = Recording(files=list(sources))
+    recording.pieces = _pieces(recording, sources, options)
+    return recording
+
+
+def _pieces(recording: Recording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
+    for path in sources:
+        separator, header = _header(path)
+        columns = _find_columns(path, header, options)
+        named = ", ".join(f"{name} from {column}" for name, column in columns.items() if name != column)
+        if named:
+            recording.assumed.append(f"{path.name}: {named}")
+        if "camera" not in columns:
+            recording.assumed.append(
+                f"{path.name}: all rows are of one camera, {options.name(path.stem)}, named as the file"
+            )
+        for batch in _batches(path, separator, columns):
+            yield from _split(path, batch, columns, options, recording)
+
+
+def _header(path: Path) -> tuple[str, list[str]]:
+    """Return the separator of a table and the names of its columns."""
+    try:
+        with open(path, encoding="utf-8-sig") as stream:
+            line = stream.readline().strip()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected a table of text, found bytes that are not UTF-8") from error
+    if not line:
+        raise InputError(f"{path}: expected a table with a header, found an empty first line")
+    separator = next((s for s in (",", ";", "\t") if s in line), " ")
+    names = [name.strip().strip('"') for name in line.split(separator)]
+    return separator, names
+
+
+def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> dict[str, str]:
+    """Return native column -> column of the table."""
+    by_lower = {name.lower(): name for name in reversed(header)}
+    columns: dict[str, str] = {}
+    for name, stated in options.columns.items():
+        if name not in USUAL_NAMES:
+            raise InputError(f"column {name}: expected a column of a log ({', '.join(USUAL_NAMES)}), found {name}")
+        if stated not in header:
+            raise InputError(f"{path}: expected a column {stated} (for {name}), found {', '.join(header)}")
+        columns[name] = stated
+    for name, usual in USUAL_NAMES.items():
+        found = next((by_lower[candidate] for candidate in usual if candidate in by_lower), None)
+        if name not in columns and found is not None and found not in columns.values():
+            columns[name] = found
+    missing = [name for name in ("u_px", "v_px") if name not in columns]
+    if missing or not {"time_s", "frame"} & columns.keys():
+        wanted = ", ".join(missing or ["time_s or frame"])
+        raise InputError(
+            f"{path}: expected columns for {wanted}, found {', '.join(header)}; state which they are, such as "
+            f"{(missing or ['frame'])[0]}={header[-1]}"
+        )
+    return {name: columns[name] for name in USUAL_NAMES if name in columns}
+
+
+def _batches(path: Path, separator: str, columns: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
+    """Yield the table in pieces, numbers as float64."""
+    import pyarrow as pa
+    import pyarrow.csv
+
+    kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
+    try:
+        reader = pyarrow.csv.open_csv(
+            path,
+            read_options=pyarrow.csv.ReadOptions(use_threads=False, block_size=1 << 22),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
+            convert_options=pyarrow.csv.ConvertOptions(
+                column_types=kinds, include_columns=list(kinds), null_values=NULLS, strings_can_be_null=False
+            ),
+        )
+        yield from reader
+    except pa.ArrowException as error:
+        raise InputError(f"{path}: expected rows of a table of numbers, found: {str(error).splitlines()[0]}") from error
+
+
+def _split(
+    path: Path, batch: pa.RecordBatch, columns: Mapping[str, str], options: ImportOptions, recording: Recording
+) -> Iterator[Piece]:
+    """Yield the rows of a batch camera by camera."""
+    values = {
+        name: batch.column(column).to_numpy(zero_copy_only=False)
+        for name, column in columns.items()
+        if name != "camera"
+    }
+    if "camera" in columns:
+        encoded = batch.column(columns["camera"]).dictionary_encode()
+        codes = encoded.indices.to_numpy(zero_copy_only=False)
+        names = encoded.dictionary.to_pylist()
+    else:
+        codes, names = np.zeros(len(batch), dtype=int), [path.stem]
+    keep = np.ones(len(batch), dtype=bool)
+    if options.least_score is not None and "score" in values:
+        keep = ~(values["score"] < options.least_score)
+    for code, name in enumerate(names):
+        mine = {key: column[codes == code] for key, column in values.items()}
+        camera = options.name(name.strip())
+        pixels = np.stack([mine["u_px"], mine["v_px"]], axis=1)
+        # a frame stays although its detections are left out
+        pixels = np.where(keep[codes == code, None], pixels, np.nan)
+        time = mine["time_s"] * TIME_UNITS[options.time_unit] if "time_s" in mine else None
+        extra = {key: mine[key] for key in EXTRA_COLUMNS if key in mine}
+        yield Piece(camera, native_pixels(pixels, camera, options, recording), mine.get("frame"), time, extra)
+
+
+def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:
+    """Write tracks as a table."""
+    from stereophd.io.interchange.tracks import batches
+
+    upper = [(i, j) for i in range(6) for j in range(i, 6)]
+    names = [
+        "time_s",
+        "camera",
+        "frame",
+        "track_id",
+        *AXES,
+        *(f"cov_{AXES[i]}_{AXES[j]}" for i, j in upper),
+        "existence",
+    ]
+    with open(target, "w", encoding="utf-8", newline="\n") as stream:
+        stream.write(",".join(names) + "\n")
+        for rows in batches(tracks, options):
+            numbers: list[Any] = [rows[axis].tolist() for axis in AXES]
+            numbers += [rows["covariance"][:, 6 * i + j].tolist() for i, j in upper]
+            numbers.append(rows["existence"].tolist())
+            keys = zip(
+                rows["time_s"].tolist(), rows["camera"], rows["frame"].tolist(), rows["track_id"].tolist(), strict=True
+            )
+            for (time, camera, frame, track), values in zip(keys, zip(*numbers, strict=True), strict=True):
+                stream.write(f"{time!r},{camera},{frame},{track},{','.join(map(repr, values))}\n")
+    return []
+
+
+FORMAT = Format("a table of detections, any columns; tracks as a table", read=read, write_tracks=write_tracks)

@@ -1,0 +1,294 @@
+"""Detections in any order, as a foreign file has them, become a native log, in bounded memory.
+
+Two passes. The first appends each camera's rows to a temporary file, and remembers whether they are in order. The
+second reads these files in pieces, removes duplicates, numbers and times the frames, fills in the frames without
+detections, and merges the cameras by time. Rows of a camera that are out of order are sorted in memory, one camera
+at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import EXTRA_COLUMNS, ImportOptions, Recording
+from stereophd.io.interchange.spool import FRAME, TIME, Spool, U, V, extra_columns, read_rows, spool_pieces
+from stereophd.io.tables import DETECTIONS, FLOAT, INTEGER, TableWriter
+
+Floats = NDArray[np.float64]
+
+# A camera's log may grow by this factor and number when missing frames are filled in; more is a wrong column.
+LARGEST_GROWTH, FEW_FRAMES = 1000, 1_000_000
+# Frame numbers that have a common divisor by chance: of so many, in one recording of a thousand.
+LEAST_FRAMES_OF_A_STEP = 10
+
+
+@dataclass
+class CameraSummary:
+    """What became of a camera's rows; keys of the import's report."""
+
+    frames: int = 0
+    empty_frames: int = 0
+    filled_frames: int = 0
+    detections: int = 0
+    duplicate_rows: int = 0
+    first_s: float | None = None
+    last_s: float | None = None
+    rate_hz: float | None = None
+    lowest_px: list[float] = field(default_factory=lambda: [math.inf, math.inf])
+    highest_px: list[float] = field(default_factory=lambda: [-math.inf, -math.inf])
+
+
+def write_log(
+    recording: Recording,
+    options: ImportOptions,
+    path: Path,
+    folder: Path,
+    metadata: Mapping[Any, Any],
+) -> dict[str, CameraSummary]:
+    """Write the detections of a recording as a native log.
+
+    Parameters
+    ----------
+    recording
+        With pieces; they are consumed.
+    options
+        Rates, offsets and recorded frames of the cameras; whether missing frames are filled in.
+    path
+        The log.
+    folder
+        For temporary files; they are removed.
+    metadata
+        Key-value metadata of the log.
+
+    Returns
+    -------
+    dict
+        By camera, in order of their names (or of the recording's cameras).
+
+    Raises
+    ------
+    InputError
+        No detections; a camera with neither times nor a rate; frame numbers that cannot be.
+    """
+    spools = spool_pieces(recording, folder)
+    try:
+        if not spools:
+            raise InputError("expected detections in the source, found none")
+        extra = extra_columns(spools)
+        order = [name for name in recording.cameras if name in spools]
+        order += sorted(name for name in spools if name not in recording.cameras)
+        summaries = {name: CameraSummary() for name in order}
+        cameras = [_Camera(name, spools[name], recording, options, summaries[name]) for name in order]
+        fields = [pa.field(name, INTEGER if name == "object_id" else FLOAT, nullable=True) for name in extra]
+        schema = pa.schema([*DETECTIONS, *fields])
+        with TableWriter(path, schema, metadata) as table:
+            for index, rows in _merged([camera.pieces() for camera in cameras]):
+                table.append(_columns(index, rows, order, extra))
+    finally:
+        for spool in spools.values():
+            spool.discard()
+    return summaries
+
+
+class _Camera:
+    """The second pass over one camera."""
+
+    def __init__(
+        self, name: str, spool: Spool, recording: Recording, options: ImportOptions, summary: CameraSummary
+    ) -> None:
+        self._name, self._spool, self._summary = name, spool, summary
+        stated = options.rates.get(name)
+        self._rate = stated if stated is not None else recording.rates.get(name)
+        if stated is not None and not stated > 0:
+            raise InputError(f"rate of camera {name}: expected frames per second > 0, found {stated:g}")
+        self._is_rate_stated = stated is not None
+        self._offset = options.offsets.get(name) or 0.0
+        self._range = options.frames.get(name) or recording.frames.get(name)
+        self._fill = options.fill
+        self._stride = self._measure_stride() if spool.has_frames else 1
+        self._count = 0
+        self._last: Floats | None = None
+
+    def _measure_stride(self) -> int:
+        """Return the step of the frame numbers: the greatest that divides all differences; 1 of too few frames."""
+        stride, before, count = 0, None, 0
+        for rows in read_rows(self._spool):
+            frames = np.unique(rows[:, FRAME]).astype(np.int64)
+            if before is not None:
+                stride = math.gcd(stride, int(frames[0] - before))
+            stride = math.gcd(stride, int(np.gcd.reduce(np.diff(frames)))) if len(frames) > 1 else stride
+            before = int(frames[-1])
+            count += len(frames)
+        return stride if count >= LEAST_FRAMES_OF_A_STEP else 1
+
+    def pieces(self) -> Iterator[Floats]:
+        """Yield the camera's rows as the log has them: whole frames, timed, without gaps, in order."""
+        carry: Floats | None = None
+        is_first = True
+        for rows in read_rows(self._spool):
+            if carry is not None:
+                rows = np.concatenate([carry, rows])
+            key = rows[:, FRAME] if self._spool.has_frames else rows[:, TIME]
+            complete = int(np.searchsorted(key, key[-1], side="left"))
+            carry = rows[complete:]
+            if complete:
+                yield self._finished(rows[:complete], is_first, False)
+                is_first = False
+        assert carry is not None
+        yield self._finished(carry, is_first, True)
+
+    def _finished(self, rows: Floats, is_first: bool, is_last: bool) -> Floats:
+        rows = self._timed(rows.copy())
+        count = len(rows)
+        rows = _without_duplicates(rows)
+        self._summary.duplicate_rows += count - len(rows)
+        if self._fill and self._spool.has_frames:
+            rows = self._filled(rows, is_first, is_last)
+        self._last = rows[-1]
+        self._summarise(rows)
+        return rows
+
+    def _timed(self, rows: Floats) -> Floats:
+        """Number the frames and give them times, each frame one."""
+        if not self._spool.has_frames:
+            starts = np.concatenate([[True], np.diff(rows[:, TIME]) != 0])
+            rows[:, FRAME] = self._count - 1 + np.cumsum(starts)
+            self._count += int(starts.sum())
+            rows[:, TIME] += self._offset
+            return rows
+        has_times = np.isfinite(rows[:, TIME]).all()
+        if self._rate is not None and (self._is_rate_stated or not has_times):
+            rows[:, TIME] = rows[:, FRAME] / self._rate + self._offset
+            return rows
+        if not has_times:
+            raise InputError(
+                f"camera {self._name}: expected times, or a rate in frames per second, found frame numbers only"
+            )
+        starts = np.flatnonzero(np.concatenate([[True], np.diff(rows[:, FRAME]) != 0]))
+        lengths = np.diff(np.append(starts, len(rows)))
+        rows[:, TIME] = np.repeat(rows[starts, TIME], lengths) + self._offset
+        times = rows[starts, TIME]
+        if self._last is not None:
+            times = np.append(self._last[TIME], times)
+        bad = np.flatnonzero(np.diff(times) <= 0)
+        if len(bad):
+            later = rows[starts[min(bad[0] + (self._last is None), len(starts) - 1)]]
+            raise InputError(
+                f"camera {self._name}: expected times that increase with the frame number, found "
+                f"{later[TIME]:.9g} s at frame {later[FRAME]:.0f}, not after the frame before"
+            )
+        return rows
+
+    def _filled(self, rows: Floats, is_first: bool, is_last: bool) -> Floats:
+        """Add a row for each frame that is missing after the last row before, between these, and at the ends."""
+        known = rows if self._last is None else np.vstack([self._last, rows])
+        frames, index = np.unique(known[:, FRAME], return_index=True)
+        times = known[index, TIME]
+        first, last = frames[0], frames[-1]
+        if self._range is not None:
+            first = min(first, self._range[0]) if is_first else first
+            last = max(last, self._range[1]) if is_last else last
+        count = (last - first) / self._stride + 1
+        if count > max(LARGEST_GROWTH * len(frames), FEW_FRAMES):
+            raise InputError(
+                f"camera {self._name}: expected frame numbers that count frames, found {first:.0f} to {last:.0f} "
+                f"for {len(frames)} frames with detections"
+            )
+        # counted from a frame that exists: the stated range may begin between two multiples
+        below = np.arange(frames[0] - self._stride, first - 0.5, -self._stride)[::-1]
+        missing = np.concatenate([below, np.setdiff1d(np.arange(frames[0], last + 0.5, self._stride), frames)])
+        if not len(missing):
+            return rows
+        new = np.full((len(missing), rows.shape[1]), np.nan)
+        new[:, FRAME] = missing
+        new[:, TIME] = self._times_of(missing, frames, times)
+        self._summary.filled_frames += len(missing)
+        merged = np.concatenate([rows, new])
+        return merged[np.argsort(merged[:, FRAME], kind="stable")]
+
+    def _times_of(self, missing: Floats, frames: Floats, times: Floats) -> Floats:
+        """Return times of missing frames: by the rate, between neighbours, and beyond the ends by the mean period."""
+        if self._rate is not None and self._is_rate_stated:
+            return missing / self._rate + self._offset
+        result = np.interp(missing, frames, times)
+        if len(frames) > 1:
+            period = (times[-1] - times[0]) / (frames[-1] - frames[0])
+        elif self._rate is not None:
+            period = 1.0 / self._rate
+        else:
+            raise InputError(f"camera {self._name}: expected a rate, or frames at two times, to time empty frames")
+        result = np.where(missing < frames[0], times[0] + (missing - frames[0]) * period, result)
+        return np.where(missing > frames[-1], times[-1] + (missing - frames[-1]) * period, result)
+
+    def _summarise(self, rows: Floats) -> None:
+        summary = self._summary
+        is_empty = np.isnan(rows[:, U])
+        summary.frames += len(np.unique(rows[:, FRAME]))
+        summary.empty_frames += int(is_empty.sum())
+        summary.detections += int((~is_empty).sum())
+        summary.first_s = float(rows[0, TIME]) if summary.first_s is None else summary.first_s
+        summary.last_s = float(rows[-1, TIME])
+        if summary.frames > 1 and summary.last_s > summary.first_s:
+            summary.rate_hz = (summary.frames - 1) / (summary.last_s - summary.first_s)
+        if not is_empty.all():
+            low, high = np.nanmin(rows[:, U : V + 1], axis=0), np.nanmax(rows[:, U : V + 1], axis=0)
+            summary.lowest_px = np.minimum(summary.lowest_px, low).tolist()
+            summary.highest_px = np.maximum(summary.highest_px, high).tolist()
+
+
+def _without_duplicates(rows: Floats) -> Floats:
+    """Remove detections at the pixels of another of their frame, and empty rows beside others. Keeps the order."""
+    order = np.lexsort((np.arange(len(rows)), rows[:, V], rows[:, U], rows[:, FRAME]))
+    ordered = rows[order]
+    same_frame = ordered[1:, FRAME] == ordered[:-1, FRAME]
+    # NaN sorts last, so an empty row beside another row comes after it
+    repeats = same_frame & (np.isnan(ordered[1:, U]) | (ordered[1:, U : V + 1] == ordered[:-1, U : V + 1]).all(axis=1))
+    keep = np.ones(len(rows), dtype=bool)
+    keep[order[1:][repeats]] = False
+    return rows[keep]
+
+
+def _merged(streams: Sequence[Iterator[Floats]]) -> Iterator[tuple[NDArray[np.int64], Floats]]:
+    """Merge the pieces of all cameras by time, ties in their order; yields the camera of each row, and the rows."""
+    waiting: list[Floats | None] = [next(stream, None) for stream in streams]
+    while any(rows is not None for rows in waiting):
+        # what is no later than the end of every camera's piece is complete
+        limit = min(float(rows[-1, TIME]) for rows in waiting if rows is not None)
+        index, ready = [], []
+        for k, rows in enumerate(waiting):
+            if rows is None:
+                continue
+            count = int(np.searchsorted(rows[:, TIME], limit, side="right"))
+            index.append(np.full(count, k))
+            ready.append(rows[:count])
+            waiting[k] = rows[count:] if count < len(rows) else next(streams[k], None)
+        cameras, merged = np.concatenate(index), np.concatenate(ready)
+        order = np.lexsort((cameras, merged[:, TIME]))
+        yield cameras[order], merged[order]
+
+
+def _columns(index: NDArray[np.int64], rows: Floats, names: Sequence[str], extra: Sequence[str]) -> dict[str, Any]:
+    """Return rows as the columns of a log."""
+    is_empty = np.isnan(rows[:, U])
+    columns: dict[str, Any] = {
+        "time_s": rows[:, TIME].copy(),
+        "camera": [names[k] for k in index.tolist()],
+        "frame": rows[:, FRAME].astype(np.int64),
+        "u_px": np.ma.masked_array(np.where(is_empty, 0.0, rows[:, U]), mask=is_empty),
+        "v_px": np.ma.masked_array(np.where(is_empty, 0.0, rows[:, V]), mask=is_empty),
+    }
+    for name in extra:
+        values = rows[:, 4 + EXTRA_COLUMNS.index(name)]
+        mask = np.isnan(values)
+        kind = np.int64 if name == "object_id" else np.float64
+        columns[name] = np.ma.masked_array(np.where(mask, 0, values).astype(kind), mask=mask)
+    return columns

@@ -1,0 +1,227 @@
+"""What a foreign format is: what its reader returns, what its writer receives, and the options of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.cameras import CameraConfig
+from stereophd.errors import InputError
+
+Floats = NDArray[np.float64]
+Value = TypeVar("Value")
+
+#: Optional columns of a log that a format may fill.
+EXTRA_COLUMNS = ("sigma_u_px", "sigma_v_px", "score", "object_id")
+
+
+@dataclass(frozen=True)
+class PerCamera(Generic[Value]):
+    """A value for each camera: those named, and one for all others (None: nothing is stated)."""
+
+    named: Mapping[str, Value] = field(default_factory=dict)
+    other: Value | None = None
+
+    def get(self, camera: str) -> Value | None:
+        """Return the value of a camera."""
+        return self.named.get(camera, self.other)
+
+    def plain(self) -> Any:
+        """Return JSON-able values."""
+        return {**self.named, **({} if self.other is None else {"*": self.other})}
+
+    def __bool__(self) -> bool:
+        return bool(self.named) or self.other is not None
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What the user states about a foreign source; a format uses what it needs.
+
+    Attributes
+    ----------
+    columns
+        Native column -> column of the source.
+    rates
+        Frames per second of each camera; times are then frame number over rate.
+    offsets
+        Seconds to add to the times of each camera.
+    frames
+        First and last frame recorded by each camera.
+    image_sizes
+        Width and height of each camera's image, px.
+    rename
+        Camera of the source -> native name.
+    length_unit
+        Unit of length of the source's cameras; None: as the format says, or metres.
+    time_unit
+        Unit of the source's times.
+    pixel_origin
+        What pixel (0, 0) of the source is: ``center`` or ``corner`` of the top-left pixel, or ``one`` where the
+        centre of the top-left pixel is (1, 1); None: as the format has it.
+    rows_from
+        Whether rows count from the ``top`` of the image or from the ``bottom``; None: as the format has it.
+    fill
+        Whether frames missing between those of a camera become empty frames.
+    box_point
+        The point of a bounding box that is the detection: its ``center``, or the middle of its ``bottom``.
+    least_score
+        Detections of a smaller score are left out.
+    undistorted
+        Whether the source's pixels are already undistorted: the cameras then lose their lens model.
+    detector
+        ``sigma_px``, ``p_detect`` and ``clutter_per_frame`` of all cameras; None: to be estimated from the log.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    rates: PerCamera[float] = field(default_factory=PerCamera)
+    offsets: PerCamera[float] = field(default_factory=PerCamera)
+    frames: PerCamera[tuple[int, int]] = field(default_factory=PerCamera)
+    image_sizes: PerCamera[tuple[int, int]] = field(default_factory=PerCamera)
+    rename: Mapping[str, str] = field(default_factory=dict)
+    length_unit: str | None = None
+    time_unit: str = "s"
+    pixel_origin: str | None = None
+    rows_from: str | None = None
+    fill: bool = True
+    box_point: str = "center"
+    least_score: float | None = None
+    undistorted: bool = False
+    detector: Mapping[str, Any] | None = None
+
+    def name(self, camera: str) -> str:
+        """Return the native name of a camera of the source."""
+        return self.rename.get(camera, camera)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the options that differ from the defaults, JSON-able."""
+        result: dict[str, Any] = {}
+        for name, default in vars(ImportOptions()).items():
+            value = getattr(self, name)
+            if value != default:
+                result[name] = value.plain() if isinstance(value, PerCamera) else value
+        return result
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some detections of one camera.
+
+    Attributes
+    ----------
+    camera
+        Native name.
+    pixels
+        Native pixels (n, 2); a row of NaN is a frame without detections.
+    frame
+        Frame numbers (n,), or None where the source has times only.
+    time_s
+        Times (n,), s, or None where the source has frame numbers only.
+    extra
+        Name of an optional column -> values (n,), NaN where there is none.
+    """
+
+    camera: str
+    pixels: Floats
+    frame: Floats | None = None
+    time_s: Floats | None = None
+    extra: Mapping[str, Floats] = field(default_factory=dict)
+
+
+@dataclass
+class Recording:
+    """What a foreign source holds.
+
+    Attributes
+    ----------
+    pieces
+        Its detections, in any order; None: it holds none. They may be consumed once.
+    cameras
+        Its cameras, by native name.
+    length_unit
+        Unit of the camera centres; None without cameras.
+    assumed
+        Sentences: what the source does not say, and what was taken instead. Complete once `pieces` are consumed.
+    warnings
+        Sentences: what is probably wrong. Complete once `pieces` are consumed.
+    labels
+        Number in ``object_id`` -> name of the object in the source.
+    files
+        Every file that is read.
+    rates, frames
+        Frames per second, and first and last recorded frame, of cameras for which the source states them.
+    """
+
+    pieces: Iterable[Piece] | None = None
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)
+    length_unit: str | None = None
+    assumed: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    labels: dict[int, str] = field(default_factory=dict)
+    files: list[Path] = field(default_factory=list)
+    rates: dict[str, float] = field(default_factory=dict)
+    frames: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What the user wants of an exported file.
+
+    Attributes
+    ----------
+    tracks
+        Identities to write; None: all.
+    rate_hz
+        Times are resampled to this rate, by linear interpolation within a track; None: as in the source.
+    """
+
+    tracks: Sequence[int] | None = None
+    rate_hz: float | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Return the options that differ from the defaults, JSON-able."""
+        stated = {"tracks": None if self.tracks is None else list(self.tracks), "rate_hz": self.rate_hz}
+        return {name: value for name, value in stated.items() if value is not None}
+
+
+Reader = Callable[[Sequence[Path], ImportOptions], Recording]
+#: Writes tracks (a native file) to a path, and returns sentences about what the format cannot hold.
+TracksWriter = Callable[[Path, Path, ExportOptions], list[str]]
+#: Writes cameras in a unit of length to a path (a file, or a folder where the format is one).
+CamerasWriter = Callable[[Mapping[str, CameraConfig], str, Path], list[str]]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A foreign format; each module of `stereophd.io.formats` has one, named ``FORMAT``.
+
+    Attributes
+    ----------
+    title
+        What it is, in a line.
+    read
+        Reads files into a `Recording`; None: it is only written.
+    recognises_cameras
+        Whether a file holds cameras in this format, decided by its content; None: never.
+    write_tracks, write_cameras
+        Write files; None: the format has no such thing.
+    is_folder
+        Whether `write_cameras` writes a folder.
+    """
+
+    title: str
+    read: Reader | None = None
+    recognises_cameras: Callable[[Path], bool] | None = None
+    write_tracks: TracksWriter | None = None
+    write_cameras: CamerasWriter | None = None
+    is_folder: bool = False
+
+
+def need_extra(package: str, extra: str, purpose: str) -> InputError:
+    """Return the error of a format whose optional package is not installed."""
+    return InputError(f"{purpose} needs the package {package}; install it with: pip install 'stereophd[{extra}]'")

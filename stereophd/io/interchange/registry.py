@@ -1,0 +1,46 @@
+"""Foreign formats by name: each is one module of `stereophd.io.formats`, imported only when it is used."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from pathlib import Path
+
+import stereophd.io.formats as formats
+from stereophd.config.errors import nearest
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import Format
+
+
+def names() -> list[str]:
+    """Return the names of all formats; imports none of them."""
+    return sorted(module.name for module in pkgutil.iter_modules(formats.__path__))
+
+
+def find(name: str) -> Format:
+    """Return a format by its name.
+
+    Raises
+    ------
+    InputError
+        There is no format of this name.
+    """
+    known = names()
+    if name not in known:
+        raise InputError(f"format: expected one of {', '.join(known)}, found {name}{_suggestion(name, known)}")
+    found: Format = importlib.import_module(f"{formats.__name__}.{name}").FORMAT
+    return found
+
+
+def _suggestion(name: str, known: list[str]) -> str:
+    suggestion = nearest(name.lower(), known)
+    return suggestion if "did you mean" in suggestion else ""
+
+
+def recognise_cameras(path: Path) -> str | None:
+    """Return the name of the format of a foreign camera file, by its content, or None if there is none."""
+    for name in names():
+        form = find(name)
+        if form.recognises_cameras is not None and form.recognises_cameras(path):
+            return name
+    return None

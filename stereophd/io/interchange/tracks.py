@@ -1,0 +1,134 @@
+"""Tracks for export: read in pieces, chosen by identity, resampled to a rate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import ExportOptions
+from stereophd.io.tables import TRACKS, check_columns, damaged_is_input_error, open_parquet
+
+Floats = NDArray[np.float64]
+
+COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "vz", "covariance", "existence")
+# Times within this share of the period count as multiples of it.
+REGULAR = 1e-3
+
+
+def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
+    """Yield the rows of ``tracks.parquet`` in pieces: arrays by column, the cameras as a list, the covariance (n, 36).
+
+    Raises
+    ------
+    InputError
+        Not a table of tracks, or the chosen identities are not in it.
+    """
+    kinds = {name: TRACKS.field(name).type for name in COLUMNS}
+    wanted = None if options.tracks is None else np.asarray(list(options.tracks), dtype=np.int64)
+    seen: set[int] = set()
+    with open_parquet(path, "table of tracks") as parquet:
+        check_columns(parquet.schema_arrow, kinds, {}, path)
+        with damaged_is_input_error(path):
+            for batch in parquet.iter_batches(batch_size=16384, columns=list(COLUMNS), use_threads=False):
+                rows: dict[str, Any] = {}
+                for name in COLUMNS:
+                    column = batch.column(batch.schema.get_field_index(name)).cast(kinds[name])
+                    if name == "camera":
+                        rows[name] = column.to_pylist()
+                    elif name == "covariance":
+                        rows[name] = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, 36)
+                    else:
+                        rows[name] = column.to_numpy(zero_copy_only=False)
+                if wanted is not None:
+                    keep = np.isin(rows["track_id"], wanted)
+                    rows["camera"] = [name for name, is_kept in zip(rows["camera"], keep, strict=True) if is_kept]
+                    rows = {name: values if name == "camera" else values[keep] for name, values in rows.items()}
+                seen.update(np.unique(rows["track_id"]).tolist())
+                if len(rows["time_s"]):
+                    yield rows
+    if wanted is not None and (missing := set(wanted.tolist()) - seen):
+        raise InputError(f"{path}: expected the tracks {sorted(missing)}, found none of that identity")
+
+
+def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Floats, Floats]]:
+    """Return each track's times (n,) and states (n, 6), by identity; at each time its last row.
+
+    Raises
+    ------
+    InputError
+        As `batches`, or no track at all.
+    """
+    times: dict[int, list[Floats]] = {}
+    states: dict[int, list[Floats]] = {}
+    for rows in batches(path, options):
+        state = np.stack([rows[axis] for axis in ("x", "y", "z", "vx", "vy", "vz")], axis=1)
+        for track in np.unique(rows["track_id"]).tolist():
+            mine = rows["track_id"] == track
+            times.setdefault(track, []).append(rows["time_s"][mine])
+            states.setdefault(track, []).append(state[mine])
+    if not times:
+        raise InputError(f"{path}: expected tracks to export, found none")
+    result = {}
+    for track in sorted(times):
+        time, state = np.concatenate(times[track]), np.concatenate(states[track])
+        order = np.argsort(time, kind="stable")
+        time, state = time[order], state[order]
+        last = np.append(np.diff(time) != 0, True)
+        result[track] = time[last], state[last]
+    return result
+
+
+def on_grid(path: Path, options: ExportOptions) -> tuple[float, Floats, dict[int, Floats]]:
+    """Return tracks at a fixed rate, as motion-capture formats need them.
+
+    Returns
+    -------
+    rate : float
+        Frames per second.
+    times : (n,) array
+        Of the frames, s.
+    positions : dict
+        Identity -> positions (n, 3), NaN where the track does not exist.
+
+    Raises
+    ------
+    InputError
+        The reported times have no fixed rate, and the options state none.
+    """
+    tracks = trajectories(path, options)
+    every = np.unique(np.concatenate([time for time, _ in tracks.values()]))
+    if options.rate_hz is not None:
+        rate = options.rate_hz
+        first, last = np.ceil(every[0] * rate - REGULAR), np.floor(every[-1] * rate + REGULAR)
+        times = np.arange(first, last + 1) / rate
+        if not len(times):
+            raise InputError(f"rate: expected a rate at which the tracks have a frame, found {rate:g} Hz")
+    else:
+        rate, times = _regular(every, path)
+    result = {}
+    for track, (time, state) in tracks.items():
+        positions = np.full((len(times), 3), np.nan)
+        inside = (times >= time[0] - REGULAR / rate) & (times <= time[-1] + REGULAR / rate)
+        for axis in range(3):
+            positions[inside, axis] = np.interp(times[inside], time, state[:, axis])
+        result[track] = positions
+    return rate, times, result
+
+
+def _regular(every: Floats, path: Path) -> tuple[float, Floats]:
+    """Return the rate of times that are multiples of a period, and all multiples between the first and the last."""
+    steps = np.diff(every)
+    if len(steps):
+        count = np.rint(steps / steps.min())
+        period = float(steps.sum() / count.sum())
+        if np.abs(steps - count * period).max() <= REGULAR * period:
+            return 1.0 / period, every[0] + np.arange(int(count.sum()) + 1) * period
+    raise InputError(
+        f"{path}: expected reports at a fixed rate for this format, found irregular times; state a rate to resample "
+        "to, or track with report.times: {grid: SECONDS}"
+    )

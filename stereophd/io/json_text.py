@@ -1,0 +1,35 @@
+"""The one way to JSON: reports, timings, what a command prints."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+def json_text(value: Any) -> str:
+    """Return a value as indented JSON; NaN and infinity become null, arrays become lists."""
+    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def write_json(path: Path | str, value: Any) -> None:
+    """Write a value as JSON, in UTF-8."""
+    Path(path).write_text(json_text(value) + "\n", encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """Return a value of dicts, lists, texts and numbers that JSON knows; NaN and infinity become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return finite_or_none(value) if isinstance(value, float) else value
+
+
+def finite_or_none(value: Any) -> float | None:
+    """Return a number as a float, or None for NaN and infinity."""
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,63 @@
+"""``stereophd import`` as it is typed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from .conftest import Outcome
+
+Call = Callable[..., Outcome]
+
+
+def write_table(path: Path) -> Path:
+    path.write_text("cam,n,x,y\nleft,0,10,20\nright,0,11,20\nleft,2,12,20\nright,1,13,20\n")
+    return path
+
+
+def write_calibration(path: Path) -> Path:
+    camera = {
+        "K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]],
+        "dist": [0.1],
+        "rvec": [0, 0, 0],
+        "image_size": [640, 480],
+    }
+    path.write_text(json.dumps({name: {**camera, "tvec": [x, 0, 0]} for name, x in (("left", 0), ("right", -1))}))
+    return path
+
+
+def test_a_table_and_a_calibration_become_a_log_and_cameras(call: Call, tmp_path: Path) -> None:
+    table, calibration = write_table(tmp_path / "points.csv"), write_calibration(tmp_path / "calibration.json")
+    words = ("--column", "frame=n", "--fps", "25", "--offset", "right=0.004", "--length-unit", "cm")
+    done = call("import", "csv", table, "--cameras", calibration, "--out", tmp_path / "in", *words)
+    assert done.code == 0, done.err
+    assert "left: 2 detections in 3 frames (1 empty, 1 of them filled in), 0 to 0.08 s, 25 Hz, 640 x 480 px" in done.out
+    assert sorted(path.name for path in (tmp_path / "in").iterdir()) == [
+        "cameras.yaml",
+        "detections.parquet",
+        "report.json",
+    ]
+    again = call("import", "csv", table, "--cameras", calibration, "--out", tmp_path / "in", *words)
+    assert again.code == 2
+    assert "--force" in again.err
+    forced = call(
+        "import", "csv", table, "--cameras", calibration, "--out", tmp_path / "in", *words, "--force", "--json"
+    )
+    assert json.loads(forced.out)["cameras"]["right"]["detections"] == 2
+    assert json.loads(forced.out)["length_unit"] == "cm"
+
+
+def test_wrong_words_are_named(call: Call, tmp_path: Path) -> None:
+    table = write_table(tmp_path / "points.csv")
+    for words, part in (
+        (("import", "cvs", table), "did you mean csv?"),
+        (("import", "csv", tmp_path / "none.csv"), "there is no such file"),
+        (("import", "csv", table, "--fps", "left=fast"), "--fps: expected [CAM=]VALUE, found left=fast"),
+        (("import", "csv", table, "--image-size", "640"), "--image-size: expected [CAM=]VALUE"),
+        (("import", "csv", table, "--time-unit", "h"), "--time-unit: expected one of s, ms, us, ns"),
+    ):
+        done = call(*words, "--out", tmp_path / "in")
+        assert (done.code, done.out) == (2, "")
+        assert part in done.sentence
+    assert not (tmp_path / "in").exists()

@@ -1,0 +1,126 @@
+"""Tables of detections, as other programs write them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from stereophd.errors import InputError
+
+from .conftest import log_rows
+
+Import = Callable[..., tuple[dict[str, Any], Path]]
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_columns_rates_offsets_and_empty_frames(tmp_path: Path, imported: Import) -> None:
+    source = write(
+        tmp_path / "points.csv",
+        "view,image,x,y,conf\nb,10,5.5,6.5,0.9\na,2,3,4,0.8\na,0,1,2,0.7\na,2,30,40,0.6\nb,12,7,8,0.5\nb,12,7,8,0.5\n",
+    )
+    report, out = imported("csv", source, rates={"a": 10.0, "b": 20.0}, offsets={"b": -0.45}, frames={"a": (0, 3)})
+    rows = log_rows(out / "detections.parquet")
+    b = 10 / 20 - 0.45
+    assert rows == [
+        (0.0, "a", 0, 1.0, 2.0),
+        (pytest.approx(b), "b", 10, 5.5, 6.5),
+        (0.1, "a", 1, None, None),
+        (pytest.approx(b + 0.05), "b", 11, None, None),
+        (pytest.approx(b + 0.1), "b", 12, 7.0, 8.0),
+        (0.2, "a", 2, 3.0, 4.0),
+        (0.2, "a", 2, 30.0, 40.0),
+        (pytest.approx(0.3), "a", 3, None, None),
+    ]
+    scores = pq.read_table(out / "detections.parquet").column("score").to_pylist()
+    assert scores == [0.7, 0.9, None, None, 0.5, 0.8, 0.6, None]
+    assert report["cameras"]["a"]["filled_frames"] == 2
+    assert report["cameras"]["b"]["duplicate_rows"] == 1
+    assert any("u_px from x" in sentence for sentence in report["assumed"])
+
+
+def test_frame_numbers_that_count_by_two_are_not_filled_to_one(tmp_path: Path, imported: Import) -> None:
+    numbers = [0, 2, 8, *range(10, 30, 2)]
+    source = write(tmp_path / "cam7.csv", "frame,u,v\n" + "".join(f"{n},1,1\n" for n in numbers))
+    _, out = imported("csv", source, rates=1.0)
+    assert [(r[1], r[2]) for r in log_rows(out / "detections.parquet")] == [("cam7", f) for f in range(0, 30, 2)]
+
+
+def test_times_without_frames(tmp_path: Path, imported: Import) -> None:
+    source = write(tmp_path / "c.txt", "timestamp;pos_a;pos_b\n1500;1;2\n1500;3;4\n1700;;\n2000;5;6\n")
+    _, out = imported("csv", source, columns={"u_px": "pos_a", "v_px": "pos_b"}, time_unit="ms")
+    assert log_rows(out / "detections.parquet") == [
+        (1.5, "c", 0, 1.0, 2.0),
+        (1.5, "c", 0, 3.0, 4.0),
+        (pytest.approx(1.7), "c", 1, None, None),
+        (2.0, "c", 2, 5.0, 6.0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ({"pixel_origin": "corner"}, (9.5, 19.5)),
+        ({"pixel_origin": "one"}, (9.0, 19.0)),
+        ({"rows_from": "bottom", "image_sizes": (64, 48)}, (10.0, 27.0)),
+        ({"pixel_origin": "one", "rows_from": "bottom", "image_sizes": (64, 48)}, (9.0, 28.0)),
+    ],
+)
+def test_conventions_of_pixels(tmp_path: Path, imported: Import, stated: Any, expected: tuple[float, float]) -> None:
+    source = write(tmp_path / "c.csv", "t,u,v\n0,10,20\n")
+    _, out = imported("csv", source, **stated)
+    assert log_rows(out / "detections.parquet")[0][3:] == expected
+
+
+def test_a_large_unsorted_table_is_merged_in_order(
+    tmp_path: Path, imported: Import, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stereophd.io.interchange.spool.PIECE_ROWS", 37)
+    random = np.random.default_rng(1)
+    rows = [(c, f, u) for c in "xyz" for f in range(150) for u in range(random.integers(0, 4))]
+    for order in (np.arange(len(rows)), random.permutation(len(rows))):
+        lines = [f"{rows[i][0]},{rows[i][1]},{rows[i][2]},1" for i in order]
+        source = write(tmp_path / "many.csv", "camera,frame,u,v\n" + "\n".join(lines) + "\n")
+        report, out = imported("csv", source, rates={"x": 10.0, "y": 9.7, "z": 30.0})
+        found = log_rows(out / "detections.parquet")
+        assert sorted((c, f, u) for _, c, f, u, _ in found if u is not None) == rows
+        assert [r[0] for r in found] == sorted(r[0] for r in found)
+        for camera in "xyz":
+            frames = sorted({f for _, c, f, _, _ in found if c == camera})
+            assert frames == list(range(frames[0], frames[-1] + 1))
+            assert report["cameras"][camera]["frames"] == len(frames)
+
+
+@pytest.mark.parametrize(
+    ("text", "stated", "message"),
+    [
+        ("a,b\n1,2\n", {}, "expected columns for u_px, v_px, found a, b"),
+        ("u,v\n1,2\n", {}, "expected columns for time_s or frame"),
+        ("frame,u,v\n1,2,3\n", {}, "expected times, or a rate"),
+        ("frame,u,v\n1.5,2,3\n", {"rates": 1.0}, "expected whole frame numbers, found 1.5"),
+        ("frame,u,v\n1,2,x\n", {"rates": 1.0}, "invalid value 'x'"),
+        ("frame,u,v\n0,1,1\n1,1,1\n1000000000000,1,1\n", {"rates": 1.0}, "expected frame numbers that count frames"),
+        ("frame,time,u,v\n0,1,1,1\n1,0.5,1,1\n", {}, "expected times that increase with the frame number"),
+        ("t,u,v\n0,1,1\n", {"columns": {"u_px": "q"}}, "expected a column q"),
+        ("t,u,v\n0,1,1\n", {"rows_from": "bottom"}, "expected the size of the images"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path: Path, imported: Import, text: str, stated: Any, message: str) -> None:
+    source = write(tmp_path / "bad.csv", text)
+    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+        imported("csv", source, **stated)
+    assert not (tmp_path / "imported").exists()
+
+
+def test_warnings_name_pixels_that_cannot_be(tmp_path: Path, imported: Import) -> None:
+    source = write(tmp_path / "c.csv", "t,u,v\n0,0.1,0.2\n1,0.5,0.5\n")
+    report, _ = imported("csv", source)
+    assert "divided by the image size" in report["warnings"][0]
