@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 import stereophd
-from stereophd.cli import calibrate, config, evaluate, experiment, importing, interrupts, simulate, track
+from stereophd.cli import calibrate, check, config, evaluate, experiment, importing, interrupts, simulate, track
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
 
@@ -40,6 +40,7 @@ app.command("track")(track.track_command)
 app.command("calibrate")(calibrate.calibrate_command)
 app.command("evaluate")(evaluate.evaluate_command)
 app.command("experiment")(experiment.experiment_command)
+app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.add_typer(config.app, name="config")
 

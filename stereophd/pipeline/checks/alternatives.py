@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +110,10 @@ def _radians(camera: Camera) -> View | None:
     return _posed(camera, rotation_from_vector(np.rad2deg(vector)), camera.pose.center)
 
 
+def _with_unit(factor: float, camera: Camera) -> View:
+    return _posed(camera, camera.pose.rotation, factor * camera.pose.center)
+
+
 def _scaled(camera: Camera, focal: float, point: float) -> View:
     return View(replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx * point, cy=camera.cy * point))
 
@@ -145,16 +150,16 @@ def _intrinsic_alternatives() -> Iterator[Alternative]:
     for factor in RESOLUTION_FACTORS:
         yield Alternative(
             "intrinsics_resolution", f"the intrinsics seem to belong to a resolution {1 / factor:.3g} times this one",
-            f"multiply fx, fy, cx and cy by {factor:.4g}", lambda camera, f=factor: _scaled(camera, f, f),
+            f"multiply fx, fy, cx and cy by {factor:.4g}", partial(_scaled, focal=factor, point=factor),
         )  # fmt: skip
         yield Alternative(
             "principal_point_resolution",
             f"the principal point seems to belong to a resolution {1 / factor:.3g} times this one",
-            f"multiply cx and cy by {factor:.4g}", lambda camera, f=factor: _scaled(camera, 1.0, f),
+            f"multiply cx and cy by {factor:.4g}", partial(_scaled, focal=1.0, point=factor),
         )  # fmt: skip
         yield Alternative(
             "focal_length", f"the focal length seems to be {factor:.3g} times the stated one",
-            "state the focal length in pixels of this image size", lambda camera, f=factor: _scaled(camera, f, 1.0),
+            "state the focal length in pixels of this image size", partial(_scaled, focal=factor, point=1.0),
         )  # fmt: skip
     for ratio in USUAL_FOCAL:
         yield Alternative(
@@ -195,7 +200,7 @@ def _unit_alternatives() -> Iterator[Alternative]:
         yield Alternative(
             "center_unit", f"the centre seems to be in another unit (off by a factor of {1 / factor:.4g})",
             f"multiply the centre by {factor:.4g}",
-            lambda camera, f=factor: _posed(camera, camera.pose.rotation, f * camera.pose.center), alone=True,
+            partial(_with_unit, factor), alone=True,
         )  # fmt: skip
 
 

@@ -19,6 +19,10 @@ CORNER_SHARE, CORNER_COUNT = 0.55, 200
 LEAST_SIGMA_PX, LARGEST_SIGMA_SHARE = 0.01, 0.05
 # Expected false detections of a frame over detections of a frame.
 CLUTTER_FACTOR = 1.5
+# Detections of a frame that no neighbouring frame continues, over the stated clutter; and at least this many.
+ISOLATED_FACTOR, LEAST_ISOLATED = 5.0, 0.3
+# Measured over stated noise of a detection.
+NOISE_FACTOR = 4.0
 # Share of the longer period that the periods of two cameras must share.
 LEAST_OVERLAP = 0.5
 # Field of view of a lens, degrees.
@@ -121,6 +125,24 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             detector.clutter_per_frame, round(rate, 3), camera.name,
             "state the false detections of a frame, or estimate them (detector: estimate)", "clutter",
         )  # fmt: skip
+    isolated = sample.isolated_per_frame
+    if isolated > max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame) and isolated > 0.15 * rate:
+        yield Finding(
+            "detector.clutter", "warning",
+            f"{camera.name}: {isolated:.2g} detections of a frame are continued by none of the next frames, but "
+            f"clutter_per_frame is {detector.clutter_per_frame:g}",
+            detector.clutter_per_frame, round(isolated, 3), camera.name,
+            f"set clutter_per_frame near {isolated:.2g}, or estimate it (detector: estimate)", "clutter",
+        )  # fmt: skip
+    noise = sample.noise_px
+    if noise is not None and noise > NOISE_FACTOR * float(detector.sigma.mean()):
+        yield Finding(
+            "detector.sigma", "warning",
+            f"{camera.name}: detections scatter by about {noise:.2g} px about one-camera tracks, but sigma_px is "
+            f"{detector.sigma.mean():g}",
+            float(detector.sigma.mean()), round(noise, 4), camera.name,
+            f"set sigma_px near {noise:.2g}, or estimate it (detector: estimate)", "sigma",
+        )  # fmt: skip
     sigma = float(detector.sigma.max())
     if not float(detector.sigma.min()) >= LEAST_SIGMA_PX or sigma > LARGEST_SIGMA_SHARE * camera.width:
         yield Finding(
@@ -139,8 +161,8 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
     if (np.abs(centre - 0.5) > 0.25).any():
         yield Finding(
             "camera.principal_point", "warning",
-            f"{camera.name}: the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image: it "
-            "seems to belong to another resolution",
+            f"{camera.name}: the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image: "
+            "it seems to belong to another resolution",
             float(camera.cx), 0.5 * camera.width, camera.name, "state cx and cy in pixels of this image size",
             "principal_point_resolution",
         )  # fmt: skip
@@ -162,8 +184,8 @@ def _periods(samples: list[CameraSample]) -> Iterator[Finding]:
             odd = "runs at another rate" if abs(np.log(max(ratio, 1e-300))) > 0.5 else "is on another clock"
             yield Finding(
                 "log.periods", "warning",
-                f"{sample.camera.name}: its frames lie between {sample.times[0]:.6g} and {sample.times[-1]:.6g} s, those "
-                f"of the other cameras between {start:.6g} and {end:.6g} s: it {odd}",
+                f"{sample.camera.name}: its frames lie between {sample.times[0]:.6g} and {sample.times[-1]:.6g} s, "
+                f"those of the other cameras between {start:.6g} and {end:.6g} s: it {odd}",
                 round(max(shared, 0.0) / longest, 3), 1.0, sample.camera.name,
                 "check the unit of its times; give its clock (clock.offset_s, clock.rate)",
                 "clock_rate" if "rate" in odd else "clock_offset",

@@ -65,10 +65,13 @@ class Geometry:
         return [View(sample.camera) for sample in self.samples]
 
     def is_suspicious(self, k: int) -> bool:
-        """Whether fewer rays of pair k meet than the configuration promises."""
+        """Whether fewer rays of pair k meet than the configuration promises, or no more than by chance.
+
+        Wrong poses may promise nothing, so a pair that meets by chance only is suspicious in any case.
+        """
         found, expected = self.given[k], self.expected[k]
-        return expected >= LEAST_EXPECTED and (
-            found.excess < SUSPICIOUS_SHARE * expected or found.score < SUSPICIOUS_SCORE
+        return found.score < SUSPICIOUS_SCORE or (
+            expected >= LEAST_EXPECTED and found.excess < SUSPICIOUS_SHARE * expected
         )
 
 
@@ -97,7 +100,7 @@ class Explanation:
     score: float
 
 
-def measure(samples: list[CameraSample], depths: tuple[float, float]) -> Geometry:
+def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: bool = True) -> Geometry:
     """Measure how often rays of every pair of cameras meet.
 
     Parameters
@@ -105,9 +108,11 @@ def measure(samples: list[CameraSample], depths: tuple[float, float]) -> Geometr
     samples : list of CameraSample
     depths : (2,) floats
         Depths between which objects are expected, length.
+    thorough : bool
+        Whether more detections are examined.
     """
     pairs = []
-    most = 400 if len(samples) < 4 else 200
+    most = (400 if len(samples) < 4 else 200) if thorough else 120
     for a, b in combinations(range(len(samples)), 2):
         found = candidates(samples, a, b, most)
         if found is not None:

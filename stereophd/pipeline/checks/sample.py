@@ -72,6 +72,36 @@ class CameraSample:
         return _link(self)
 
     @cached_property
+    def linked(self) -> NDArray[np.bool_]:
+        """Whether each detection (n,) belongs to a chain of frames."""
+        linked = self.links >= 0
+        linked[self.links[linked]] = True
+        return linked
+
+    @property
+    def isolated_per_frame(self) -> float:
+        """Median number of detections of a frame that belong to no chain: the median leaves out fast movements."""
+        if not len(self.times):
+            return 0.0
+        return float(np.median(np.bincount(self.frame_of[~self.linked], minlength=len(self.times))))
+
+    @cached_property
+    def noise_px(self) -> float | None:
+        """Standard deviation of a detection about its one-camera track, px; None without long tracks.
+
+        From third differences, which a steady acceleration does not change; the median resists wrong links.
+        """
+        differences = [
+            np.diff(self.pixels[track], n=3, axis=0).ravel()
+            for track in self.tracks
+            if np.ptp(np.diff(self.times[self.frame_of[track]])) < 0.2 * self.interval_s
+        ]
+        if sum(map(len, differences)) < 60:
+            return None
+        # 1 + 9 + 9 + 1 = 20 times the variance of one detection
+        return float(np.median(np.abs(np.concatenate(differences))) / (0.6745 * np.sqrt(20.0)))
+
+    @cached_property
     def tracks(self) -> tuple[Integers, ...]:
         """Detections of every one-camera track of at least `LEAST_LENGTH` frames."""
         following = self.links

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.model import Config
-from stereophd.config.single import SingleConfig
+from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry import Geometry
 from stereophd.pipeline.checks.rays import distances
@@ -26,7 +26,9 @@ LEAST_SCORE = 6.0
 # Share of the depths that the births must cover.
 LEAST_COVERED = 0.6
 # Factors between stated and measured spread of the speed, and of the acceleration, that are reported.
-SPEED_FACTOR, ACCELERATION_FACTOR = 6.0, 12.0
+SLOWER, FASTER, ACCELERATION_FACTOR, TOO_MUCH = 6.0, 30.0, 20.0, 60.0
+# Share of the detections that one-camera tracks must hold before settings are called too large.
+LEAST_HELD = 0.6
 # Tracks that a speed is estimated from, at least.
 LEAST_TRACKS = 4
 # Frames of a track from which an acceleration is estimated.
@@ -135,7 +137,7 @@ def _squared_acceleration(times: Array, pixels: Array, noise: float) -> float:
 def expected_depths(config: Config, samples: list[CameraSample]) -> tuple[float, float]:
     """Return the depths between which the filter's births lie, length; a wide range where it has none."""
     settings = config.filter
-    if settings is not None and not isinstance(settings, SingleConfig):
+    if settings is not None and not isinstance(settings, SingleSettings):
         birth = settings.birth
         if birth.depth_range is not None:
             return birth.depth_range
@@ -152,7 +154,7 @@ def expected_depths(config: Config, samples: list[CameraSample]) -> tuple[float,
 def check_settings(config: Config, scene: Scene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
     """Yield findings about births, motion and region."""
     settings = config.filter
-    if settings is None or isinstance(settings, SingleConfig) or scene.depths is None:
+    if settings is None or isinstance(settings, SingleSettings) or scene.depths is None:
         return
     low, high = expected_depths(config, samples)
     covered = float(((scene.depth_samples >= 0.8 * low) & (scene.depth_samples <= 1.25 * high)).mean())
@@ -169,7 +171,13 @@ def check_settings(config: Config, scene: Scene, samples: list[CameraSample], un
     else:
         yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}", round(covered, 3), 1.0)
     yield from _region(config, scene, unit)
-    yield from _speeds(config, scene, unit)
+    yield from _speeds(config, scene, samples, unit)
+
+
+def _held(sample: CameraSample) -> float:
+    """Return the share of the detections that are not expected to be clutter which one-camera tracks hold."""
+    expected = len(sample.pixels) - len(sample.times) * sample.camera.detector.clutter_per_frame
+    return sum(map(len, sample.tracks)) / max(expected, 1.0)
 
 
 def _region(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
@@ -187,15 +195,16 @@ def _region(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _speeds(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
+def _speeds(config: Config, scene: Scene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
     settings, motion = config.filter, config.motion
     assert settings is not None
-    assert not isinstance(settings, SingleConfig)
+    assert not isinstance(settings, SingleSettings)
     if scene.speed is None:
         return
     spread, fastest = float(scene.speed[0]), float(scene.speed[1])
     stated = float(np.max(settings.birth.velocity_std))
-    if not stated / SPEED_FACTOR <= spread <= stated * SPEED_FACTOR:
+    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
+    if spread > SLOWER * stated or (held and spread < stated / FASTER):
         yield Finding(
             "settings.velocity_std", "warning",
             f"the objects move at about {spread:.3g} {unit}/s an axis, but filter.birth.velocity_std is {stated:g}: it "
@@ -211,7 +220,7 @@ def _speeds(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
         )  # fmt: skip
     stated_acceleration = float(np.max(getattr(motion, "acceleration_std", 0.0)))
     found = scene.acceleration
-    if found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.02 * spread:
+    if found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.1 * spread:
         yield Finding(
             "settings.acceleration_std", "warning",
             f"the objects accelerate by about {found:.2g} {unit}/s^2, but motion.acceleration_std is "
@@ -219,7 +228,7 @@ def _speeds(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
             stated_acceleration, round(found, 6), None, f"set motion.acceleration_std near {found:.2g}",
             "acceleration_std",
         )  # fmt: skip
-    elif found is not None and stated_acceleration > 60.0 * max(found, 0.05 * spread):
+    elif held and found is not None and stated_acceleration > TOO_MUCH * max(found, 0.1 * spread):
         yield Finding(
             "settings.acceleration_std", "warning",
             f"motion.acceleration_std is {stated_acceleration:g} {unit}/s^2, but the objects accelerate by only about "
