@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 import stereophd
-from stereophd.cli import calibrate, check, config, evaluate, experiment, importing, interrupts, simulate, track
+from stereophd.cli import calibrate, check, config, evaluate, experiment, export, importing, interrupts, simulate, track
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
 
@@ -42,6 +42,7 @@ app.command("evaluate")(evaluate.evaluate_command)
 app.command("experiment")(experiment.experiment_command)
 app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
+app.command("export")(export.export_command)
 app.add_typer(config.app, name="config")
 
 

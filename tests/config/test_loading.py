@@ -243,7 +243,7 @@ class TestErrors:
                 "image_size_px: [640, 480]",
                 "image_size_px: [640, -480]",
                 6,
-                "cameras.zulu.image_size_px.1: expected a number > 0, found -480",
+                "cameras.zulu.image_size_px.1: expected a number >= 1, found -480",
             ),
             (
                 "sigma_px: [1, 1]",
