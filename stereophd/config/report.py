@@ -14,7 +14,7 @@ from stereophd.core.settings import Duration, Pixels, PositiveDuration, Positive
 
 
 class SmoothConfig(Model):
-    """Fixed-interval smoothing (``track --smooth``)."""
+    """Fixed-interval smoothing of every track."""
 
     max_gap_s: Duration = parameter(
         "tracks that end and begin within this time, and fit, are stitched into one, and detections of an object "

@@ -27,9 +27,16 @@ from stereophd.pipeline.checks.sample import CameraSample
 Array = NDArray[np.float64]
 
 # A pair below this share of what the configuration promises, or below this score, is suspicious.
-SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.6, 5.0
+SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.6, 4.0
 # An alternative is named if it raises the excess by this much, to this multiple, with this score.
 LEAST_GAIN, LEAST_RATIO, LEAST_SCORE = 0.08, 1.4, 6.0
+# The same of a clock offset or rate: slow objects meet nearly as well at other times.
+LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
+# Below this score the rays meet by chance only, whatever the reason.
+CHANCE_SCORE = 2.5
+# Rays that meet within the tightest tolerance over those that meet at all, below which something is slightly wrong.
+SHARP_SHARE = 0.75
+SHARP = TOLERANCES[:1]
 # A pair whose fields of view hardly overlap has nothing to be checked by.
 LEAST_EXPECTED = 0.15
 # Clock offsets that are tried: up to this many seconds, in this many steps; ratios of usual frame rates.
@@ -73,6 +80,16 @@ class Geometry:
         return found.score < SUSPICIOUS_SCORE or (
             expected >= LEAST_EXPECTED and found.excess < SUSPICIOUS_SHARE * expected
         )
+
+    def is_blurred(self) -> bool:
+        """Whether rays meet, but by less than the noise of the detections allows: lens, clock or pose slightly off."""
+        views = self.views
+        pairs = [p for p, given in zip(self.pairs, self.given, strict=True) if given.score >= LEAST_SCORE]
+        tight, wide = (
+            [meeting(pair, views[pair.a], views[pair.b], (tolerance,)).excess for pair in pairs]
+            for tolerance in (TOLERANCES[0], TOLERANCES[-1])
+        )
+        return any(t < SHARP_SHARE * w for t, w in zip(tight, wide, strict=True))
 
 
 @dataclass(frozen=True)
@@ -135,9 +152,11 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     explanation = None
     if geometry.pairs and (suspicious or thorough):
         explanation = best_explanation(geometry, clocks_only=not suspicious)
+    if explanation is None and geometry.is_blurred():
+        explanation = best_explanation(geometry, tolerances=SHARP)
     if explanation is not None:
         yield _named(geometry, explanation)
-    for k, (pair, found, expected) in enumerate(zip(geometry.pairs, geometry.given, geometry.expected, strict=True)):
+    for pair, found, expected in zip(geometry.pairs, geometry.given, geometry.expected, strict=True):
         names = f"{geometry.samples[pair.a].camera.name} and {geometry.samples[pair.b].camera.name}"
         text = (
             f"{names}: {found.share:.0%} of the detections have a partner on the epipolar line, chance gives "
@@ -145,7 +164,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
         )
         if expected < LEAST_EXPECTED:
             yield Finding("geometry.rays", "not checked", f"{text}; their fields of view hardly overlap")
-        elif explanation is None and k in suspicious and found.score < SUSPICIOUS_SCORE:
+        elif explanation is None and found.score < CHANCE_SCORE:
             yield Finding(
                 "geometry.rays",
                 "warning",
@@ -179,7 +198,9 @@ def _named(geometry: Geometry, found: Explanation) -> Finding:
     )
 
 
-def best_explanation(geometry: Geometry, clocks_only: bool = False) -> Explanation | None:
+def best_explanation(
+    geometry: Geometry, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
+) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
     Every alternative gets a first look at a few detections, the best of them a second one at all.
@@ -189,19 +210,28 @@ def best_explanation(geometry: Geometry, clocks_only: bool = False) -> Explanati
     geometry : Geometry
     clocks_only : bool
         Whether only clock offsets are tried.
+    tolerances : tuple of float
+        Tolerances of a meeting, in standard deviations.
     """
     few = tuple(pair.thinned(FEW_DETECTIONS, FEW_SHIFTS) for pair in geometry.pairs)
     views = geometry.views
-    quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b]) for p in few))
+    quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in few))
+    if tolerances != TOLERANCES:
+        given = tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in geometry.pairs)
+        geometry = replace(geometry, given=given)
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
         *_clock_trials(geometry, () if clocks_only else RATES),
     ]
-    looks = [(trial, trial.explain(quick)) for trial in trials]
+    looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
     promising = [(t, one) for t, one in looks if one is not None and one.excess >= one.given + 0.5 * LEAST_GAIN]
     best_first = sorted(promising, key=lambda look: -look[1].excess)[:FINALISTS]
     finalists = [trial for trial, _ in promising if any(trial is other for other, _ in best_first)]
-    found = [one for one in (trial.explain(geometry) for trial in finalists) if one is not None and _is_decisive(one)]
+    found = [
+        one
+        for one in (trial.explain(geometry, tolerances) for trial in finalists)
+        if one is not None and _is_decisive(one)
+    ]
     if not found:
         return None
     best = max(one.excess for one in found)
@@ -210,11 +240,9 @@ def best_explanation(geometry: Geometry, clocks_only: bool = False) -> Explanati
 
 
 def _is_decisive(one: Explanation) -> bool:
-    return (
-        one.excess >= one.given + LEAST_GAIN
-        and one.excess >= LEAST_RATIO * max(one.given, 0.0)
-        and one.score >= LEAST_SCORE
-    )
+    clock = one.cause in ("clock_offset", "frame_rate")
+    gain, ratio = (LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO) if clock else (LEAST_GAIN, LEAST_RATIO)
+    return one.excess >= one.given + gain and one.excess >= ratio * max(one.given, 0.0) and one.score >= LEAST_SCORE
 
 
 @dataclass(frozen=True)
@@ -238,7 +266,7 @@ class Trial:
     views: list[View]
     samples: list[CameraSample] | None = None
 
-    def explain(self, geometry: Geometry) -> Explanation | None:
+    def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
         """Return how much the change explains of the pairs concerned; None if it concerns none."""
         after, before = [], []
         for pair, given in zip(geometry.pairs, geometry.given, strict=True):
@@ -248,7 +276,7 @@ class Trial:
             if self.samples is not None:
                 found = candidates(self.samples, pair.a, pair.b, len(pair.detections), len(pair.pixels_b) - 1)
             if found is not None:
-                after.append(meeting(found, self.views[pair.a], self.views[pair.b]))
+                after.append(meeting(found, self.views[pair.a], self.views[pair.b], tolerances))
                 before.append(given)
         if not after:
             return None
