@@ -172,6 +172,8 @@ class FilterBatch:
             camera=int(event.camera),
             time_s=float(event.time_s),
             survival=float(settings.survival_per_s**elapsed),
+            elapsed=float(elapsed),
+            out_of_view_s=float(settings.out_of_view_s),
             next_label=state.next_label,
             p_detect=float(camera.detector.p_detect),
             shape_p_detect=float(camera.detector.p_detect) if template.split_missed else 0.0,

@@ -49,7 +49,8 @@ class EventArrays(NamedTuple):
 class Step(NamedTuple):
     """Numbers of one event.
 
-    `camera`, `time_s` of the event; `survival` since the last one; first unused label; `p_detect`, `clutter` and
+    `camera`, `time_s` of the event; `survival` and time `elapsed` since the last one, `out_of_view_s` as in the
+    filters; first unused label; `p_detect`, `clutter` and
     `births` a frame, `area` of the camera's image (px^2); `shape_p_detect`: for the shape of the missed part, 0
     where it keeps its own; `acceleration_std` (3,) and `max_speed` of the motion;
     `important`: weight from which a component gets a second look; then the parameters of the reduction
@@ -59,6 +60,8 @@ class Step(NamedTuple):
     camera: int
     time_s: float
     survival: float
+    elapsed: float
+    out_of_view_s: float
     next_label: int
     p_detect: float
     shape_p_detect: float

@@ -34,6 +34,7 @@ from stereophd.core.multi.parts import allocate_parts, slice_parts, take_parts
 from stereophd.core.multi.pmb_reduce import reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.multi.reduce import merge_sorted
+from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -87,6 +88,9 @@ def predict(
             sets.first, sets.second, destination, step.acceleration_std, step.shape_p_detect, step.max_speed, region,
             moved,
         )  # fmt: skip
+        fade_out_of_view(
+            weights, moved[3], means, homes, step.time_s - times, spaces[h], step.elapsed, step.out_of_view_s
+        )
         _forget(weights, parts[3][part], moved, step)
     return all_weights, all_moved
 

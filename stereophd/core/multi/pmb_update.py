@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, MovedArrays
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
-from stereophd.core.multi.belief import association_marginals
+from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.intensity import UNLABELLED, Parts
 from stereophd.core.multi.parts import allocate_parts, copy_gaussian
 from stereophd.core.numerics.compilation import compiled
@@ -85,7 +85,7 @@ def update_tracks(
     parts : tuple
         Missed components, detected ones, and one new track a detection, in this order.
     log_likelihood : float
-        Of the event's detections, per distorted pixel: the Bethe value of the association problem.
+        Of the event's detections, per distorted pixel: the value of the association problem.
     """
     weights, labels = parts[0], parts[5]
     camera, time_s, next_label = place

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from stereophd.core.multi.settings import MISSED, BirthPrior, Hysteresis, Missed
+from stereophd.core.multi.settings import MISSED, OUT_OF_VIEW, BirthPrior, Hysteresis, Missed, TimeConstant
 from stereophd.core.settings import Count, NonNegative, Positive, PositiveFraction, parameter, settings
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ class PhdSettings:
 
     kind: Literal["phd"] = parameter("the filter", default="phd")
     survival_per_s: PositiveFraction = parameter("probability that an object survives one second", default=0.99)
+    out_of_view_s: TimeConstant = parameter(OUT_OF_VIEW, unit="s", default=5.0)
     birth: BirthPrior = parameter("prior of new objects")
     prune_weight: Positive = parameter("components below this weight are dropped", default=1e-6)
     merge_distance: NonNegative = parameter("squared Mahalanobis distance below which components merge", default=7.0)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Interval
 
-from stereophd.core.multi.settings import MISSED, BirthPrior, ExistenceHysteresis, Missed
+from stereophd.core.multi.settings import MISSED, OUT_OF_VIEW, BirthPrior, ExistenceHysteresis, Missed, TimeConstant
 from stereophd.core.settings import (
     FINITE,
     NOT_NAN,
@@ -31,6 +31,7 @@ class PmbSettings:
 
     kind: Literal["pmb"] = parameter("the filter", default="pmb")
     survival_per_s: PositiveFraction = parameter("probability that an object survives one second", default=0.99)
+    out_of_view_s: TimeConstant = parameter(OUT_OF_VIEW, unit="s", default=5.0)
     birth: BirthPrior = parameter("prior of new objects")
     recycle_below: Positive = parameter(
         "tracks of a smaller existence join the intensity of undetected objects", default=1e-3
