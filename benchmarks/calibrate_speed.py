@@ -40,6 +40,7 @@ from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.kernels import motion_noise, moving_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
+from stereophd.core.motion.constant_velocity import POSITION_ALONE, POSITION_WITH_VELOCITY
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.numerics.moment_kernels import cholesky, weighted_moments
 from stereophd.pipeline.calibration.inputs import phd_filter, read_problem
@@ -86,13 +87,15 @@ def bare_trips(
     points = np.empty((7, samples.shape[1]))
     mask = np.empty(samples.shape[1])
     factor, mean, covariance = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
-    noise = motion_noise(samples, spaces[camera, ROTATION : ROTATION + 9].copy().reshape(3, 3) * acceleration)
+    noise, still = np.empty((6, samples.shape[1])), np.zeros(6)
+    axes = spaces[camera, ROTATION : ROTATION + 9].copy().reshape(3, 3) * acceleration
+    motion_noise(samples, axes, POSITION_WITH_VELOCITY, POSITION_ALONE, noise)
     for k in range(len(means)):
         cholesky(covariances[k], factor)
         scale = math.sqrt(abs(dts[k]))
         moving_trips(
             means[k], factor, samples, noise, scale * dts[k], scale, spaces[cameras[k]], spaces[camera], dts[k],
-            max_speed, points,
+            1.0, still, max_speed, points,
         )  # fmt: skip
         seen = view_mask(points, spaces[camera], mask)
         if seen > 0:
@@ -103,8 +106,7 @@ def bare_trips(
 def floor(phd: PhdFilter, state: BatchState, event: Event, spaces: Array, pool: ThreadPoolExecutor) -> int:
     """Make the trips of an event, bare; return how many."""
     samples = phd.sets.turn(state.n_events)
-    limit = math.inf if phd.motion.max_speed is None else phd.motion.max_speed
-    acceleration = np.array(phd.motion.acceleration_std)
+    limit, acceleration = phd.motion.speed_limit, phd.motion.noise_std
     mixture = state.mixture
 
     def run(first: int) -> None:

@@ -180,7 +180,7 @@ def _workload(multi_filter: DisparityFilter, mixture: Any, event: Event, turn: i
     samples = multi_filter.sets.turn(turn)
     destination = DisparitySpace(rig.cameras[event.camera].at(event.time_s), rig.baseline, rig.rectification)
     with_velocity, alone = samples[6:9], samples[9:12]
-    axes = destination.camera.pose.rotation * motion.acceleration_std
+    axes = destination.camera.pose.rotation * motion.noise_std
     return Workload(
         means=mixture.means,
         covariances=mixture.covariances,
@@ -217,13 +217,13 @@ def _floor(
     out_covariances: Array,
 ) -> None:
     """Sample trips, test of the field of view and moments of every component: the kernels and no more."""
-    points = np.empty((7, samples.shape[1]))
+    points, still = np.empty((7, samples.shape[1])), np.zeros(6)
     mask = np.empty(samples.shape[1])
     for k in range(means.shape[0]):
         velocity_noise = math.sqrt(abs(dts[k]))
         moving_trips(
             means[k], factors[k], samples, noise, velocity_noise * dts[k], velocity_noise,
-            homes[k], destination, dts[k], max_speed, points,
+            homes[k], destination, dts[k], 1.0, still, max_speed, points,
         )  # fmt: skip
         seen = view_mask(points, destination, mask)
         if seen > 0:
@@ -231,17 +231,12 @@ def _floor(
 
 
 def _run_floor(multi_filter: DisparityFilter, workloads: list[Workload]) -> None:
-    limit = _max_speed(multi_filter)
+    limit = multi_filter.motion.speed_limit
     for w in workloads:
         means, covariances = np.empty_like(w.means), np.empty_like(w.covariances)
         _floor(
             w.means, w.factors, w.homes, w.dts, w.samples, w.noise, w.destination, limit, means, covariances
         )  # fmt: skip
-
-
-def _max_speed(multi_filter: DisparityFilter) -> float:
-    limit = multi_filter.motion.max_speed
-    return math.inf if limit is None else limit
 
 
 def _run_numpy(multi_filter: DisparityFilter, workloads: list[Workload]) -> None:
@@ -263,7 +258,7 @@ def numpy_moments(w: Workload, multi_filter: DisparityFilter) -> tuple[Array, Ar
     position, velocity = world[:, :, :3], world[:, :, 3:]
     with np.errstate(divide="ignore", invalid="ignore"):
         speed = np.sqrt((velocity**2).sum(axis=2, keepdims=True))
-        velocity *= np.minimum(1.0, _max_speed(multi_filter) / speed)
+        velocity *= np.minimum(1.0, multi_filter.motion.speed_limit / speed)
         dts = w.dts[:, None, None]
         # the noise of the workload lies in the destination's axes
         rotation = w.destination_space.camera.pose.rotation

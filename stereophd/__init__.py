@@ -1,3 +1,109 @@
-"""stereophd: 3-D tracks from the detection logs of fixed cameras."""
+"""stereophd: 3-D tracks from the detection logs of fixed cameras.
+
+The names below are the public interface; ``docs/api.md`` shows them at work. Each is imported when it is first used, so
+that ``import stereophd`` costs next to nothing. Modules and names that are not listed here are private: they may change
+without notice.
+"""
+
+from __future__ import annotations
 
 __version__ = "0.1.0"
+
+# As in `typing`, whose import would cost more than all the rest.
+TYPE_CHECKING = False
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from stereophd.commands.calibrate import calibrate
+    from stereophd.commands.evaluate import evaluate
+    from stereophd.commands.evaluate_cameras import evaluate_calibration
+    from stereophd.commands.experiment import experiment
+    from stereophd.commands.simulate import simulate
+    from stereophd.commands.track import track
+    from stereophd.config.loading import LoadedConfig, load_config, make_config
+    from stereophd.core.disparity.events import make_event
+    from stereophd.core.geometry.camera import Camera, Clock, Detector
+    from stereophd.core.geometry.lens import Lens
+    from stereophd.core.geometry.pose import Pose
+    from stereophd.errors import GateError, InputError, StereophdError
+    from stereophd.io.logs import Frame
+    from stereophd.pipeline.arrays import make_filter, run_filter
+    from stereophd.pipeline.files import read_cameras, read_log, write_cameras, write_log
+    from stereophd.pipeline.tracking.loop import Record
+
+# Public name -> module that holds it.
+_HOMES = {
+    "Camera": "core.geometry.camera",
+    "Clock": "core.geometry.camera",
+    "Detector": "core.geometry.camera",
+    "Frame": "io.logs",
+    "GateError": "errors",
+    "InputError": "errors",
+    "Lens": "core.geometry.lens",
+    "LoadedConfig": "config.loading",
+    "Pose": "core.geometry.pose",
+    "Record": "pipeline.tracking.loop",
+    "StereophdError": "errors",
+    "calibrate": "commands.calibrate",
+    "evaluate": "commands.evaluate",
+    "evaluate_calibration": "commands.evaluate_cameras",
+    "experiment": "commands.experiment",
+    "load_config": "config.loading",
+    "make_config": "config.loading",
+    "make_event": "core.disparity.events",
+    "make_filter": "pipeline.arrays",
+    "read_cameras": "pipeline.files",
+    "read_log": "pipeline.files",
+    "run_filter": "pipeline.arrays",
+    "simulate": "commands.simulate",
+    "track": "commands.track",
+    "write_cameras": "pipeline.files",
+    "write_log": "pipeline.files",
+}
+
+__all__ = [
+    "Camera",
+    "Clock",
+    "Detector",
+    "Frame",
+    "GateError",
+    "InputError",
+    "Lens",
+    "LoadedConfig",
+    "Pose",
+    "Record",
+    "StereophdError",
+    "__version__",
+    "calibrate",
+    "evaluate",
+    "evaluate_calibration",
+    "experiment",
+    "load_config",
+    "make_config",
+    "make_event",
+    "make_filter",
+    "read_cameras",
+    "read_log",
+    "run_filter",
+    "simulate",
+    "track",
+    "write_cameras",
+    "write_log",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'stereophd' has no attribute {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(f"stereophd.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return list(__all__)

@@ -101,8 +101,8 @@ def _cloud(
     world = home.to_world(rng.multivariate_normal(mean, covariance, CLOUD))
     speed = np.linalg.norm(world[:, 3:], axis=1, keepdims=True)
     world[:, 3:] *= np.minimum(1.0, (motion.max_speed or np.inf) / speed)
-    transition, noise = motion.transition(dt)
-    world = world @ transition.T + rng.multivariate_normal(np.zeros(6), noise, CLOUD)
+    transition, noise, drift = motion.transition(dt)
+    world = world @ transition.T + drift + rng.multivariate_normal(np.zeros(6), noise, CLOUD)
     return to.from_world(world)
 
 

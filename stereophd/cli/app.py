@@ -15,7 +15,8 @@ from typing import Annotated
 import typer
 
 import stereophd
-from stereophd.cli import calibrate, config, evaluate, experiment, importing, interrupts, simulate, track
+from stereophd.cli import calibrate, config, evaluate, experiment, export, importing, interrupts, simulate, track
+from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
 
@@ -41,6 +42,7 @@ app.command("calibrate")(calibrate.calibrate_command)
 app.command("evaluate")(evaluate.evaluate_command)
 app.command("experiment")(experiment.experiment_command)
 app.command("import")(importing.import_command)
+app.command("export")(export.export_command)
 app.add_typer(config.app, name="config")
 
 
@@ -104,7 +106,7 @@ def _interrupted(code: int = EXIT_INTERRUPTED) -> int:
 def _explain(error: Exception) -> int:
     """Print one clear message for an error, and return the exit code."""
     if isinstance(error, StereophdError):
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {with_flags(str(error))}", file=sys.stderr)
         return error.exit_code
     if isinstance(error, _ClickException):
         _explain_usage(error)

@@ -16,7 +16,7 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_log
-from stereophd.io.interchange.base import ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.camera_files import read_cameras
 from stereophd.io.interchange.registry import find
 from stereophd.io.provenance import provenance, to_metadata
@@ -107,7 +107,7 @@ def import_recording(
     return report
 
 
-def _read(recording: Recording, options: ImportOptions, cameras_path: Path | str | None) -> Recording:
+def _read(recording: ForeignRecording, options: ImportOptions, cameras_path: Path | str | None) -> ForeignRecording:
     """Add the cameras of another file to a recording."""
     if cameras_path is not None:
         if recording.cameras:
@@ -131,7 +131,7 @@ def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, Cam
     return result
 
 
-def _check(recording: Recording, summaries: Mapping[str, CameraSummary]) -> None:
+def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) -> None:
     """Add warnings about what does not fit together."""
     warn = recording.warnings.append
     if summaries and recording.cameras:

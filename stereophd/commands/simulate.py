@@ -87,7 +87,7 @@ def simulate(
     if runs is not None and runs < 1:
         raise InputError(f"runs: expected at least 1, found {runs}")
     if jobs == 0:
-        raise InputError("jobs: expected a number of processes (-1: all cores), found 0")
+        raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     if runs is None:
         with OutputFolder(out_dir, FILES, force) as out:
             counts = [_simulate_run(loaded, 0, {name: out.path(name) for name in FILES}, progress)]

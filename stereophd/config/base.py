@@ -1,4 +1,4 @@
-"""What the configuration models share: their base, the usual kinds of numbers, units and boxes."""
+"""What the configuration models share: their base, the sections that exist in several kinds, units and boxes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,13 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Discriminator,
-    Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     Tag,
     model_validator,
 )
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Probability = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector2 = tuple[Finite, Finite]
-Vector3 = tuple[Finite, Finite, Finite]
+from stereophd.core.settings import Coordinate, parameter
 
 
 class Model(BaseModel):
@@ -78,15 +72,15 @@ class OneOf:
 class Units(Model):
     """Units of all files of a run."""
 
-    length: Literal["mm", "cm", "m", "km"] = Field("m", description="unit of length of positions and baselines")
+    length: Literal["mm", "cm", "m", "km"] = parameter("unit of length of positions and baselines", default="m")
 
 
 class Range3(Model):
     """An axis-aligned box in the world."""
 
-    x: tuple[Finite, Finite] = Field(description="from and to, length")
-    y: tuple[Finite, Finite] = Field(description="from and to, length")
-    z: tuple[Finite, Finite] = Field(description="from and to, length")
+    x: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
+    y: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
+    z: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
 
     @model_validator(mode="after")
     def _order(self) -> Range3:

@@ -5,13 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from annotated_types import Interval, Len
 from pydantic import Field, create_model, model_validator
 
-from stereophd.config.base import Model, NonNegative, Positive, Probability
+from stereophd.config.base import Model
 from stereophd.core.calibration.quantities.base import Quantity
 from stereophd.core.calibration.quantities.registry import quantities
+from stereophd.core.settings import (
+    FINITE,
+    LARGEST_COUNT,
+    Count,
+    DegreesSpread,
+    Fraction,
+    Length,
+    NonNegative,
+    PositiveFraction,
+    PositiveLength,
+    parameter,
+)
 
-Count = Annotated[int, Field(ge=1)]
+# Narrower priors than this are those of a known axis: write 0.
+NARROWEST = 1e-9
 
 
 def _prior_field(quantity: Quantity) -> Any:
@@ -27,11 +41,14 @@ def _prior_field(quantity: Quantity) -> Any:
 
 
 class PriorBase(Model):
-    """Gaussian prior of what is unknown of one camera, about what the configuration or --cameras gives."""
+    """Gaussian prior of what is unknown of one camera, about what the configuration or a file of cameras gives."""
 
     @model_validator(mode="after")
     def _something_unknown(self) -> PriorBase:
-        if not any(_numbers(self.model_dump())):
+        stds = list(_numbers(self.model_dump()))
+        if narrow := [std for std in stds if 0.0 < std < NARROWEST]:
+            raise ValueError(f"expected 0 or standard deviations of at least {NARROWEST:g}, found {narrow[0]:g}")
+        if not any(stds):
             raise ValueError("expected a standard deviation above 0, found none: a known camera has no prior")
         return self
 
@@ -60,32 +77,32 @@ else:
 class BaselineScale(Model):
     """The distance between two cameras is known."""
 
-    kind: Literal["baseline"] = Field(description="what fixes the scale")
-    cameras: tuple[str, str] = Field(description="names of the two cameras")
-    distance: Positive = Field(description="distance of their centres, length")
-    std: Positive = Field(description="standard deviation of the distance, length")
+    kind: Literal["baseline"] = parameter("what fixes the scale")
+    cameras: tuple[str, str] = parameter("names of the two cameras")
+    distance: PositiveLength = parameter("distance of their centres", unit="length")
+    std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 
 
 class SpeedScale(Model):
     """The objects' speed is known."""
 
-    kind: Literal["speed"] = Field(description="what fixes the scale")
-    speed: Positive = Field(description="mean speed of every object, length/s")
-    std: Positive = Field(description="standard deviation of the speed from object to object, length/s")
+    kind: Literal["speed"] = parameter("what fixes the scale")
+    speed: PositiveLength = parameter("mean speed of every object", unit="length/s")
+    std: PositiveLength = parameter("standard deviation of the speed from object to object", unit="length/s")
 
 
 class LengthScale(Model):
     """Two objects keep a known distance, as the ends of a rod do."""
 
-    kind: Literal["length"] = Field(description="what fixes the scale")
-    length: Positive = Field(description="distance of the two objects, length")
-    std: Positive = Field(description="standard deviation of the distance, length")
+    kind: Literal["length"] = parameter("what fixes the scale")
+    length: PositiveLength = parameter("distance of the two objects", unit="length")
+    std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 
 
 class NoScale(Model):
     """Nothing but the prior says how large the scene is."""
 
-    kind: Literal["none"] = Field("none", description="what fixes the scale")
+    kind: Literal["none"] = parameter("what fixes the scale", default="none")
 
 
 ScaleConfig = Annotated[NoScale | BaselineScale | SpeedScale | LengthScale, Field(discriminator="kind")]
@@ -94,72 +111,74 @@ ScaleConfig = Annotated[NoScale | BaselineScale | SpeedScale | LengthScale, Fiel
 class AnnealedConfig(Model):
     """Annealed alternation of tracking and bundle adjustment, from several starts."""
 
-    starts: Count = Field(8, description="the prior mean and draws from the prior; at most this many")
-    agreeing_starts: Count = Field(2, description="stop as soon as this many of the starts agree on the best")
-    inflation: tuple[Annotated[float, Field(ge=1, allow_inf_nan=False)], ...] = Field(
-        (7.0, 5.0, 3.5, 2.0, 1.4, 1.0),
-        min_length=1,
-        description="factors on the detector's sigma while tracking, pass by pass",
+    starts: Count = parameter("the prior mean and draws from the prior; at most this many", default=8)
+    agreeing_starts: Count = parameter("stop as soon as this many of the starts agree on the best", default=2)
+    inflation: Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ...], Len(1, 1000)] = parameter(
+        "factors on the detector's sigma while tracking, pass by pass", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
     )
-    max_events: Count = Field(
-        4000, description="frames used while tracking; of a longer log every n-th frame of each camera is"
+    max_events: Count = parameter(
+        "frames used while tracking; of a longer log every n-th frame of each camera is", default=4000
     )
-    min_detections: Annotated[int, Field(ge=4)] = Field(
-        16, description="a track counts from this many detections in each of two cameras on"
+    min_detections: Annotated[int, Interval(ge=4, le=LARGEST_COUNT)] = parameter(
+        "a track counts from this many detections in each of two cameras on", default=16
     )
-    min_tracked: Probability = Field(
-        0.5,
-        description="a start succeeds only if tracks that two cameras share explain this part of the detections "
-        "that are not expected to be false",
+    min_tracked: Fraction = parameter(
+        "a start succeeds only if tracks that two cameras share explain this part of the detections that are not "
+        "expected to be false",
+        default=0.5,
     )
 
 
 class SequentialConfig(Model):
     """Single-cluster PHD filter: camera particles, each with a filter of its own (paper VII-B)."""
 
-    particles: Count = Field(1500, description="camera hypotheses")
-    resample_below: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.75, description="resample when the effective sample size falls below this part of the particles"
+    particles: Count = parameter("camera hypotheses", default=1500)
+    resample_below: PositiveFraction = parameter(
+        "resample when the effective sample size falls below this part of the particles", default=0.75
     )
-    roughening: NonNegative = Field(
-        0.2, description="after resampling, jitter of this factor times range times particles^(-1/parameters)"
+    roughening: Annotated[float, Interval(ge=0, le=1e3), FINITE] = parameter(
+        "after resampling, jitter of this factor times range times particles^(-1/parameters)", default=0.2
     )
-    center_noise: NonNegative = Field(0.0, description="random walk of the camera's centre, length per sqrt(s)")
-    rotation_noise_deg: NonNegative = Field(0.0, description="random walk of its rotation, degrees per sqrt(s)")
-    likelihood: Literal["phd", "pmb"] = Field("phd", description="multi-object likelihood that weights the particles")
-    samples: Annotated[int, Field(ge=16)] = Field(100, description="samples per Gaussian of the particle move")
+    center_noise: Length = parameter("random walk of the camera's centre", default=0.0, unit="length per sqrt(s)")
+    rotation_noise_deg: DegreesSpread = parameter(
+        "random walk of its rotation", default=0.0, unit="degrees per sqrt(s)"
+    )
+    likelihood: Literal["phd", "pmb"] = parameter("multi-object likelihood that weights the particles", default="phd")
+    samples: Annotated[int, Interval(ge=16, le=65536)] = parameter(
+        "samples per Gaussian of the particle move", default=100
+    )
 
 
 class SmcConfig(Model):
     """Full posterior: particles about the modes found, tempered and moved by Metropolis-Hastings."""
 
-    particles: Annotated[int, Field(ge=8)] = Field(200, description="camera hypotheses")
-    evidence: Literal["pmb", "phd"] = Field("pmb", description="multi-object evidence that weights the particles")
-    resample_below: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.5, description="a tempering step keeps the effective sample size at this part of the particles"
+    particles: Annotated[int, Interval(ge=8, le=LARGEST_COUNT)] = parameter("camera hypotheses", default=200)
+    evidence: Literal["pmb", "phd"] = parameter("multi-object evidence that weights the particles", default="pmb")
+    resample_below: PositiveFraction = parameter(
+        "a tempering step keeps the effective sample size at this part of the particles", default=0.5
     )
-    moves: Count = Field(3, description="Metropolis-Hastings moves after each tempering step")
-    spread: Positive = Field(1.5, description="the first particles are drawn this much wider than the Laplace modes")
-    max_events: Count = Field(4000, description="frames used; of a longer log every n-th frame of each camera is")
+    moves: Count = parameter("Metropolis-Hastings moves after each tempering step", default=3)
+    spread: Annotated[float, Interval(ge=0.1, le=1e3), FINITE] = parameter(
+        "the first particles are drawn this much wider than the Laplace modes", default=1.5
+    )
+    max_events: Count = parameter("frames used; of a longer log every n-th frame of each camera is", default=4000)
 
 
 class CalibrationConfig(Model):
     """What `calibrate` estimates and how."""
 
-    method: Literal["annealed", "sequential"] = Field("annealed", description="how the parameters are found")
-    posterior: Literal["laplace", "smc"] = Field(
-        "laplace", description="of method annealed: Gaussian at the optimum, or particles"
+    method: Literal["annealed", "sequential"] = parameter("how the parameters are found", default="annealed")
+    posterior: Literal["laplace", "smc"] = parameter(
+        "of method annealed: Gaussian at the optimum, or particles", default="laplace"
     )
-    reference: str = Field(description="the camera whose pose is known and fixes the frame")
-    priors: dict[str, CameraPrior] = Field(
-        min_length=1, description="of the unknown cameras by name; a camera without a prior is known"
+    reference: str = parameter("the camera whose pose is known and fixes the frame")
+    priors: Annotated[dict[str, CameraPrior], Len(1)] = parameter(
+        "of the unknown cameras by name; a camera without a prior is known"
     )
-    scale: ScaleConfig = Field(
-        default_factory=NoScale, description="what fixes the scale, which moving objects do not show"
-    )
-    annealed: AnnealedConfig = Field(default_factory=AnnealedConfig, description="settings of this method")
-    sequential: SequentialConfig = Field(default_factory=SequentialConfig, description="settings of this method")
-    smc: SmcConfig = Field(default_factory=SmcConfig, description="settings of posterior smc")
+    scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
+    annealed: AnnealedConfig = parameter("settings of this method", default_factory=AnnealedConfig)
+    sequential: SequentialConfig = parameter("settings of this method", default_factory=SequentialConfig)
+    smc: SmcConfig = parameter("settings of posterior smc", default_factory=SmcConfig)
 
     @model_validator(mode="after")
     def _reference_is_known(self) -> CalibrationConfig:

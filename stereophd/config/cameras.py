@@ -5,12 +5,36 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from stereophd.config.base import Finite, Model, NonNegative, Positive, Units, Vector3
+from stereophd.config.base import Model, Units
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.settings import (
+    FINITE,
+    Degrees,
+    DegreesPerSecond,
+    Pixel,
+    PositiveFraction,
+    PositivePixels,
+    Rate,
+    Time,
+    Vector3,
+    parameter,
+)
+
+ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
+# A detector that is better than a millionth of a pixel, or worse than a million pixels, is none.
+Sigma = Annotated[float, Interval(ge=1e-6, le=1e6), FINITE]
+ClutterRate = Annotated[float, Interval(ge=0, le=1e6), FINITE]
+Coefficient = Annotated[float, Interval(ge=-1e6, le=1e6), FINITE]
+# Logs whose times are nanoseconds have a rate of 1e-9.
+ClockRate = Annotated[float, Interval(ge=1e-12, le=1e12), FINITE]
+Readout = Annotated[float, Interval(ge=-1e3, le=1e3), FINITE]
+Entry = Annotated[float, Interval(ge=-2, le=2), FINITE]
+Row = tuple[Entry, Entry, Entry]
 
 # A rotation matrix typed by hand with six digits passes; a reflection or a scaled matrix does not.
 ROTATION_TOLERANCE = 1e-5
@@ -19,25 +43,27 @@ ROTATION_TOLERANCE = 1e-5
 class IntrinsicsConfig(Model):
     """Pinhole intrinsics in pixels."""
 
-    fx: Positive = Field(description="focal length along u, px")
-    fy: Positive = Field(description="focal length along v, px")
-    cx: Finite = Field(description="principal point, px from the centre of the top-left pixel")
-    cy: Finite = Field(description="principal point, px from the centre of the top-left pixel")
+    fx: PositivePixels = parameter("focal length along u", unit="px")
+    fy: PositivePixels = parameter("focal length along v", unit="px")
+    cx: Pixel = parameter("principal point along u, from the centre of the top-left pixel", unit="px")
+    cy: Pixel = parameter("principal point along v, from the centre of the top-left pixel", unit="px")
 
 
 class PoseConfig(Model):
     """Pose of a camera: x_camera = rotation @ (x_world - center)."""
 
-    center: Vector3 = Field(description="optical centre in the world")
-    rotation_matrix: tuple[Vector3, Vector3, Vector3] | None = Field(
-        None, description="rows of the rotation from world to camera axes"
+    center: Vector3 = parameter("optical centre in the world", unit="length")
+    rotation_matrix: tuple[Row, Row, Row] | None = parameter(
+        "rows of the rotation from world to camera axes", default=None
     )
-    rotation_vector_deg: Vector3 | None = Field(None, description="the same rotation as axis times angle, degrees")
-    velocity: Vector3 = Field((0.0, 0.0, 0.0), description="velocity of the centre in the world, length/s")
-    rotation_rate_deg_s: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="angular velocity about the camera's own axes, deg/s"
+    rotation_vector_deg: tuple[Degrees, Degrees, Degrees] | None = parameter(
+        "the same rotation as axis times angle", default=None, unit="degrees"
     )
-    time_s: Finite = Field(0.0, description="time at which center and rotation hold, for a moving camera")
+    velocity: Vector3 = parameter("velocity of the centre in the world", default=(0.0, 0.0, 0.0), unit="length/s")
+    rotation_rate_deg_s: tuple[DegreesPerSecond, DegreesPerSecond, DegreesPerSecond] = parameter(
+        "angular velocity about the camera's own axes", default=(0.0, 0.0, 0.0), unit="deg/s"
+    )
+    time_s: Time = parameter("time at which center and rotation hold, for a moving camera", default=0.0, unit="s")
 
     @field_validator("rotation_matrix")
     @classmethod
@@ -76,11 +102,21 @@ class PoseConfig(Model):
 class DetectorConfig(Model):
     """What the detector of a camera does: noise, misses and false detections."""
 
-    sigma_px: tuple[Positive, Positive] = Field(description="standard deviation of a detection along u and v, px")
-    p_detect: Annotated[float, Field(gt=0, le=1)] = Field(description="probability that an object in view is detected")
-    clutter_per_frame: NonNegative = Field(description="mean number of false detections a frame, uniform in the image")
-    estimate: bool = Field(
-        False, description="estimate these from the log, starting from the values given (track); see also detector"
+    sigma_px: tuple[Sigma, Sigma] = parameter(
+        "standard deviation of a detection along u and v",
+        unit="px",
+        advice="the spread of detections of an object that stands still. Errors of lens and pose count as noise.",
+    )
+    p_detect: PositiveFraction = parameter(
+        "probability that an object in view is detected",
+        advice="the share of frames in which an object in view is detected.",
+    )
+    clutter_per_frame: ClutterRate = parameter(
+        "mean number of false detections a frame, uniform in the image",
+        advice="false detections divided by frames; do not write 0 unless there are none.",
+    )
+    estimate: bool = parameter(
+        "estimate these from the log, starting from the values given (track); see also detector", default=False
     )
 
 
@@ -104,38 +140,38 @@ def _parse_detector(value: Any) -> Any:
 class NoDistortion(Model):
     """No lens distortion."""
 
-    model: Literal["none"] = Field("none", description="the lens model")
+    model: Literal["none"] = parameter("the lens model", default="none")
 
 
 class RadialDistortion(Model):
     """One-parameter radial distortion: x_distorted = x (1 + k1 r^2)."""
 
-    model: Literal["radial"] = Field(description="the lens model")
-    k1: Finite = Field(description="of r^2, r the distance from the axis at depth 1")
+    model: Literal["radial"] = parameter("the lens model")
+    k1: Coefficient = parameter("of r^2, r the distance from the axis at depth 1")
 
 
 class BrownConradyDistortion(Model):
     """OpenCV's rational model: k1..k6 radial, p1, p2 tangential."""
 
-    model: Literal["brown_conrady"] = Field(description="the lens model")
-    k1: Finite = Field(0.0, description="radial, of r^2 in the numerator")
-    k2: Finite = Field(0.0, description="radial, of r^4 in the numerator")
-    p1: Finite = Field(0.0, description="tangential")
-    p2: Finite = Field(0.0, description="tangential")
-    k3: Finite = Field(0.0, description="radial, of r^6 in the numerator")
-    k4: Finite = Field(0.0, description="radial, of r^2 in the denominator")
-    k5: Finite = Field(0.0, description="radial, of r^4 in the denominator")
-    k6: Finite = Field(0.0, description="radial, of r^6 in the denominator")
+    model: Literal["brown_conrady"] = parameter("the lens model")
+    k1: Coefficient = parameter("radial, of r^2 in the numerator", default=0.0)
+    k2: Coefficient = parameter("radial, of r^4 in the numerator", default=0.0)
+    p1: Coefficient = parameter("tangential", default=0.0)
+    p2: Coefficient = parameter("tangential", default=0.0)
+    k3: Coefficient = parameter("radial, of r^6 in the numerator", default=0.0)
+    k4: Coefficient = parameter("radial, of r^2 in the denominator", default=0.0)
+    k5: Coefficient = parameter("radial, of r^4 in the denominator", default=0.0)
+    k6: Coefficient = parameter("radial, of r^6 in the denominator", default=0.0)
 
 
 class FisheyeDistortion(Model):
     """OpenCV's fisheye model: theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8)."""
 
-    model: Literal["fisheye"] = Field(description="the lens model")
-    k1: Finite = Field(0.0, description="of theta^2, theta the angle from the axis")
-    k2: Finite = Field(0.0, description="of theta^4")
-    k3: Finite = Field(0.0, description="of theta^6")
-    k4: Finite = Field(0.0, description="of theta^8")
+    model: Literal["fisheye"] = parameter("the lens model")
+    k1: Coefficient = parameter("of theta^2, theta the angle from the axis", default=0.0)
+    k2: Coefficient = parameter("of theta^4", default=0.0)
+    k3: Coefficient = parameter("of theta^6", default=0.0)
+    k4: Coefficient = parameter("of theta^8", default=0.0)
 
 
 Distortion = Annotated[
@@ -147,30 +183,34 @@ Distortion = Annotated[
 class ClockConfig(Model):
     """Clock of a camera: true time = offset_s + rate * time in the log."""
 
-    offset_s: Finite = Field(0.0, description="true time at time 0 of the log, s")
-    rate: Positive = Field(1.0, description="true seconds in a second of the log")
+    offset_s: Time = parameter("true time at time 0 of the log", default=0.0, unit="s")
+    rate: ClockRate = parameter("true seconds in a second of the log", default=1.0)
 
 
 class CameraConfig(Model):
     """One camera, as in ``cameras.yaml``."""
 
-    image_size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = Field(
-        description="width and height, px"
-    )
-    intrinsics: IntrinsicsConfig = Field(description="pinhole intrinsics, px")
-    pose: PoseConfig = Field(description="where the camera stands and looks")
+    image_size_px: tuple[ImageSize, ImageSize] = parameter("width and height", unit="px")
+    intrinsics: IntrinsicsConfig = parameter("pinhole intrinsics", unit="px")
+    pose: PoseConfig = parameter("where the camera stands and looks")
     detector: Annotated[
         DetectorConfig,
         BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
-    ] = Field(description="what its detector does, or estimate: all of it is estimated from the log (track)")
-    distortion: Distortion = Field(default_factory=NoDistortion, description="of the lens")
-    frame_rate_hz: Positive | None = Field(None, description="frames per second (simulate)")
-    phase_s: Finite = Field(0.0, description="time of the first frame after the start (simulate)")
-    clock: ClockConfig = Field(default_factory=ClockConfig, description="from the log's time to true time")
-    readout_s: Finite = Field(
-        0.0,
-        description="rolling shutter: a detection in row v was made readout_s * v / height after the time of its "
-        "frame, s; negative: read from the bottom up",
+    ] = parameter("what its detector does, or estimate: all of it is estimated from the log (track)")
+    distortion: Distortion = parameter("of the lens", default_factory=NoDistortion)
+    frame_rate_hz: Rate | None = parameter(
+        "frames per second (simulate)",
+        default=None,
+        unit="Hz",
+        advice="needed by simulate only; logs carry their times.",
+    )
+    phase_s: Time = parameter("time of the first frame after the start (simulate)", default=0.0, unit="s")
+    clock: ClockConfig = parameter("from the log's time to true time", default_factory=ClockConfig)
+    readout_s: Readout = parameter(
+        "rolling shutter: a detection in row v was made readout_s * v / height after the time of its frame, s; "
+        "negative: read from the bottom up",
+        default=0.0,
+        advice="0 for a global shutter; of a rolling shutter at most the time between two frames.",
     )
 
     @model_validator(mode="after")

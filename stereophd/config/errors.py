@@ -17,6 +17,7 @@ _EXPECTED = {
     "int_type": "an integer",
     "int_parsing": "an integer",
     "int_from_float": "an integer",
+    "int_parsing_size": "an integer of at most 64 bits",
     "bool_type": "true or false",
     "string_type": "a text",
     "dict_type": "a mapping",
@@ -38,13 +39,19 @@ _EXPECTED = {
 # Of a model, and of a dataclass.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 # A lower bound below this stands for "above 0", and is named to those only who come below it.
-TINY = 1e-6
+TINY = 1e-5
 _MAX_SHOWN = 60
 
 
 def show(value: Any) -> str:
     """Return a value as YAML would write it on one line, shortened."""
     text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
+
+
+def _part(part: str | int) -> str:
+    """Return a part of a key path, shortened."""
+    text = str(part)
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
 
 
@@ -211,7 +218,7 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
     for path, found in by_path.items():
         place = tree.place(path)
         sentences = dict.fromkeys(_sentence(error, path, data, schema) for error in found)
-        key = f"{'.'.join(map(str, path))}: " if path else ""
+        key = f"{'.'.join(map(_part, path))}: " if path else ""
         lines.append((place.line or 0, f"{place}: {key}{_join(list(sentences))}"))
     return "\n".join(line for _, line in sorted(lines, key=lambda item: item[0]))
 

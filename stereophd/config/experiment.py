@@ -4,9 +4,24 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+from annotated_types import Interval
 from pydantic import Field, model_validator
 
-from stereophd.config.base import Finite, Model, NonNegative, Positive, Vector3
+from stereophd.config.base import Model
+from stereophd.core.settings import (
+    FINITE,
+    LARGEST_COUNT,
+    Count,
+    Duration,
+    Pixel,
+    Positive,
+    PositiveDuration,
+    PositiveLength,
+    PositivePixels,
+    Time,
+    Vector3,
+    parameter,
+)
 
 # Dotted paths of any keys of the configuration, and the values they take.
 Settings = dict[str, Any]
@@ -15,10 +30,10 @@ Settings = dict[str, Any]
 class OspaSettings(Model):
     """One OSPA distance."""
 
-    order: Annotated[float, Field(ge=1, allow_inf_nan=False)] = Field(2.0, description="order p")
-    cutoff: Positive = Field(description="cutoff c, length (mahalanobis: standard deviations)")
-    base: Literal["euclidean", "mahalanobis"] = Field(
-        "euclidean", description="distance of an estimate from an object; mahalanobis: in the estimate's covariance"
+    order: Annotated[float, Interval(ge=1, le=100), FINITE] = parameter("order p", default=2.0)
+    cutoff: PositiveLength = parameter("cutoff c, length (mahalanobis: standard deviations)")
+    base: Literal["euclidean", "mahalanobis"] = parameter(
+        "distance of an estimate from an object; mahalanobis: in the estimate's covariance", default="euclidean"
     )
 
     @property
@@ -31,63 +46,61 @@ class OspaSettings(Model):
 class MultiObjectScenario(Model):
     """The scene of ``simulate``, tracked by ``filter``, scored by OSPA over time."""
 
-    kind: Literal["multi_object"] = Field(description="what is run")
-    tracker: Literal["filter", "known_association"] = Field(
-        "filter",
-        description="filter: the configuration's; known_association: least squares on all data so far with the true "
-        "associations, a limit for all trackers of straight paths",
+    kind: Literal["multi_object"] = parameter("what is run")
+    tracker: Literal["filter", "known_association"] = parameter(
+        "filter: the configuration's; known_association: least squares on all data so far with the true associations,"
+        " a limit for all trackers of straight paths",
+        default="filter",
     )
-    ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)] = Field(description="distances that are reported")
+    ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)] = parameter("distances that are reported")
 
 
 class LocalisationScenario(Model):
     """A static object observed by one camera after another, located by ``filter`` (kind single)."""
 
-    kind: Literal["localisation"] = Field(description="what is run")
-    position: Vector3 = Field(description="of the object, in the world")
-    sequence: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        description="name of the camera of each observation"
-    )
-    rounds: Annotated[int, Field(ge=1)] = Field(1, description="how often the sequence is gone through")
-    interval_s: Positive = Field(1.0, description="time between observations, for the figure")
-    bound_with_prior: bool = Field(False, description="whether the bound counts the prior of the disparity")
+    kind: Literal["localisation"] = parameter("what is run")
+    position: Vector3 = parameter("of the object, in the world", unit="length")
+    sequence: Annotated[tuple[str, ...], Field(min_length=1)] = parameter("name of the camera of each observation")
+    rounds: Count = parameter("how often the sequence is gone through", default=1)
+    interval_s: PositiveDuration = parameter("time between observations, for the figure", default=1.0, unit="s")
+    bound_with_prior: bool = parameter("whether the bound counts the prior of the disparity", default=False)
 
 
 class TrackingScenario(Model):
     """A moving object seen by all cameras at the same times, tracked by ``filter`` (kind single)."""
 
-    kind: Literal["tracking"] = Field(description="what is run")
-    position: Vector3 = Field(description="of the object at the first time")
-    velocity: Vector3 = Field(description="of the object at the first time; it accelerates as ``motion`` says")
-    steps: Annotated[int, Field(ge=1)] = Field(description="number of times")
-    interval_s: Positive = Field(description="between them, s")
-    bound_trajectories: Annotated[int, Field(ge=1)] = Field(
-        100, description="drawn trajectories over which the information of the bound is averaged"
+    kind: Literal["tracking"] = parameter("what is run")
+    position: Vector3 = parameter("of the object at the first time", unit="length")
+    velocity: Vector3 = parameter("of the object at the first time; it accelerates as ``motion`` says")
+    steps: Count = parameter("number of times")
+    interval_s: PositiveDuration = parameter("between them", unit="s")
+    bound_trajectories: Count = parameter(
+        "drawn trajectories over which the information of the bound is averaged", default=100
     )
 
 
 class MoveScenario(Model):
     """A Gaussian carried from one disparity space to another as ``moments`` says; compared with a large sample."""
 
-    kind: Literal["move"] = Field(description="what is run")
-    home: str = Field(description="camera in whose disparity space it begins")
-    destination: str = Field(description="camera to whose disparity space it is carried")
-    point_px: Vector3 = Field(description="mean of u, v and d")
-    std_px: tuple[Positive, Positive, Positive] = Field(description="their standard deviations")
-    velocity: Vector3 = Field((0.0, 0.0, 0.0), description="mean velocity in the world")
-    velocity_std: Positive = Field(description="standard deviation of each of its components")
-    interval_s: NonNegative = Field(description="how long the object moves, s")
-    reference_samples: Annotated[int, Field(ge=1000)] = Field(1_000_000, description="samples of the reference")
+    kind: Literal["move"] = parameter("what is run")
+    home: str = parameter("camera in whose disparity space it begins")
+    destination: str = parameter("camera to whose disparity space it is carried")
+    point_px: tuple[Pixel, Pixel, Pixel] = parameter("mean of u, v and d", unit="px")
+    std_px: tuple[PositivePixels, PositivePixels, PositivePixels] = parameter("their standard deviations", unit="px")
+    velocity: Vector3 = parameter("mean velocity in the world", default=(0.0, 0.0, 0.0))
+    velocity_std: PositiveLength = parameter("standard deviation of each of its components")
+    interval_s: Duration = parameter("how long the object moves", unit="s")
+    reference_samples: Annotated[int, Interval(ge=1000, le=LARGEST_COUNT)] = parameter(
+        "samples of the reference", default=1_000_000
+    )
 
 
 class CalibrationScenario(Model):
     """The scene of ``simulate``, its cameras calibrated as ``calibration`` says, from a guess that misses them."""
 
-    kind: Literal["calibration"] = Field(description="what is run")
-    every_s: Positive = Field(description="time between two looks at the estimate so far, s")
-    bound_scenes: Annotated[int, Field(ge=1)] = Field(
-        20, description="scenes (those of the first runs) over which the bound is averaged"
-    )
+    kind: Literal["calibration"] = parameter("what is run")
+    every_s: PositiveDuration = parameter("time between two looks at the estimate so far", unit="s")
+    bound_scenes: Count = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
 
 
 Scenario = Annotated[
@@ -99,11 +112,11 @@ Scenario = Annotated[
 class AxisConfig(Model):
     """One thing that differs between the cases; the cases are all combinations of the axes."""
 
-    key: str | None = Field(None, description="dotted path of the key that takes the values")
-    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = Field(None, description="values of that key")
-    unit: str = Field("", description="of the values, for names and figures")
-    settings: Annotated[dict[str, Settings], Field(min_length=1)] | None = Field(
-        None, description="instead of key and values: name of the value -> the keys that it sets, and their values"
+    key: str | None = parameter("dotted path of the key that takes the values", default=None)
+    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = parameter("values of that key", default=None)
+    unit: str = parameter("of the values, for names and figures", default="")
+    settings: Annotated[dict[str, Settings], Field(min_length=1)] | None = parameter(
+        "instead of key and values: name of the value -> the keys that it sets, and their values", default=None
     )
 
     @model_validator(mode="after")
@@ -129,34 +142,34 @@ def _plain(value: Any) -> str:
 class FigureConfig(Model):
     """What the figure shows: a panel a quantity, a line a method."""
 
-    title: str | None = Field(None, description="title of the figure; the number of runs is added")
-    quantities: Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
-        None, description="names of quantities; default all that vary with time, or else all"
+    title: str | None = parameter("title of the figure; the number of runs is added", default=None)
+    quantities: Annotated[tuple[str, ...], Field(min_length=1)] | None = parameter(
+        "names of quantities; default all that vary with time, or else all", default=None
     )
-    over: str | None = Field(
-        None, description="the axis of the cases along the figure; default time, or else the first axis"
+    over: str | None = parameter(
+        "the axis of the cases along the figure; default time, or else the first axis", default=None
     )
-    log: bool = Field(False, description="logarithmic scale of the quantities")
-    most: Positive | None = Field(None, description="upper end of the scale of the quantities")
+    log: bool = parameter("logarithmic scale of the quantities", default=False)
+    most: Positive | None = parameter("upper end of the scale of the quantities", default=None)
 
 
 class ExperimentConfig(Model):
     """Monte Carlo runs of a scenario: every method in every case sees the same data in run k."""
 
-    name: str | None = Field(None, description="name in the results; default the name of the file")
-    scenario: Scenario = Field(description="what is run, by its kind")
-    runs: Annotated[int, Field(ge=1)] = Field(description="number of runs of each method in each case")
-    methods: Annotated[dict[str, Settings], Field(min_length=1)] = Field(
-        description="name -> dotted paths of any keys of this file, and the values they take for this method"
+    name: str | None = parameter("name in the results; default the name of the file", default=None)
+    scenario: Scenario = parameter("what is run, by its kind")
+    runs: Count = parameter("number of runs of each method in each case")
+    methods: Annotated[dict[str, Settings], Field(min_length=1)] = parameter(
+        "name -> dotted paths of any keys of this file, and the values they take for this method"
     )
-    cases: dict[str, AxisConfig] = Field(default_factory=dict, description="name of an axis -> what varies along it")
-    windows: dict[str, tuple[Finite, Finite]] = Field(
-        default_factory=dict, description="name -> first and last time, s: of every quantity also the mean over it"
+    cases: dict[str, AxisConfig] = parameter("name of an axis -> what varies along it", default_factory=dict)
+    windows: dict[str, tuple[Time, Time]] = parameter(
+        "name -> first and last time, s: of every quantity also the mean over it", default_factory=dict
     )
-    table: tuple[str, ...] | None = Field(
-        None, description="quantities of the table on the terminal; default those without time"
+    table: tuple[str, ...] | None = parameter(
+        "quantities of the table on the terminal; default those without time", default=None
     )
-    figure: FigureConfig = Field(default_factory=FigureConfig, description="what the figure shows")
+    figure: FigureConfig = parameter("what the figure shows", default_factory=FigureConfig)
 
     @model_validator(mode="after")
     def _order(self) -> ExperimentConfig:

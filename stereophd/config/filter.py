@@ -4,30 +4,41 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from stereophd.config.base import Model, NonNegative, OneOf, Positive, Range3
+from stereophd.config.base import Model, OneOf, Range3
 from stereophd.core.motion.settings import DEFAULT, MotionSettings, motion_models
 from stereophd.core.multi.kinds import filters
 from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.settings import Length, PositiveLength, parameter
 from stereophd.core.single.settings import SingleSettings
 
 
 class DisparityConfig(Model):
     """Disparity space of every camera (paper eq. 3): d = f * baseline / z."""
 
-    baseline: Positive = Field(1.0, description="baseline of the abstract rectified companion, length")
-    rectification: Literal["horizontal", "vertical"] = Field(
-        "horizontal", description="whether the companion is beside (f = fx) or below (f = fy) the camera"
+    baseline: PositiveLength = parameter(
+        "baseline of the abstract rectified companion",
+        default=1.0,
+        unit="length",
+        advice="it scales disparities: the distance between neighbouring cameras is a natural choice.",
+    )
+    rectification: Literal["horizontal", "vertical"] = parameter(
+        "whether the companion is beside (f = fx) or below (f = fy) the camera", default="horizontal"
     )
 
 
 class RegionConfig(Model):
     """Where objects can be: a box in the world, a range of depth before the cameras, or both."""
 
-    box: Range3 | None = Field(None, description="in the world")
-    depth: tuple[NonNegative, Positive] | None = Field(
-        None, description="nearest and farthest depth before the camera that saw the object last, length"
+    box: Range3 | None = parameter(
+        "in the world", default=None, advice="the room or the arena, with a margin of the position noise."
+    )
+    depth: tuple[Length, PositiveLength] | None = parameter(
+        "nearest and farthest depth before the camera that saw the object last",
+        default=None,
+        unit="length",
+        advice="from the nearest to somewhat beyond the farthest object.",
     )
 
     @model_validator(mode="after")

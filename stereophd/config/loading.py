@@ -1,4 +1,4 @@
-"""Load a configuration: defaults < file < ``--set`` < ``--seed``, with errors that name the place."""
+"""Load a configuration: defaults < file < overrides < seed, with errors that name the place."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from stereophd.config.camera_files import read_camera_tree
 from stereophd.config.cameras import CameraConfig, CamerasFile
 from stereophd.config.errors import describe, nearest
 from stereophd.config.model import Config
@@ -23,6 +24,11 @@ from stereophd.io.provenance import ConfigRecord, sha256_of
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
+
+# A longer number in a key path is a name, not the index of a list.
+MAX_INDEX_DIGITS = 9
+# A longer override is shortened in messages.
+MAX_SHOWN_OVERRIDE = 200
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
@@ -71,7 +77,7 @@ class LoadedConfig:
             The configuration names no cameras.
         """
         if not self.cameras:
-            raise InputError(f"{self.path}: cameras: expected cameras (here or by --cameras), found none")
+            raise InputError(f"{self.path}: cameras: expected cameras (here or by `cameras_path`), found none")
         return tuple(camera.build(name) for name, camera in self.cameras.items())
 
 
@@ -106,13 +112,13 @@ def load_config(
     inputs = {"config": hashlib.sha256(content).hexdigest()}
     _require_mapping(tree)
     changes = [_parse_override(text) for text in overrides]
-    # `--set cameras=FILE` decides which cameras are read; all other overrides may reach into them.
+    # An override `cameras=FILE` decides which cameras are read; all other overrides may reach into them.
     for key, change in changes:
         if key == ("cameras",):
             _apply(tree, key, change)
     if cameras_path is not None:
         if any(key == ("cameras",) for key, _ in changes):
-            raise InputError("expected one of --cameras and --set cameras=..., found both")
+            raise InputError("expected one of `cameras_path` and `overrides` cameras=..., found both")
         cameras_file: Path | None = Path(cameras_path)
     elif isinstance(tree.data.get("cameras"), str):
         cameras_file = source.parent / tree.data["cameras"]
@@ -125,12 +131,46 @@ def load_config(
         if key != ("cameras",):
             _apply(tree, key, change)
     if seed is not None:
-        _apply(tree, ("seed",), Tree(seed, {(): Place("--seed")}))
+        _apply(tree, ("seed",), Tree(seed, {(): Place("`seed`")}))
     config = _validate(Config, tree)
     _check_camera_of_reports(config, tree)
     if unit is not None and unit != config.units.length:
         raise InputError(f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}")
     return _loaded(config, source, inputs, tree)
+
+
+def make_config(values: Mapping[str, Any], name: str = "configuration") -> LoadedConfig:
+    """Make a configuration from values in memory, as a file holds them.
+
+    Parameters
+    ----------
+    values
+        Sections and keys, such as ``{"filter": {"kind": "pmb", ...}}``; arrays and tuples count as lists.
+    name
+        What messages call the configuration.
+
+    Raises
+    ------
+    InputError
+        A value is not valid: as `load_config`.
+    """
+    tree = Tree(_as_data(values), {(): Place(name)})
+    _require_mapping(tree)
+    inputs: dict[str, str] = {}
+    if isinstance(tree.data.get("cameras"), str):
+        _, inputs["cameras"] = _inline_cameras(tree, Path(tree.data["cameras"]))
+    config = _validate(Config, tree)
+    _check_camera_of_reports(config, tree)
+    return _loaded(config, Path(name), inputs, tree)
+
+
+def _as_data(value: Any) -> Any:
+    """Return values as a file holds them: mappings, lists and scalars."""
+    if isinstance(value, Mapping):
+        return {str(key): _as_data(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_data(one) for one in value]
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any]]]) -> LoadedConfig:
@@ -163,14 +203,14 @@ def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> L
 
 
 def load_cameras(path: Path | str) -> CamerasFile:
-    """Load a ``cameras.yaml`` by itself.
+    """Load a file of cameras by itself: a ``cameras.yaml``, or one of another program that its content shows.
 
     Raises
     ------
     InputError
         As `load_config`.
     """
-    return _validate(CamerasFile, read_yaml(Path(path))[0])
+    return _validate(CamerasFile, read_camera_tree(Path(path)).tree)
 
 
 def json_schema() -> dict[str, Any]:
@@ -216,24 +256,26 @@ def _check_camera_of_reports(config: Config, tree: Tree) -> None:
         raise InputError(f"{where}: expected the name of a camera, found {times.camera}{close}")
 
 
-def _inline_cameras(tree: Tree, path: Path) -> tuple[str, str]:
-    """Put the cameras of a file into the tree; return their unit of length and the file's hash."""
-    cameras, content = read_yaml(path)
-    checked = _validate(CamerasFile, cameras)
-    _apply(tree, ("cameras",), cameras, ("cameras",))
-    return checked.units.length, hashlib.sha256(content).hexdigest()
+def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
+    """Put the cameras of a file into the tree; return their unit of length, if stated, and the file's hash."""
+    read = read_camera_tree(path)
+    checked = _validate(CamerasFile, read.tree)
+    _apply(tree, ("cameras",), read.tree, ("cameras",))
+    return checked.units.length if read.has_unit else None, read.sha256
 
 
 def _parse_override(text: str) -> tuple[KeyPath, Tree]:
     key, separator, value = text.partition("=")
-    source = f"--set {text}"
+    source = f"`overrides` {text}" if len(text) <= MAX_SHOWN_OVERRIDE else f"`overrides` {text[:MAX_SHOWN_OVERRIDE]}..."
     if not separator or not all(key.strip().split(".")):
         raise InputError(f"{source}: expected KEY.PATH=VALUE")
     return _key_path(key), parse_yaml(value, source, numbered=False)
 
 
 def _key_path(key: str) -> KeyPath:
-    return tuple(int(part) if part.isdecimal() else part for part in key.strip().split("."))
+    return tuple(
+        int(part) if part.isdecimal() and len(part) <= MAX_INDEX_DIGITS else part for part in key.strip().split(".")
+    )
 
 
 def _apply(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:

@@ -9,29 +9,31 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stereophd.config.base import Model, NonNegative, Positive
+from stereophd.config.base import Model
+from stereophd.core.settings import Duration, Pixels, PositiveDuration, PositiveLength, parameter
 
 
 class SmoothConfig(Model):
-    """Fixed-interval smoothing (``track --smooth``)."""
+    """Fixed-interval smoothing of every track."""
 
-    max_gap_s: NonNegative = Field(
-        1.0,
-        description="s; tracks that end and begin within this time, and fit, are stitched into one, and detections of "
-        "an object are looked for this long before its first known one",
+    max_gap_s: Duration = parameter(
+        "tracks that end and begin within this time, and fit, are stitched into one, and detections of an object "
+        "are looked for this long before its first known one",
+        default=1.0,
+        advice="the longest time for which objects are hidden.",
     )
 
 
 class CameraTimes(Model):
     """Estimates after every frame of one camera."""
 
-    camera: str = Field(description="name of the camera")
+    camera: str = parameter("name of the camera")
 
 
 class GridTimes(Model):
     """Estimates on a fixed grid of times."""
 
-    grid: Positive = Field(description="step of the grid, s: its times are the multiples of it")
+    grid: PositiveDuration = parameter("step of the grid: its times are the multiples of it", unit="s")
 
 
 # A finer grid would repeat times that are written to the nanosecond, and fill the disk.
@@ -75,29 +77,33 @@ TimesSetting = Annotated[
 class ReportConfig(Model):
     """Which estimates are written."""
 
-    times: TimesSetting = Field(
-        "events",
-        description="when estimates are written: events (after every event), camera NAME (after every frame of that "
-        "camera) or grid DT (at the multiples of DT seconds, predicted from the last event before each)",
+    times: TimesSetting = parameter(
+        "when estimates are written: events (after every event), camera NAME (after every frame of that camera) or "
+        "grid DT (at the multiples of DT seconds, predicted from the last event before each)",
+        default="events",
+        advice="grid for plots and comparisons, camera for one estimate a frame, events for everything.",
     )
-    max_position_std: Positive | None = Field(
-        None,
-        description="leave out estimates whose position is less certain (square root of the trace of its "
-        "covariance), length: depth is not seen while one camera alone sees an object",
+    max_position_std: PositiveLength | None = parameter(
+        "leave out estimates whose position is less certain (square root of the trace of its covariance): "
+        "depth is not seen while one camera alone sees an object",
+        default=None,
+        advice="the largest error that is of use to you; it hides tracks that one camera alone sees.",
     )
-    smooth: SmoothConfig | None = Field(
-        None, description="smooth every track over the whole log, which is then held in memory; default off"
+    smooth: SmoothConfig | None = parameter(
+        "smooth every track over the whole log, which is then held in memory; default off", default=None
     )
 
 
 class InputConfig(Model):
     """How a detection log is read."""
 
-    on_bad_row: Literal["error", "drop"] = Field(
-        "error",
-        description="error: the first bad row ends the run; drop: bad rows are dropped, counted and reported",
+    on_bad_row: Literal["error", "drop"] = parameter(
+        "error: the first bad row ends the run; drop: bad rows are dropped, counted and reported",
+        default="error",
+        advice="error, until you know why rows are bad.",
     )
-    image_margin_px: NonNegative = Field(
-        10.0,
-        description="a detection further than this outside the image is a bad row (noise may reach over the edge)",
+    image_margin_px: Pixels = parameter(
+        "a detection further than this outside the image is a bad row (noise may reach over the edge)",
+        default=10.0,
+        unit="px",
     )

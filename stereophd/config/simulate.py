@@ -4,45 +4,63 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from annotated_types import Interval
+from pydantic import model_validator
 
-from stereophd.config.base import Finite, Model, NonNegative, Positive, Range3, Vector3
+from stereophd.config.base import Model, Range3
+from stereophd.core.settings import (
+    FINITE,
+    LARGEST_COUNT,
+    Length,
+    PositiveDuration,
+    Rate,
+    Time,
+    Vector3,
+    parameter,
+)
+
+BirthsPerSecond = Annotated[float, Interval(ge=0, le=LARGEST_COUNT), FINITE]
 
 
 class GivenObject(Model):
     """An object whose start and velocity are given."""
 
-    position: Vector3 = Field(description="position at birth_s")
-    velocity: Vector3 = Field((0.0, 0.0, 0.0), description="velocity at birth_s, length/s")
-    birth_s: Finite | None = Field(None, description="first time; default the start of the run")
-    death_s: Finite | None = Field(None, description="last time; default the end of the run")
+    position: Vector3 = parameter("position at birth_s", unit="length")
+    velocity: Vector3 = parameter("velocity at birth_s", default=(0.0, 0.0, 0.0), unit="length/s")
+    birth_s: Time | None = parameter("first time; default the start of the run", default=None, unit="s")
+    death_s: Time | None = parameter("last time; default the end of the run", default=None, unit="s")
 
 
 class DrawnObjects(Model):
     """Objects drawn at random in a box."""
 
-    count: Annotated[int, Field(ge=0)] = Field(description="objects alive at the start")
-    box: Range3 = Field(description="positions at the start are uniform in this box")
-    velocity_std: NonNegative = Field(description="standard deviation of each component of velocity, length/s")
-    stay_in_view: Literal["all", "any", "none"] = Field(
-        "all",
-        description="draw again until the object is in view of all (any of the) cameras throughout its life",
+    count: Annotated[int, Interval(ge=0, le=LARGEST_COUNT)] = parameter("objects alive at the start")
+    box: Range3 = parameter("positions at the start are uniform in this box")
+    velocity_std: Length = parameter("standard deviation of each component of velocity", unit="length/s")
+    stay_in_view: Literal["all", "any", "none"] = parameter(
+        "draw again until the object is in view of all (any of the) cameras throughout its life", default="all"
     )
-    births_per_s: NonNegative = Field(0.0, description="further objects appear at this rate")
-    mean_lifetime_s: Positive | None = Field(None, description="exponential lifetime; default to the end of the run")
+    births_per_s: BirthsPerSecond = parameter("further objects appear at this rate", default=0.0, unit="1/s")
+    mean_lifetime_s: PositiveDuration | None = parameter(
+        "mean of the exponential lifetime; default to the end of the run", default=None, unit="s"
+    )
 
 
 class SimulateConfig(Model):
     """What `simulate` makes."""
 
-    duration_s: Positive = Field(description="frames lie in [start_s, start_s + duration_s)")
-    start_s: Finite = Field(0.0, description="true time of the start")
-    frame_rate_hz: Positive = Field(1.0, description="of cameras that state none")
-    objects: DrawnObjects | None = Field(None, description="objects drawn at random")
-    given: tuple[GivenObject, ...] = Field((), description="objects whose paths are given")
-    acceleration_std: NonNegative | Vector3 = Field(0.0, description="process noise, as motion.acceleration_std")
-    truth_rate_hz: Positive | None = Field(None, description="of truth.parquet; default every distinct frame time")
-    object_id: bool = Field(False, description="write the true object_id of each detection (-1 clutter) into the log")
+    duration_s: PositiveDuration = parameter("frames lie in [start_s, start_s + duration_s)", unit="s")
+    start_s: Time = parameter("true time of the start", default=0.0, unit="s")
+    frame_rate_hz: Rate = parameter("of cameras that state none", default=1.0, unit="Hz")
+    objects: DrawnObjects | None = parameter("objects drawn at random", default=None)
+    given: tuple[GivenObject, ...] = parameter("objects whose paths are given", default=())
+    acceleration_std: Length | tuple[Length, Length, Length] = parameter(
+        "process noise, as motion.acceleration_std", default=0.0, unit="length/s^2"
+    )
+    truth_rate_hz: Rate | None = parameter(
+        "of truth.parquet; default every distinct frame time", default=None, unit="Hz"
+    )
+    object_id: bool = parameter("write the true object_id of each detection (-1 clutter) into the log", default=False)
 
     @model_validator(mode="after")
     def _some_objects(self) -> SimulateConfig:

@@ -18,6 +18,13 @@ from stereophd.errors import InputError
 
 KeyPath = tuple[str | int, ...]
 
+# Far more than any configuration needs; devices and pipes can go on without end.
+MAX_BYTES = 8_000_000
+# Longer integers are refused by Python itself, and mean nothing here.
+MAX_DIGITS = 100
+# A longer value is shortened in messages.
+MAX_SHOWN = 60
+
 # Aliases can make a small file expand without end ("billion laughs"); no real config comes near this.
 MAX_NODES = 100_000
 
@@ -46,17 +53,45 @@ for _tag, _pattern, _first in (
 _CoreLoader.add_implicit_resolver(_TAG + "null", re.compile("^$"), [""])
 
 
+def _integer(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError
+    return int(text, 0) if text[:2] in ("0x", "0o") else int(text)
+
+
+def _text(text: str) -> str:
+    """Refuse what no file name and no UTF-8 file can hold."""
+    if "\0" in text or any("\ud800" <= character <= "\udfff" for character in text):
+        raise ValueError
+    return text
+
+
 def _float(text: str) -> float:
     return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
 
 
 _SCALARS: dict[str, Callable[[str], Any]] = {
-    "str": str,
+    "str": _text,
     "bool": lambda text: text.lower() == "true",
     "null": lambda text: None,
-    "int": lambda text: int(text, 0) if text[:2] in ("0x", "0o") else int(text),
+    "int": _integer,
     "float": _float,
 }
+
+
+_EXPECTED = {
+    "str": "text of Unicode characters, without NUL",
+    "bool": "true or false",
+    "null": "null",
+    "int": f"an integer of at most {MAX_DIGITS} digits",
+    "float": "a number",
+}
+
+
+def shortened(text: str) -> str:
+    """Return a text in quotes, cut where it is long, with what cannot be printed escaped."""
+    shown = ascii(text[: MAX_SHOWN + 1])
+    return shown if len(text) <= MAX_SHOWN else f"{shown[:MAX_SHOWN]}... ({len(text)} characters)"
 
 
 @dataclass(frozen=True)
@@ -150,13 +185,16 @@ class _Builder:
             self._open.discard(id(node))
 
     def _scalar(self, node: yaml.Node) -> Any:
-        convert = _SCALARS.get(node.tag.removeprefix(_TAG))
+        kind = node.tag.removeprefix(_TAG)
+        convert = _SCALARS.get(kind)
         if convert is None:
             raise InputError(f"{self._place(node)}: expected plain YAML values, found the tag {node.tag}")
         try:
             return convert(node.value)
         except ValueError:
-            raise InputError(f"{self._place(node)}: expected a value of {node.tag}, found {node.value!r}") from None
+            raise InputError(
+                f"{self._place(node)}: expected {_EXPECTED[kind]}, found {shortened(node.value)}"
+            ) from None
 
     def _mapping(self, node: yaml.MappingNode, path: KeyPath) -> dict[str, Any]:
         result: dict[str, Any] = {}
@@ -169,6 +207,8 @@ class _Builder:
                 merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
                 continue
             name = str(key.value)
+            if name != key.value.encode("utf-8", "replace").decode() or "\0" in name:
+                raise InputError(f"{self._place(key)}: expected {_EXPECTED['str']} as key, found {shortened(name)}")
             if name in seen:
                 where = ".".join(map(str, (*path, name)))
                 raise InputError(
@@ -179,6 +219,10 @@ class _Builder:
         for source in merged:
             if not isinstance(source, yaml.MappingNode):
                 raise InputError(f"{self._place(source)}: expected a mapping after <<, found something else")
+            if id(source) in self._open:
+                raise InputError(
+                    f"{self._place(source)}: expected a finite document, found a mapping merged into itself"
+                )
             extra = _Builder(self._source, self._numbered)
             extra._open = self._open | {id(source)}
             extra._count = self._count
@@ -222,7 +266,10 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
     root_place = Place(source, 1 if numbered else None)
     if node is None:
         return Tree(None, {(): root_place})
-    data = builder.build(node, ())
+    try:
+        data = builder.build(node, ())
+    except RecursionError as error:
+        raise InputError(f"{source}: expected YAML, found lists or mappings nested too deeply") from error
     builder.places[()] = root_place
     return Tree(data, builder.places)
 
@@ -236,9 +283,14 @@ def read_yaml(path: Path) -> tuple[Tree, bytes]:
         The file is not there or not readable, or as `parse_yaml`.
     """
     try:
-        content = path.read_bytes()
+        with open(path, "rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such file") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError:
+        raise InputError(f"{str(path)!a}: expected the path of a file, found one with a NUL") from None
+    if len(content) > MAX_BYTES:
+        raise InputError(f"{path}: expected a configuration of at most {MAX_BYTES // 10**6} MB, found more")
     return parse_yaml(content, str(path)), content

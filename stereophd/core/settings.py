@@ -58,6 +58,8 @@ Duration = Annotated[float, Interval(ge=0, le=LARGEST_TIME_S), FINITE]
 PositiveDuration = Annotated[float, Interval(ge=SMALLEST_TIME_S, le=LARGEST_TIME_S), FINITE]
 #: A rate above 0, 1/s.
 Rate = Annotated[float, Interval(ge=1 / LARGEST_TIME_S, le=1 / SMALLEST_TIME_S), FINITE]
+#: A position or a velocity, length or length/s along the axes of the world.
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 #: A place in an image, px.
 Pixel = Annotated[float, Interval(ge=-LARGEST_PX, le=LARGEST_PX), FINITE]
 #: A focal length, a standard deviation or a disparity: above 0, px.
@@ -72,6 +74,12 @@ NonNegative = Annotated[float, Interval(ge=0, le=1e15), FINITE]
 Fraction = Annotated[float, Interval(ge=0, le=1), FINITE]
 #: A probability or fraction above 0.
 PositiveFraction = Annotated[float, Interval(ge=1e-30, le=1), FINITE]
+#: An angle, degrees: more than a hundred turns are a mistake.
+Degrees = Annotated[float, Interval(ge=-36_000, le=36_000), FINITE]
+#: The standard deviation of an angle, degrees.
+DegreesSpread = Annotated[float, Interval(ge=0, le=36_000), FINITE]
+#: An angular velocity, degrees/s.
+DegreesPerSecond = Annotated[float, Interval(ge=-1e9, le=1e9), FINITE]
 #: How many there are: at least 1.
 Count = Annotated[int, Interval(ge=1, le=LARGEST_COUNT)]
 

@@ -12,7 +12,6 @@ from stereophd.config.filter import RegionConfig
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.core.disparity.events import make_rig
-from stereophd.core.motion.models import Static
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.kinds.pmb import PmbSettings
@@ -41,10 +40,9 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
     motion = config.motion.build()
-    rows = 3 if isinstance(motion, Static) else 12
     seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
-    sets = draw_sample_sets(moments.method, moments.samples, rows, seed, moments.max_nonlinearity)
+    sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     _check_birth_rate(settings, cameras, path)
     return settings.build(rig, motion, sets, threads)

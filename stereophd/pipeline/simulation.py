@@ -9,6 +9,7 @@ import numpy as np
 from stereophd.config.model import Config
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.models import ConstantVelocity
 from stereophd.core.simulation.detections import Scene
 from stereophd.core.simulation.drawing import Drawing, draw_objects
 from stereophd.core.simulation.objects import MovingObject
@@ -40,7 +41,7 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     )
     truth = None if settings.truth_rate_hz is None else Schedule(settings.truth_rate_hz, start_s, end_s)
     grid = TimeGrid(schedules, truth)
-    acceleration_std = np.broadcast_to(np.asarray(settings.acceleration_std, dtype=float), (3,))
+    motion = ConstantVelocity(settings.acceleration_std)
     given_seed, drawn_seed = seed.spawn(2)
     objects = _given_objects(settings, grid.start_s, given_seed)
     if settings.objects is not None:
@@ -54,8 +55,8 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
             births_per_s=settings.objects.births_per_s,
             mean_lifetime_s=settings.objects.mean_lifetime_s,
         )
-        objects += draw_objects(drawing, cameras, grid, acceleration_std, drawn_seed, len(objects))
-    return Scene(tuple(cameras), grid, objects, acceleration_std)
+        objects += draw_objects(drawing, cameras, grid, motion, drawn_seed, len(objects))
+    return Scene(tuple(cameras), grid, objects, motion)
 
 
 def _given_objects(settings: SimulateConfig, start_s: float, seed: np.random.SeedSequence) -> tuple[MovingObject, ...]:

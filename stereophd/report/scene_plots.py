@@ -23,7 +23,7 @@ from stereophd.report.style import (
     legend_right,
     unit_text,
 )
-from stereophd.report.views import View, field_of_view, limits, viewing_depth, views
+from stereophd.report.views import SceneView, field_of_view, limits, viewing_depth, views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def draw_views(pictures: Pictures) -> dict[str, Figure]:
 
 
 def _draw_view(
-    pictures: Pictures, view: View, title: str, rows: Any, cameras: Sequence[Camera], scene: FloatArray
+    pictures: Pictures, view: SceneView, title: str, rows: Any, cameras: Sequence[Camera], scene: FloatArray
 ) -> Figure:
     across, along = limits(view.project(scene))
     width, height = across[1] - across[0], along[1] - along[0]
@@ -76,14 +76,14 @@ def _draw_view(
     return figure
 
 
-def _draw_field_of_view(axes: Axes, camera: Camera, depth: float, view: View) -> None:
+def _draw_field_of_view(axes: Axes, camera: Camera, depth: float, view: SceneView) -> None:
     if depth > 0:
         outline = field_of_view(camera, depth, view)
         axes.fill(*outline.T, facecolor=CAMERA_COLOUR, alpha=0.07, linewidth=0, zorder=1)
         axes.fill(*outline.T, fill=False, edgecolor=CAMERA_COLOUR, alpha=0.35, linewidth=0.8, zorder=1)
 
 
-def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: View, near: float) -> None:
+def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: SceneView, near: float) -> None:
     """Draw the centres; cameras that are drawn in the same place share one line of names."""
     places: list[tuple[FloatArray, list[str]]] = []
     for camera in cameras:
@@ -118,7 +118,7 @@ def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: View, near: float
 
 
 def _draw_estimates(
-    axes: Axes, estimates: PointSets, view: View, across: tuple[float, float], along: tuple[float, float]
+    axes: Axes, estimates: PointSets, view: SceneView, across: tuple[float, float], along: tuple[float, float]
 ) -> None:
     """Draw the estimates that lie within the limits, and say how many do not."""
     drawn = view.project(estimates.position)
@@ -142,7 +142,7 @@ def _ranks(labels: IntArray) -> IntArray:
     return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
 
-def _draw_truth(axes: Axes, pictures: Pictures, view: View, rows: Any) -> None:
+def _draw_truth(axes: Axes, pictures: Pictures, view: SceneView, rows: Any) -> None:
     """Draw the true paths as lines that break at gaps, with a ring where each begins."""
     truth = pictures.truth
     time, label, points = truth.time_s[rows], truth.object_id[rows], view.project(truth.position[rows])

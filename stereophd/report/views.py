@@ -21,7 +21,7 @@ MARGIN = 0.06
 
 
 @dataclass(frozen=True)
-class View:
+class SceneView:
     """A projection along a world axis.
 
     Attributes
@@ -58,7 +58,7 @@ def down_axis(cameras: Sequence[Camera]) -> tuple[int, bool]:
     return axis, bool(down[axis] > 0)
 
 
-def views(cameras: Sequence[Camera], points: FloatArray) -> dict[str, View]:
+def views(cameras: Sequence[Camera], points: FloatArray) -> dict[str, SceneView]:
     """Return the ``top`` and ``side`` views of a scene whose points (n, 3) are known.
 
     From above nothing is mirrored; from the side the longer horizontal axis is drawn.
@@ -71,7 +71,7 @@ def views(cameras: Sequence[Camera], points: FloatArray) -> dict[str, View]:
         first, second = second, first
     extent = np.ptp(points, axis=0) if len(points) else np.ones(3)
     longer = first if extent[first] >= extent[second] else second
-    return {"top": View(first, second), "side": View(longer, vertical, inverted=is_down)}
+    return {"top": SceneView(first, second), "side": SceneView(longer, vertical, inverted=is_down)}
 
 
 def limits(points: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -86,7 +86,7 @@ def limits(points: FloatArray) -> tuple[tuple[float, float], tuple[float, float]
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def field_of_view(camera: Camera, depth: float, view: View) -> FloatArray:
+def field_of_view(camera: Camera, depth: float, view: SceneView) -> FloatArray:
     """Return the outline (n, 2) of what a camera sees up to a depth, as drawn in a view."""
     u = np.array([-0.5, camera.width / 2 - 0.5, camera.width - 0.5])
     v = np.array([-0.5, camera.height / 2 - 0.5, camera.height - 0.5])

@@ -109,7 +109,7 @@ def test_same_generator_same_data() -> None:
 def test_trajectories_have_the_moments_of_the_motion() -> None:
     scenario, count = scenes.figure_eleven(10), 1000
     ends = np.array([draw_trajectory(scenario, np.random.default_rng((4, k)))[-1] for k in range(count)])
-    matrix, noise = scenario.motion.transition(float(scenario.times[-1]))
+    matrix, noise, _ = scenario.motion.transition(float(scenario.times[-1]))
     std = np.sqrt(np.diag(noise))
     assert (np.abs(ends.mean(axis=0) - matrix @ scenario.start) < 5.0 * std / np.sqrt(count)).all()
     np.testing.assert_allclose(

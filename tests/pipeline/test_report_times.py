@@ -118,7 +118,7 @@ def test_estimates_on_a_grid_are_predicted_from_the_last_event(runs: dict[str, A
         time_s, track_id = grid["time_s"][row], grid["track_id"][row]
         mine = np.flatnonzero((events["track_id"] == track_id) & (events["time_s"] <= time_s))
         source = mine[-1]
-        matrix, noise = motion.transition(time_s - events["time_s"][source])
+        matrix, noise, _ = motion.transition(time_s - events["time_s"][source])
         state = np.array([events[key][source] for key in ("x", "y", "z", "vx", "vy", "vz")])
         found = np.array([grid[key][row] for key in ("x", "y", "z", "vx", "vy", "vz")])
         covariance = matrix @ events["covariance"][source].reshape(6, 6) @ matrix.T + noise
@@ -155,8 +155,8 @@ def test_smoothed_estimates_on_a_grid(runs: dict[str, Any]) -> None:
             continue
         a, b = before[-1], after[0]
         state_a, state_b = (np.array([events[key][k] for key in names]) for k in (a, b))
-        to_t, noise_t = motion.transition(time_s - events["time_s"][a])
-        onward, noise_b = motion.transition(events["time_s"][b] - time_s)
+        to_t, noise_t, _ = motion.transition(time_s - events["time_s"][a])
+        onward, noise_b, _ = motion.transition(events["time_s"][b] - time_s)
         # bridge between two known states: mean and covariance of x_t given x_a and x_b
         gain = noise_t @ onward.T @ np.linalg.pinv(onward @ noise_t @ onward.T + noise_b)
         expected = to_t @ state_a + gain @ (state_b - onward @ to_t @ state_a)
@@ -181,7 +181,7 @@ def test_times_without_a_measurement_are_smoothed_exactly() -> None:
     inserted = {0.2: 0, 0.9: 2, 1.3: 3, 1.6: 3}
     nodes = [(times[k], known.states[k], known.covariances[k]) for k in range(len(times))]
     for time_s, k in inserted.items():
-        matrix, noise = motion.transition(time_s - times[k])
+        matrix, noise, _ = motion.transition(time_s - times[k])
         nodes.append((time_s, matrix @ known.states[k], matrix @ known.covariances[k] @ matrix.T + noise))
     nodes.sort(key=lambda node: node[0])
     count = len(nodes)
@@ -195,8 +195,8 @@ def test_times_without_a_measurement_are_smoothed_exactly() -> None:
     np.testing.assert_allclose(result.covariances[at_events], covariances, rtol=1e-6, atol=1e-7)
     for time_s, k in inserted.items():
         # without the other inserted times: one prediction, one step back from the next event
-        matrix, noise = motion.transition(time_s - times[k])
-        onward, noise_on = motion.transition(times[k + 1] - time_s)
+        matrix, noise, _ = motion.transition(time_s - times[k])
+        onward, noise_on, _ = motion.transition(times[k + 1] - time_s)
         covariance = matrix @ known.covariances[k] @ matrix.T + noise
         predicted = onward @ covariance @ onward.T + noise_on
         gain = covariance @ onward.T @ np.linalg.inv(predicted)

@@ -14,7 +14,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.metrics.alignment import Truth
 from stereophd.core.metrics.scans import PointSets
-from stereophd.report.views import View, convex_hull, field_of_view, limits, viewing_depth, views
+from stereophd.report.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
 
 
 def camera(rotation: np.ndarray, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Camera:
@@ -32,10 +32,10 @@ Z_DOWN = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 @pytest.mark.parametrize(
     ("rotation", "top", "side_vertical", "inverted"),
     [
-        (FORWARD_ALONG_Z, View(0, 2), 1, True),
-        (Z_UP, View(0, 1), 2, False),
-        (Z_DOWN, View(1, 0), 2, True),
-        (np.diag([-1.0, -1, 1]), View(2, 0), 1, False),
+        (FORWARD_ALONG_Z, SceneView(0, 2), 1, True),
+        (Z_UP, SceneView(0, 1), 2, False),
+        (Z_DOWN, SceneView(1, 0), 2, True),
+        (np.diag([-1.0, -1, 1]), SceneView(2, 0), 1, False),
     ],
 )
 def test_views_follow_how_cameras_are_held(rotation, top, side_vertical, inverted):
@@ -50,7 +50,7 @@ def test_views_follow_how_cameras_are_held(rotation, top, side_vertical, inverte
 
 def test_without_cameras_y_is_down_and_the_longer_axis_is_drawn():
     points = np.array([[0.0, 0, 0], [10, 1, 3]])
-    assert views([], points) == {"top": View(0, 2), "side": View(0, 1, inverted=True)}
+    assert views([], points) == {"top": SceneView(0, 2), "side": SceneView(0, 1, inverted=True)}
     assert views([], points[:, [2, 1, 0]])["side"].horizontal == 2
 
 
@@ -69,7 +69,7 @@ def test_limits_hold_all_points():
 def test_field_of_view_is_the_pyramid_of_the_image():
     one = camera(FORWARD_ALONG_Z)
     # 800 px at a focal length of 400 px: 90 degrees from above.
-    outline = field_of_view(one, 10.0, View(0, 2))
+    outline = field_of_view(one, 10.0, SceneView(0, 2))
     assert sorted(map(tuple, outline.round(9))) == [(-10.0, 10.0), (0.0, 0.0), (10.0, 10.0)]
     assert viewing_depth(one, np.array([[0.0, 0, 4], [0, 0, 7], [0, 0, -9]])) > 2 * 7.0
     assert viewing_depth(one, np.zeros((0, 3))) == 0.0

@@ -16,7 +16,7 @@ from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.quantities.looking import look
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -70,12 +70,13 @@ def calibration_bound(
     _, numbers = np.unique(objects[seen], return_inverse=True)
     count = int(numbers.max()) + 1 if len(numbers) else 0
     spans = [(float(times[seen][numbers == j].min()), float(times[seen][numbers == j].max())) for j in range(count)]
-    knots = place_knots(spans, knot_spacing(motion.acceleration_std, noise), motion)
+    knots = place_knots(spans, knot_spacing(motion, noise), motion)
     observations = Observations(
         numbers, cameras[seen], times[seen], np.zeros((int(seen.sum()), 2)), precisions[seen], log_times[seen],
         heights[seen],
     )  # fmt: skip
-    knot, weights = interpolation(knots, numbers, times[seen])
-    states = fit_states(knots, knot, weights, positions[seen], np.full(int(seen.sum()), noise**-2))
+    states = fit_states(
+        knots, *interpolation(knots, numbers, times[seen]), positions[seen], np.full(int(seen.sum()), noise**-2)
+    )
     problem = Problem(parameters, reference, knots, observations, SQUARED, scale)
     return posterior_covariance(Linearisation.of(problem).at(values, states), parameters.prior_std)

@@ -1,6 +1,6 @@
 """The limit of multi-object tracking: least squares on all data so far, the true associations known.
 
-An object moves on a straight line. Its parameters are (u, v, d) in the disparity space of the camera that saw
+An object moves without noise. Its parameters are (u, v, d) in the disparity space of the camera that saw
 it first, at that time, and its velocity in the world: there the first observation and the prior of its depth
 are linear. The most probable parameters given all detections so far minimise
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
@@ -62,7 +63,7 @@ class AssociatedDetections:
 
 
 @dataclass(frozen=True)
-class _Lines:
+class _Paths:
     """What is known of the n objects before all other data: where and when each was first seen."""
 
     start_s: Array
@@ -70,6 +71,7 @@ class _Lines:
     prior_disparity: Array
     prior_std: Array
     velocity_std: float
+    motion: Motion
 
 
 def sight(
@@ -88,11 +90,12 @@ def sight(
     return rows, np.full(count, time_s), projection, points, whitening
 
 
-def straight_lines(
+def noiseless_paths(
     detections: AssociatedDetections,
     first: Sequence[tuple[DisparitySpace, float, Array] | None],
     prior: BirthPrior,
     times_s: Array,
+    motion: Motion,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Estimate all objects after each time.
 
@@ -107,6 +110,8 @@ def straight_lines(
         Of depth and velocity.
     times_s : array (t,)
         Times, increasing.
+    motion : Motion
+        Its noise is taken to be zero.
 
     Returns
     -------
@@ -117,29 +122,31 @@ def straight_lines(
         Whether the object was seen up to that time.
     """
     count = len(first)
-    lines, parameters = _begin(first, prior)
+    paths, parameters = _begin(first, prior, motion)
     states = np.full((len(times_s), count, 6), np.nan)
     covariances = np.full((len(times_s), count, 6, 6), np.nan)
-    seen = lines.start_s[None, :] <= times_s[:, None]
+    seen = paths.start_s[None, :] <= times_s[:, None]
     for k, time_s in enumerate(times_s):
         data = detections.until(float(time_s))
         here = seen[k]
         if not here.any():
             continue
-        parameters, information = _fit(lines, data, parameters)
-        points, jacobian = _world(lines, parameters)
-        elapsed = time_s - lines.start_s[here]
-        states[k, here, 3:] = parameters[here, 3:]
-        states[k, here, :3] = points[here] + elapsed[:, None] * parameters[here, 3:]
+        parameters, information = _fit(paths, data, parameters)
+        points, jacobian = _world(paths, parameters)
+        reach, keep, drift = motion.flow(time_s - paths.start_s[here])
+        states[k, here, 3:] = keep[:, None] * parameters[here, 3:] + drift[:, 3:]
+        states[k, here, :3] = points[here] + reach[:, None] * parameters[here, 3:] + drift[:, :3]
         to_state = np.zeros((int(here.sum()), 6, 6))
         to_state[:, :3, :3] = jacobian[here]
-        to_state[:, :3, 3:] = elapsed[:, None, None] * np.eye(3)
-        to_state[:, 3:, 3:] = np.eye(3)
+        to_state[:, :3, 3:] = reach[:, None, None] * np.eye(3)
+        to_state[:, 3:, 3:] = keep[:, None, None] * np.eye(3)
         covariances[k, here] = to_state @ np.linalg.inv(information[here]) @ np.swapaxes(to_state, 1, 2)
     return states, covariances, seen
 
 
-def _begin(first: Sequence[tuple[DisparitySpace, float, Array] | None], prior: BirthPrior) -> tuple[_Lines, Array]:
+def _begin(
+    first: Sequence[tuple[DisparitySpace, float, Array] | None], prior: BirthPrior, motion: Motion
+) -> tuple[_Paths, Array]:
     count = len(first)
     start_s = np.full(count, np.inf)
     to_world = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
@@ -152,12 +159,12 @@ def _begin(first: Sequence[tuple[DisparitySpace, float, Array] | None], prior: B
         to_world[row] = space.inverse_projective_matrix
         disparity[row], std[row] = prior.disparity_moments(space.packed())
     parameters[:, 2] = disparity
-    return _Lines(start_s, to_world, disparity, std, prior.velocity_std), parameters
+    return _Paths(start_s, to_world, disparity, std, prior.velocity_std, motion), parameters
 
 
-def _world(lines: _Lines, parameters: Array) -> tuple[Array, Array]:
+def _world(paths: _Paths, parameters: Array) -> tuple[Array, Array]:
     """World position (n, 3) at the first detection, and its Jacobian (n, 3, 3) in (u, v, d)."""
-    matrix, points = lines.to_world, parameters[:, :3]
+    matrix, points = paths.to_world, parameters[:, :3]
     homogeneous = np.einsum("nij,nj->ni", matrix[:, :3, :3], points) + matrix[:, :3, 3]
     scale = np.einsum("nj,nj->n", matrix[:, 3, :3], points) + matrix[:, 3, 3]
     world = homogeneous / scale[:, None]
@@ -165,16 +172,16 @@ def _world(lines: _Lines, parameters: Array) -> tuple[Array, Array]:
     return world, jacobian
 
 
-def _fit(lines: _Lines, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array]:
+def _fit(paths: _Paths, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array]:
     """Minimise the cost of every object; return the parameters (n, 6) and the information (n, 6, 6) there."""
     damping = np.full(len(parameters), FIRST_DAMPING)
-    cost, gradient, information = _normal_equations(lines, data, parameters)
+    cost, gradient, information = _normal_equations(paths, data, parameters)
     for _ in range(MOST_STEPS):
         diagonal = np.einsum("nii->ni", information)
         damped = information + damping[:, None, None] * diagonal[:, :, None] * np.eye(6)
         step = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
         proposed = parameters + step
-        new_cost, new_gradient, new_information = _normal_equations(lines, data, proposed)
+        new_cost, new_gradient, new_information = _normal_equations(paths, data, proposed)
         better = (new_cost <= cost) & (proposed[:, 2] > 0.0)
         damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), LEAST_DAMPING, MOST_DAMPING)
         settled = (step * gradient).sum(axis=1) <= TOLERANCE * (1.0 + cost)
@@ -187,12 +194,12 @@ def _fit(lines: _Lines, data: AssociatedDetections, parameters: Array) -> tuple[
     return parameters, information
 
 
-def _normal_equations(lines: _Lines, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array, Array]:
+def _normal_equations(paths: _Paths, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array, Array]:
     """Cost (n,), descent direction (n, 6) and information (n, 6, 6) at these parameters."""
     count = len(parameters)
-    world, to_world = _world(lines, parameters)
-    elapsed = data.time_s - lines.start_s[data.row]
-    points = world[data.row] + elapsed[:, None] * parameters[data.row, 3:]
+    world, to_world = _world(paths, parameters)
+    flow = paths.motion.flow(data.time_s - paths.start_s[data.row])
+    points = world[data.row] + flow.reach[:, None] * parameters[data.row, 3:] + flow.drift[:, :3]
     homogeneous = np.einsum("mij,mj->mi", data.projection[:, :, :3], points) + data.projection[:, :, 3]
     pixels = homogeneous[:, :2] / homogeneous[:, 2:]
     slope = (data.projection[:, :2, :3] - pixels[:, :, None] * data.projection[:, 2, None, :3]) / homogeneous[
@@ -200,18 +207,18 @@ def _normal_equations(lines: _Lines, data: AssociatedDetections, parameters: Arr
     ]
     slope = data.whitening @ slope
     residual = np.einsum("mij,mj->mi", data.whitening, data.points - pixels)
-    jacobian = np.concatenate([slope @ to_world[data.row], elapsed[:, None, None] * slope], axis=2)
+    jacobian = np.concatenate([slope @ to_world[data.row], flow.reach[:, None, None] * slope], axis=2)
     cost: Array = np.bincount(data.row, (residual**2).sum(axis=1), minlength=count).astype(np.float64)
     gradient = np.zeros((count, 6))
     np.add.at(gradient, data.row, np.einsum("mij,mi->mj", jacobian, residual))
     information = np.zeros((count, 6, 6))
     np.add.at(information, data.row, np.swapaxes(jacobian, 1, 2) @ jacobian)
-    offset = (parameters[:, 2] - lines.prior_disparity) / lines.prior_std
-    cost += offset**2 + ((parameters[:, 3:] / lines.velocity_std) ** 2).sum(axis=1)
-    gradient[:, 2] -= offset / lines.prior_std
-    gradient[:, 3:] -= parameters[:, 3:] / lines.velocity_std**2
-    information[:, 2, 2] += 1.0 / lines.prior_std**2
-    information[:, range(3, 6), range(3, 6)] += 1.0 / lines.velocity_std**2
+    offset = (parameters[:, 2] - paths.prior_disparity) / paths.prior_std
+    cost += offset**2 + ((parameters[:, 3:] / paths.velocity_std) ** 2).sum(axis=1)
+    gradient[:, 2] -= offset / paths.prior_std
+    gradient[:, 3:] -= parameters[:, 3:] / paths.velocity_std**2
+    information[:, 2, 2] += 1.0 / paths.prior_std**2
+    information[:, range(3, 6), range(3, 6)] += 1.0 / paths.velocity_std**2
     # an object that is not seen yet has the information of the prior alone, and a pixel that nothing tells
     unseen = np.bincount(data.row, minlength=count) == 0
     information[unseen] = np.eye(6)

@@ -2,10 +2,10 @@
 
 Minimised is half of
 
-    sum_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + x^T M x / s^2 + ((scale measured - h) / std)^2,
+    sum_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + m(x) / s^2 + ((scale measured - h) / std)^2,
 
 with the reprojection error e_n of every detection and its precision P_n, the priors of the camera parameters, the
-motion model M of the trajectories' knots x (positions and velocities have no prior), and the scale s of the scene
+motion model m(x) of the trajectories' knots x (positions and velocities have no prior), and the scale s of the scene
 (`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
 
     [ A   C ] [dx]   [a]
@@ -30,10 +30,12 @@ from stereophd.core.calibration.quantities.base import TIMES
 from stereophd.core.calibration.quantities.looking import look
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale, predicted
 from stereophd.core.calibration.trajectories import (
+    Interpolation,
     Knots,
+    MotionPrior,
     banded_product,
     interpolation,
-    motion_bands,
+    motion_prior,
     positions,
     slopes,
 )
@@ -165,27 +167,25 @@ class Linearisation:
     problem : Problem
     members : tuple of arrays of int
         Observations of each camera.
-    knot, weights, rates : arrays (n,), (n, 4), (n, 4)
-        Interpolation of positions and velocities at the times of the prior mean.
-    motion : array (12, 6 k)
-        Bands of the motion model.
+    path, rates : Interpolation
+        Of positions and velocities at the times of the prior mean.
+    motion : MotionPrior
     columns : array (c, q)
         Places of the unknown values of each camera, filled up with -1.
     """
 
     problem: Problem
     members: tuple[Integers, ...]
-    knot: Integers
-    weights: Array
-    rates: Array
-    motion: Array
+    path: Interpolation
+    rates: Interpolation
+    motion: MotionPrior
     columns: Integers
 
     @staticmethod
     def of(problem: Problem) -> Linearisation:
         """Prepare a problem."""
         observations, parameters = problem.observations, problem.parameters
-        knot, weights = interpolation(problem.knots, observations.trajectories, observations.times)
+        path = interpolation(problem.knots, observations.trajectories, observations.times)
         rates = slopes(problem.knots, observations.trajectories, observations.times)
         members = tuple(np.flatnonzero(observations.cameras == k) for k in range(len(parameters.cameras)))
         places = [
@@ -195,7 +195,7 @@ class Linearisation:
         columns = np.full((len(places), max(len(index) for index in places)), -1, dtype=np.int64)
         for row, index in zip(columns, places, strict=True):
             row[: len(index)] = index
-        return Linearisation(problem, members, knot, weights, rates, motion_bands(problem.knots), columns)
+        return Linearisation(problem, members, path, rates, motion_prior(problem.knots), columns)
 
     def at(self, values: Array, states: Array) -> NormalEquations:
         """Return the normal equations at values (m,) and knots (k, 2, 3)."""
@@ -205,18 +205,20 @@ class Linearisation:
         state_vector, value_vector = np.zeros(size), np.zeros(count)
         observations = problem.observations
         distances = np.zeros(len(observations))
-        knot, weights, errors, visible, by_point, by_value = self._residuals(values, states)
+        path, errors, visible, by_point, by_value = self._residuals(values, states)
         cost = kernels.accumulate(
-            observations.cameras, errors, visible, observations.precisions, by_point, by_value, knot, weights,
-            self.columns, problem.loss.kind, problem.loss.scale,
+            observations.cameras, errors, visible, observations.precisions, by_point, by_value, path.knot,
+            path.weights, self.columns, problem.loss.kind, problem.loss.scale,
             bands, coupling, matrix, state_vector, value_vector, distances,
         )  # fmt: skip
-        # motion model, in units of the scene's scale
+        # motion model, its noise in units of the scene's scale
         logarithm, gradient = log_scale(parameters, problem.reference, values)
         density = np.exp(-2.0 * logarithm)
-        pull = density * banded_product(self.motion, states.ravel())
-        energy = float(states.ravel() @ pull)
-        bands += density * self.motion
+        x, motion = states.ravel(), self.motion
+        product = density * banded_product(motion.bands, x)
+        pull = product - density * motion.pull
+        energy = float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull))
+        bands += density * motion.bands
         state_vector -= pull
         coupling -= np.outer(pull, gradient)
         matrix += energy * np.outer(gradient, gradient)
@@ -234,18 +236,16 @@ class Linearisation:
             cost += residual**2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
 
-    def _residuals(
-        self, values: Array, states: Array
-    ) -> tuple[Integers, Array, Array, NDArray[np.bool_], Array, Array]:
+    def _residuals(self, values: Array, states: Array) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
         """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values."""
         observations, parameters = self.problem.observations, self.problem.parameters
         cameras = parameters.build(values)
-        times, knot, weights, rates = observations.times, self.knot, self.weights, self.rates
+        times, path, rates = observations.times, self.path, self.rates
         if any(quantity.affects == TIMES for quantity in parameters.quantities):
             times = true_times(cameras, observations)
-            knot, weights = interpolation(self.problem.knots, observations.trajectories, times)
+            path = interpolation(self.problem.knots, observations.trajectories, times)
             rates = slopes(self.problem.knots, observations.trajectories, times)
-        world, velocities = positions(states, knot, weights), positions(states, knot, rates)
+        world, velocities = positions(states, *path), positions(states, *rates)
         count = len(observations)
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1]))
@@ -261,7 +261,7 @@ class Linearisation:
             for quantity, index in parameters.unknown(camera.name):
                 by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))
                 column += len(index)
-        return knot, weights, errors, visible, by_point, by_value
+        return path, errors, visible, by_point, by_value
 
 
 def true_times(cameras: Sequence[Camera], observations: Observations) -> Array:

@@ -148,7 +148,7 @@ def fitted_detections(
     scans : Scans
     knots, states : Knots, array (k, 2, 3)
     padding : float
-        A trajectory goes on straight for this time before its first and after its last detection, s.
+        A trajectory goes on without noise for this time before its first and after its last detection, s.
     counts : array (j,)
         Detections of each trajectory so far.
 
@@ -162,8 +162,7 @@ def fitted_detections(
     for j in np.argsort(-counts, kind="stable"):
         start, end = knots.spans[j]
         open_ = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
-        knot, weights = interpolation(knots, np.full(len(open_), j), times[open_])
-        points = positions(states, knot, weights)
+        points = positions(states, *interpolation(knots, np.full(len(open_), j), times[open_]))
         difference = np.full((len(open_), 2), np.nan)
         for number, camera in enumerate(cameras):
             here = of_camera[open_] == number

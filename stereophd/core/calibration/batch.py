@@ -135,12 +135,13 @@ class FilterBatch:
         detections, sets, step = self._detections(event), self._samples(state), self._step(state, event)
         region = NO_REGION if self.template.rig.region is None else self.template.rig.region
         parts = state.mixture.parts
+        motion = self.template.motion.arrays(event.time_s - state.mixture.times)
         update = pmb_update if isinstance(self.template, PmbFilter) else phd_update
 
         def run(first: int) -> tuple[Integers, Parts, Array]:
             part = slice(first, first + CHUNK)
             begins, ends = state.begins[part], state.ends[part]
-            weights, moved = predict(begins, ends, parts, spaces[part], sets, step, region)
+            weights, moved = predict(begins, ends, parts, spaces[part], sets, motion, step, region)
             return update(begins, ends, parts, weights, moved, detections, step)
 
         starts = range(0, state.size, CHUNK)
@@ -166,7 +167,7 @@ class FilterBatch:
 
     def _step(self, state: BatchState, event: Event) -> Step:
         template, settings = self.template, self.template.settings
-        camera, motion = template.rig.cameras[event.camera], template.motion
+        camera = template.rig.cameras[event.camera]
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         return Step(
             camera=int(event.camera),
@@ -180,8 +181,6 @@ class FilterBatch:
             clutter=float(camera.detector.clutter_per_frame),
             births=float(settings.birth.per_frame),
             area=float(camera.width * camera.height),
-            acceleration_std=np.array(motion.acceleration_std),
-            max_speed=np.inf if motion.max_speed is None else float(motion.max_speed),
             important=IMPORTANT_WEIGHT,
             prune_weight=float(settings.prune_weight),
             merge_distance=float(settings.merge_distance),

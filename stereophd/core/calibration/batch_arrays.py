@@ -52,9 +52,8 @@ class Step(NamedTuple):
     `camera`, `time_s` of the event; `survival` and time `elapsed` since the last one, `out_of_view_s` as in the
     filters; first unused label; `p_detect`, `clutter` and
     `births` a frame, `area` of the camera's image (px^2); `shape_p_detect`: for the shape of the missed part, 0
-    where it keeps its own; `acceleration_std` (3,) and `max_speed` of the motion;
-    `important`: weight from which a component gets a second look; then the parameters of the reduction
-    (`PhdSettings`, `PmbSettings`).
+    where it keeps its own; `important`: weight from which a component gets a second look; then the parameters of the
+    reduction (`PhdSettings`, `PmbSettings`).
     """
 
     camera: int
@@ -68,8 +67,6 @@ class Step(NamedTuple):
     clutter: float
     births: float
     area: float
-    acceleration_std: Array
-    max_speed: float
     important: float
     prune_weight: float
     merge_distance: float

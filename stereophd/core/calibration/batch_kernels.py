@@ -28,6 +28,7 @@ from stereophd.core.disparity.kernels import (
 )
 from stereophd.core.disparity.move_kernels import allocate_moved, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
+from stereophd.core.motion.arrays import MotionArrays, slice_motion
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
 from stereophd.core.multi.intensity import Parts
 from stereophd.core.multi.parts import allocate_parts, slice_parts, take_parts
@@ -43,7 +44,14 @@ Integers = NDArray[np.int64]
 
 @compiled
 def predict(
-    begins: Integers, ends: Integers, parts: Parts, spaces: Array, sets: SampleArrays, step: Step, region: Array
+    begins: Integers,
+    ends: Integers,
+    parts: Parts,
+    spaces: Array,
+    sets: SampleArrays,
+    motion: MotionArrays,
+    step: Step,
+    region: Array,
 ) -> tuple[Array, MovedArrays]:
     """Carry the components of some hypotheses into the event's spaces: `DisparityFilter.predict`.
 
@@ -55,8 +63,8 @@ def predict(
         Components.
     spaces : array (k, c, 30)
         Packed disparity spaces of each hypothesis' cameras.
-    sets, step
-        As their classes say.
+    sets, motion, step
+        As their classes say; `motion` has an interval for each of the components in `parts`.
     region : array (8,) or empty
         Where objects can be (`stereophd.core.disparity.kernels.region_mask`).
 
@@ -77,16 +85,15 @@ def predict(
         weights, moved = all_weights[first:last], slice_moved(all_moved, first, last)
         first = last
         part = slice(begins[h], ends[h])
-        means, covariances, cameras, times = parts[1][part], parts[2][part], parts[3][part], parts[4][part]
+        means, covariances, cameras = parts[1][part], parts[2][part], parts[3][part]
         weights[:] = parts[0][part] * step.survival
         destination = spaces[h, step.camera]
         homes = np.empty((len(weights), PACKED_SIZE))
         for k in range(len(weights)):
             homes[k] = spaces[h, cameras[k]]
         carry_components(
-            np.arange(len(weights)), means, covariances, homes, step.time_s - times, weights >= step.important,
-            sets.first, sets.second, destination, step.acceleration_std, step.shape_p_detect, step.max_speed, region,
-            moved,
+            np.arange(len(weights)), means, covariances, homes, slice_motion(motion, begins[h], ends[h]),
+            weights >= step.important, sets.first, sets.second, destination, step.shape_p_detect, region, moved,
         )  # fmt: skip
         fade_out_of_view(
             weights, moved[3], means, homes, step.time_s - times, spaces[h], step.elapsed, step.out_of_view_s

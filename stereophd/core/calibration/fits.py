@@ -60,8 +60,7 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     observations = task.observations(cameras, trajectories, detections)
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
-    knot, weights = interpolation(knots, met, task.pairs.times[rows])
-    states = fit_states(knots, knot, weights, points, np.full(len(rows), 1.0))
+    states = fit_states(knots, *interpolation(knots, met, task.pairs.times[rows]), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return _fit(task, problem, pairing.values, states, detections)
 
@@ -80,9 +79,8 @@ def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
     detections = scans.source[found.detections[rows]]
     observations = task.observations(cameras, tracks, detections, inflation)
     knots = _knots(task, observations, found.positions[rows], values)
-    knot, weights = interpolation(knots, tracks, observations.times)
     precision = 1.0 / np.maximum(found.variances[rows], 1e-12)
-    states = fit_states(knots, knot, weights, found.positions[rows], precision)
+    states = fit_states(knots, *interpolation(knots, tracks, observations.times), found.positions[rows], precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return _fit(task, problem, values, states, detections)
 
@@ -94,9 +92,8 @@ def refitted(task: Task, fit: Fit, tracked: bool = False) -> Fit | None:
     scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
     states = fit.adjustment.states
     noise = _noise(task, fit)
-    std = float(task.filter.motion.acceleration_std.max())
-    # over this time a random acceleration moves an object by its detection's noise
-    padding = np.inf if std == 0.0 else (np.sqrt(3.0) * noise / std) ** (2.0 / 3.0)
+    # over this time the noise of the motion moves an object by its detection's noise
+    padding = task.filter.motion.straying_time(noise)
     trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
     of_camera = scans.cameras[scans.event_of[detections]]
     chosen = shared(trajectories, of_camera, task.settings.min_detections)
@@ -139,9 +136,9 @@ def adjusted_to(
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there."""
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
     knots = _knots(task, observations, points, fit.adjustment.values)
-    knot, weights = interpolation(knots, observations.trajectories, observations.times)
+    interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
-    states = fit_states(knots, knot, weights, points, np.full(len(points), noise**-2))
+    states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
     return _fit(task, problem, fit.adjustment.values, states, detections)
 
@@ -162,7 +159,7 @@ def _knots(task: Task, observations: Observations, points: Array, values: Array)
         times = observations.times[observations.trajectories == j]
         spans.append((float(times.min()), float(times.max())))
     noise = _length_of_noise(task, observations, points, values)
-    spacing = knot_spacing(task.filter.motion.acceleration_std, noise)
+    spacing = knot_spacing(task.filter.motion, noise)
     return place_knots(spans, spacing, task.filter.motion)
 
 
@@ -179,6 +176,6 @@ def _length_of_noise(task: Task, observations: Observations, points: Array, valu
 
 
 def _noise(task: Task, fit: Fit) -> float:
-    knot, weights = interpolation(fit.knots, fit.observations.trajectories, fit.observations.times)
-    points = positions(fit.adjustment.states, knot, weights)
+    interpolated = interpolation(fit.knots, fit.observations.trajectories, fit.observations.times)
+    points = positions(fit.adjustment.states, *interpolated)
     return _length_of_noise(task, fit.observations, points, fit.adjustment.values)

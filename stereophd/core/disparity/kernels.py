@@ -5,7 +5,7 @@ takes it to the disparity space of camera B. With the ray ``r = ((u - cx) / fx, 
 and the inverse depth ``rho = d / (f b)`` the point of camera A is ``r / rho``; everything is kept
 multiplied by rho,
 
-    rho x_B = R_BA (r + dt rho v) + rho (t_BA + noise),
+    rho x_B = R_BA (r + reach rho v) + rho (t_BA + drift + noise),
 
 so that the map is smooth through rho = 0 (a point at infinity, where motion and parallax vanish) and
 singular only where the third component, rho times the depth before B, is 0. The velocity
@@ -34,11 +34,6 @@ MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
 
 
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
-
-# White acceleration over dt moves the position by dt^1.5 (xi_1 / 2 + xi_2 / sqrt(12)) and the velocity
-# by dt^0.5 xi_1: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
-POSITION_WITH_VELOCITY = 0.5
-POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
 # A component of which this share is inside the region counts as inside.
 REGION_SLACK = 0.8
@@ -87,7 +82,9 @@ def moving_trips(
     velocity_noise: float,
     source: Array,
     destination: Array,
-    dt: float,
+    reach: float,
+    keep: float,
+    drift: Array,
     max_speed: float,
     out: Array,
 ) -> None:
@@ -105,14 +102,25 @@ def moving_trips(
         Scales of the noise for this interval.
     source, destination : arrays (30,)
         Packed spaces.
-    dt : float
-        Interval, s; any sign.
+    reach, keep : float
+        Displacement for each unit of velocity, s, and the part of the velocity that remains
+        (`stereophd.core.motion.arrays.MotionArrays`).
+    drift : array (6,)
+        Of position and velocity, in the world.
     max_speed : float
         Limit of speed, length/s; infinity for none.
     out : array (7, n)
         Filled with (u, v, d, du, dv, dd) and rho times the depth before the destination.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22, t0, t1, t2 = relative_pose(source, destination)
+    # the drift in the destination's axes: of the position it is one more translation
+    d = destination[ROTATION : ROTATION + 9]
+    t0 += d[0] * drift[0] + d[1] * drift[1] + d[2] * drift[2]
+    t1 += d[3] * drift[0] + d[4] * drift[1] + d[5] * drift[2]
+    t2 += d[6] * drift[0] + d[7] * drift[1] + d[8] * drift[2]
+    w0 = d[0] * drift[3] + d[1] * drift[4] + d[2] * drift[5]
+    w1 = d[3] * drift[3] + d[4] * drift[4] + d[5] * drift[5]
+    w2 = d[6] * drift[3] + d[7] * drift[4] + d[8] * drift[5]
     per_fx, per_fy, per_scale = 1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)
     fx, fy, cx, cy = destination[FX], destination[FY], destination[CX], destination[CY]
     scale = disparity_scale(destination)
@@ -150,17 +158,20 @@ def moving_trips(
         velocity_x *= slow
         velocity_y *= slow
         velocity_z *= slow
-        x = ray_x + dt * velocity_x
-        y = ray_y + dt * velocity_y
-        z = 1.0 + dt * velocity_z
+        x = ray_x + reach * velocity_x
+        y = ray_y + reach * velocity_y
+        z = 1.0 + reach * velocity_z
+        velocity_x *= keep
+        velocity_y *= keep
+        velocity_z *= keep
         p = rho * position_noise
         q = rho * velocity_noise
         x_b = r00 * x + r01 * y + r02 * z + rho * t0 + p * noise[0, i]
         y_b = r10 * x + r11 * y + r12 * z + rho * t1 + p * noise[1, i]
         z_b = r20 * x + r21 * y + r22 * z + rho * t2 + p * noise[2, i]
-        vx_b = r00 * velocity_x + r01 * velocity_y + r02 * velocity_z + q * noise[3, i]
-        vy_b = r10 * velocity_x + r11 * velocity_y + r12 * velocity_z + q * noise[4, i]
-        vz_b = r20 * velocity_x + r21 * velocity_y + r22 * velocity_z + q * noise[5, i]
+        vx_b = r00 * velocity_x + r01 * velocity_y + r02 * velocity_z + q * noise[3, i] + rho * w0
+        vy_b = r10 * velocity_x + r11 * velocity_y + r12 * velocity_z + q * noise[4, i] + rho * w1
+        vz_b = r20 * velocity_x + r21 * velocity_y + r22 * velocity_z + q * noise[5, i] + rho * w2
         per_z = 1.0 / z_b
         x_b *= per_z
         y_b *= per_z
@@ -198,26 +209,22 @@ def static_trips(mean: Array, factor: Array, samples: Array, source: Array, dest
 
 
 @compiled
-def motion_noise(samples: Array, axes: Array) -> Array:
-    """Unit noise of position and velocity (6, n) from samples (12, n), in the axes of `axes` (3, 3).
+def motion_noise(samples: Array, axes: Array, with_velocity_part: float, alone_part: float, out: Array) -> None:
+    """Unit noise of position and velocity, `out` (6, n), from samples (12, n), in the axes of `axes` (3, 3).
 
-    The columns of `axes` are the world's axes in the destination's, times the acceleration's standard
-    deviation along them. Samples of static objects have 3 rows, and no noise: (6, 0).
+    The columns of `axes` are the world's axes in the destination's, times the standard deviation of the motion's
+    noise along them; the parts are those of `stereophd.core.motion.arrays.MotionArrays`.
     """
-    if samples.shape[0] < 12:
-        return np.zeros((6, 0))
-    out = np.empty((6, samples.shape[1]))
     for i in range(samples.shape[1]):
         for a in range(3):
             position = 0.0
             velocity = 0.0
             for b in range(3):
                 with_velocity = samples[6 + b, i]
-                position += axes[a, b] * (POSITION_WITH_VELOCITY * with_velocity + POSITION_ALONE * samples[9 + b, i])
+                position += axes[a, b] * (with_velocity_part * with_velocity + alone_part * samples[9 + b, i])
                 velocity += axes[a, b] * with_velocity
             out[a, i] = position
             out[3 + a, i] = velocity
-    return out
 
 
 @compiled

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.kernels import (
-    POSITION_ALONE,
-    POSITION_WITH_VELOCITY,
     disparity_scale,
     motion_noise,
     relative_pose,
 )
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
 
@@ -36,16 +35,18 @@ def linear_move(
     noise_axes: Array,
     source: Array,
     destination: Array,
-    dt: float,
-    max_speed: float,
+    motion: MotionArrays,
+    k: int,
     out_mean: Array,
     out_covariance: Array,
 ) -> None:
     """Carry a Gaussian (6,) over to first order.
 
-    `noise_axes` (3, 3) holds, column by column, the acceleration noise of the world's axes in the
-    destination's axes, scaled by its standard deviation. Other arguments as `moving_trips`.
+    `noise_axes` (3, 3) holds, column by column, the noise along the world's axes in the destination's axes, scaled by
+    its standard deviation; the interval is number `k` of `motion`. Other arguments as `moving_trips`.
     """
+    reach, keep, max_speed, drift = motion.reach[k], motion.keep[k], motion.max_speed, motion.drift[k]
+    position_noise, velocity_noise = motion.position_noise[k], motion.velocity_noise[k]
     pose = np.array(relative_pose(source, destination))
     rotation, translation = pose[:9].reshape(3, 3), pose[9:]
     per = np.array([1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)])
@@ -57,13 +58,20 @@ def linear_move(
     speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     slow = max_speed * abs(rho) / speed if speed > max_speed * abs(rho) else 1.0
     velocity *= slow
+    axes = destination[ROTATION : ROTATION + 9].copy().reshape(3, 3)
+    velocity_drift = np.zeros(3)
+    for a in range(3):
+        for b in range(3):
+            translation[a] += axes[a, b] * drift[b]
+            velocity_drift[a] += axes[a, b] * drift[3 + b]
     point = np.zeros(3)
     moved_velocity = np.zeros(3)
     for a in range(3):
         point[a] = rho * translation[a]
         for b in range(3):
-            point[a] += rotation[a, b] * (ray[b] + dt * velocity[b])
-            moved_velocity[a] += rotation[a, b] * velocity[b]
+            point[a] += rotation[a, b] * (ray[b] + reach * velocity[b])
+            moved_velocity[a] += rotation[a, b] * (keep * velocity[b])
+        moved_velocity[a] += rho * velocity_drift[a]
     per_z = 1.0 / point[2]
     x, y, rho_b = point[0] * per_z, point[1] * per_z, rho * per_z
     x_rate = (moved_velocity[0] - x * moved_velocity[2]) * per_z
@@ -76,8 +84,6 @@ def linear_move(
     out_mean[4] = scales[1] * y_rate
     out_mean[5] = scales[2] * rho_rate
 
-    interval = abs(dt)
-    position_noise = math.sqrt(interval) * dt
     columns = np.zeros((6, 12))
     tangent = np.zeros(6)
     d_ray = np.zeros(3)
@@ -95,15 +101,15 @@ def linear_move(
         d_velocity[2] = -slow * d_growth
         for a in range(3):
             d_point[a] = d_rho * translation[a]
-            d_moved[a] = 0.0
+            d_moved[a] = d_rho * velocity_drift[a]
             for b in range(3):
-                d_point[a] += rotation[a, b] * (d_ray[b] + dt * d_velocity[b])
-                d_moved[a] += rotation[a, b] * d_velocity[b]
+                d_point[a] += rotation[a, b] * (d_ray[b] + reach * d_velocity[b])
+                d_moved[a] += rotation[a, b] * (keep * d_velocity[b])
             if 6 <= c < 9:
-                d_point[a] += rho * position_noise * POSITION_WITH_VELOCITY * noise_axes[a, c - 6]
-                d_moved[a] += rho * math.sqrt(interval) * noise_axes[a, c - 6]
+                d_point[a] += rho * position_noise * motion.with_velocity[k] * noise_axes[a, c - 6]
+                d_moved[a] += rho * velocity_noise * noise_axes[a, c - 6]
             elif c >= 9:
-                d_point[a] += rho * position_noise * POSITION_ALONE * noise_axes[a, c - 9]
+                d_point[a] += rho * position_noise * motion.alone[k] * noise_axes[a, c - 9]
         d_x = (d_point[0] - x * d_point[2]) * per_z
         d_y = (d_point[1] - y * d_point[2]) * per_z
         d_rho_b = (d_rho - rho_b * d_point[2]) * per_z
@@ -127,10 +133,9 @@ def linear_components(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     noise_axes: Array,
     destination: Array,
-    max_speed: float,
     out_means: Array,
     out_covariances: Array,
 ) -> None:
@@ -151,7 +156,7 @@ def linear_components(
             continue
         factor[:size, :size] = source_factor
         source_mean[:size] = means[k]
-        linear_move(source_mean, factor, noise_axes, homes[k], destination, dts[k], max_speed, mean, covariance)
+        linear_move(source_mean, factor, noise_axes, homes[k], destination, motion, k, mean, covariance)
         if condition(covariance[:size, :size], scratch):
             out_means[k] = mean[:size]
             out_covariances[k] = covariance[:size, :size]
@@ -163,13 +168,18 @@ def _moving_to_world(
     factor: Array,
     samples: Array,
     noise: Array,
-    dt: float,
+    motion: MotionArrays,
+    k: int,
     home: Array,
-    max_speed: float,
     points: Array,
     weights: Array,
 ) -> float:
-    """Samples of a moving object in the world: fill points (6, n) and weights (n,), return the sum of these."""
+    """Samples of a moving object in the world: fill points (6, n) and weights (n,), return the sum of these.
+
+    The object moves by interval number `k` of `motion`.
+    """
+    reach, keep, drift, max_speed = motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed
+    position_noise, velocity_noise = motion.position_noise[k], motion.velocity_noise[k]
     m0, m1, m2, m3, m4, m5 = mean[0] - home[CX], mean[1] - home[CY], mean[2], mean[3], mean[4], mean[5]
     l00 = factor[0, 0]
     l10, l11 = factor[1, 0], factor[1, 1]
@@ -183,8 +193,6 @@ def _moving_to_world(
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8]
     c0, c1, c2 = home[CENTER], home[CENTER + 1], home[CENTER + 2]
     per_fx, per_fy, scale = 1.0 / home[FX], 1.0 / home[FY], disparity_scale(home)
-    velocity_noise = math.sqrt(abs(dt))
-    position_noise = velocity_noise * dt
     total = 0
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
@@ -204,13 +212,14 @@ def _moving_to_world(
         speed2 = vx * vx + vy * vy + vz * vz
         slow = max_speed / math.sqrt(speed2) if speed2 > max_speed * max_speed else 1.0
         vx, vy, vz = slow * vx, slow * vy, slow * vz
-        x, y, depth = x + dt * vx, y + dt * vy, depth + dt * vz
-        points[0, i] = c0 + r00 * x + r10 * y + r20 * depth + position_noise * noise[0, i]
-        points[1, i] = c1 + r01 * x + r11 * y + r21 * depth + position_noise * noise[1, i]
-        points[2, i] = c2 + r02 * x + r12 * y + r22 * depth + position_noise * noise[2, i]
-        points[3, i] = r00 * vx + r10 * vy + r20 * vz + velocity_noise * noise[3, i]
-        points[4, i] = r01 * vx + r11 * vy + r21 * vz + velocity_noise * noise[4, i]
-        points[5, i] = r02 * vx + r12 * vy + r22 * vz + velocity_noise * noise[5, i]
+        x, y, depth = x + reach * vx, y + reach * vy, depth + reach * vz
+        vx, vy, vz = keep * vx, keep * vy, keep * vz
+        points[0, i] = c0 + r00 * x + r10 * y + r20 * depth + position_noise * noise[0, i] + drift[0]
+        points[1, i] = c1 + r01 * x + r11 * y + r21 * depth + position_noise * noise[1, i] + drift[1]
+        points[2, i] = c2 + r02 * x + r12 * y + r22 * depth + position_noise * noise[2, i] + drift[2]
+        points[3, i] = r00 * vx + r10 * vy + r20 * vz + velocity_noise * noise[3, i] + drift[3]
+        points[4, i] = r01 * vx + r11 * vy + r21 * vz + velocity_noise * noise[4, i] + drift[4]
+        points[5, i] = r02 * vx + r12 * vy + r22 * vz + velocity_noise * noise[5, i] + drift[5]
     return float(total)
 
 
@@ -239,20 +248,20 @@ def world_components(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     samples: Array,
-    acceleration_std: Array,
-    max_speed: float,
     out_means: Array,
     out_covariances: Array,
 ) -> None:
-    """Mean and covariance in the world (x, y, z, vx, vy, vz) of every component, moved by its dt.
+    """Mean and covariance in the world (x, y, z, vx, vy, vz) of every component, moved by its interval.
 
     Components whose mean disparity is not positive (an object at infinity has no position) are left as NaN.
     """
-    noise = motion_noise(samples, np.diag(acceleration_std))
     size = means.shape[1]
     count = samples.shape[1]
+    axes = np.diag(motion.noise_std)
+    noise = np.empty((6, count if size == 6 else 0))
+    with_velocity = alone = np.nan
     points = np.empty((size, count))
     weights = np.empty(count)
     factor = np.empty((size, size))
@@ -265,9 +274,10 @@ def world_components(
         if not means[k, 2] > 0.0 or not cholesky(covariances[k], factor):
             continue
         if size == 6:
-            total = _moving_to_world(
-                means[k], factor, samples, noise, dts[k], homes[k], max_speed, points, weights
-            )  # fmt: skip
+            if motion.with_velocity[k] != with_velocity or motion.alone[k] != alone:
+                with_velocity, alone = motion.with_velocity[k], motion.alone[k]
+                motion_noise(samples, axes, with_velocity, alone, noise)
+            total = _moving_to_world(means[k], factor, samples, noise, motion, k, homes[k], points, weights)
         else:
             total = _static_to_world(means[k], factor, samples, homes[k], points, weights)
         weighted_moments(points, weights, total, mean, covariance)

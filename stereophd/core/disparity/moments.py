@@ -21,7 +21,8 @@ from stereophd.core.disparity import kernels, linear_kernels
 from stereophd.core.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
 from stereophd.core.disparity.move_kernels import Look, allocate_moved, carry_components, noise_axes
 from stereophd.core.disparity.rule_kernels import rule_components
-from stereophd.core.motion.models import ConstantVelocity, Motion
+from stereophd.core.motion.arrays import MotionArrays
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets, cubature_points
 
 __all__ = ["IN_VIEW", "OUT_OF_VIEW", "PARTLY_IN_VIEW", "Moved", "minimum_in_view", "move", "world_moments"]
@@ -33,7 +34,6 @@ FEWEST_SAMPLES = 24
 # Components whose disparity is known no better than to this fraction are not worth a try with a low-order rule.
 WIDEST_RULE = 0.5
 NO_REGION = np.empty(0)
-NO_ACCELERATION = np.zeros(3)
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
 
@@ -132,14 +132,14 @@ def move(
     moved = allocate_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
-    which = np.arange(len(means))
+    which, intervals = np.arange(len(means)), motion.arrays(dts)
     if sets.method in ("adaptive", "unscented", "linear"):
-        which = _low_order(means, covariances, homes, dts, destination, motion, sets, region, moved)
+        which = _low_order(means, covariances, homes, intervals, destination, sets, region, moved)
 
     def run(part: slice) -> None:
         carry_components(
-            which[part], means, covariances, homes, dts, important, first, second, destination,
-            _acceleration(motion), p_detect, _max_speed(motion), region, moved,
+            which[part], means, covariances, homes, intervals, important, first, second, destination, p_detect,
+            region, moved,
         )  # fmt: skip
 
     slices = _slices(len(which), samples.shape[1], threads)
@@ -163,20 +163,9 @@ def world_moments(
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
     linear_kernels.world_components(
-        means, covariances, homes, dts, sets.turn(turn), _acceleration(motion), _max_speed(motion), out_means,
-        out_covariances,
-    )  # fmt: skip
+        means, covariances, homes, motion.arrays(dts), sets.turn(turn), out_means, out_covariances
+    )
     return out_means, out_covariances
-
-
-def _max_speed(motion: Motion) -> float:
-    speed = motion.max_speed if isinstance(motion, ConstantVelocity) else None
-    return np.inf if speed is None else float(speed)
-
-
-def _acceleration(motion: Motion) -> Array:
-    # a copy, because compiled code takes a read-only array for another type, and would be compiled twice
-    return motion.acceleration_std.copy() if isinstance(motion, ConstantVelocity) else NO_ACCELERATION
 
 
 @cache
@@ -193,26 +182,22 @@ def _low_order(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     destination: Array,
-    motion: Motion,
     sets: SampleSets,
     region: Array,
     moved: kernels.MovedArrays,
 ) -> NDArray[np.intp]:
     """Move by the unscented or the linear rule; return which components still need samples."""
     points = _rule_points(12 if means.shape[1] == 6 else 3)
-    axes = noise_axes(destination, _acceleration(motion))
+    axes = noise_axes(destination, motion.noise_std)
     adaptive = sets.method == "adaptive"
     todo = rule_components(
-        means, covariances, homes, dts, points, kernels.motion_noise(points, axes), destination,
-        _max_speed(motion), region, WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf,
-        moved,
+        means, covariances, homes, motion, points, axes, destination, region,
+        WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf, moved,
     )  # fmt: skip
     if sets.method == "linear":
-        linear_kernels.linear_components(
-            means, covariances, homes, dts, axes, destination, _max_speed(motion), moved[0], moved[1]
-        )
+        linear_kernels.linear_components(means, covariances, homes, motion, axes, destination, moved[0], moved[1])
     return todo
 
 

@@ -6,7 +6,6 @@ more samples, at components of which only a corner is in view.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from stereophd.core.disparity.kernels import (
     view_mask,
 )
 from stereophd.core.geometry.layout import ROTATION
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
 
@@ -67,14 +67,12 @@ def carry_components(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     important: NDArray[np.bool_],
     first: Look,
     second: Look,
     destination: Array,
-    acceleration_std: Array,
     p_detect: float,
-    max_speed: float,
     region: Array,
     moved: MovedArrays,
 ) -> None:
@@ -85,9 +83,7 @@ def carry_components(
     `region` is packed as for `region_mask`, or empty; `moved` is the tuple (means, covariances, fraction,
     status, missed_means, missed_covariances, inside), filled in place.
     """
-    move_components(
-        which, means, covariances, homes, dts, first, destination, acceleration_std, p_detect, max_speed, region, moved
-    )
+    move_components(which, means, covariances, homes, motion, first, destination, p_detect, region, moved)
     fraction, status = moved[2], moved[3]
     corners = np.empty(len(which), dtype=np.int64)
     found = 0
@@ -98,21 +94,20 @@ def carry_components(
             found += 1
     if found > 0:
         move_components(
-            corners[:found], means, covariances, homes, dts, second, destination, acceleration_std, p_detect,
-            max_speed, region, moved,
-        )  # fmt: skip
+            corners[:found], means, covariances, homes, motion, second, destination, p_detect, region, moved
+        )
     for k in which:
         if status[k] == OUT_OF_VIEW:
             fraction[k] = 0.0
 
 
 @compiled
-def noise_axes(destination: Array, acceleration_std: Array) -> Array:
-    """Return the world's axes in the destination's, times the acceleration's standard deviation along them (3, 3)."""
+def noise_axes(destination: Array, noise_std: Array) -> Array:
+    """Return the world's axes in the destination's, times the standard deviation of the noise along them (3, 3)."""
     axes = np.empty((3, 3))
     for a in range(3):
         for b in range(3):
-            axes[a, b] = destination[ROTATION + 3 * a + b] * acceleration_std[b]
+            axes[a, b] = destination[ROTATION + 3 * a + b] * noise_std[b]
     return axes
 
 
@@ -122,12 +117,10 @@ def move_components(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     look: Look,
     destination: Array,
-    acceleration_std: Array,
     p_detect: float,
-    max_speed: float,
     region: Array,
     moved: MovedArrays,
 ) -> None:
@@ -136,7 +129,6 @@ def move_components(
     Component by component, with no state shared between them; parameters as in `carry_components`.
     """
     samples, sample_weights, minimum = look
-    noise = motion_noise(samples, noise_axes(destination, acceleration_std))
     out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
     size = means.shape[1]
     count = samples.shape[1]
@@ -146,6 +138,9 @@ def move_components(
     weights = sample_weights.copy()
     factor = np.empty((size, size))
     scratch = np.empty((size, size))
+    axes = noise_axes(destination, motion.noise_std)
+    noise = np.empty((6, count if size == 6 else 0))
+    with_velocity = alone = np.nan
     for k in which:
         status[k] = OUT_OF_VIEW
         fraction[k] = 0.0
@@ -153,12 +148,13 @@ def move_components(
         if not cholesky(covariances[k], factor):
             continue
         if size == 6:
-            interval = abs(dts[k])
-            velocity_noise = math.sqrt(interval)
-            position_noise = velocity_noise * dts[k]
+            # of many models the noise has one shape for all intervals
+            if motion.with_velocity[k] != with_velocity or motion.alone[k] != alone:
+                with_velocity, alone = motion.with_velocity[k], motion.alone[k]
+                motion_noise(samples, axes, with_velocity, alone, noise)
             moving_trips(
-                means[k], factor, samples, noise, position_noise, velocity_noise,
-                homes[k], destination, dts[k], max_speed, points,
+                means[k], factor, samples, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
+                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, points,
             )  # fmt: skip
         else:
             static_trips(means[k], factor, samples, homes[k], destination, points)

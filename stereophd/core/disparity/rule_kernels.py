@@ -24,11 +24,13 @@ from stereophd.core.disparity.kernels import (
     IN_VIEW,
     OUT_OF_VIEW,
     MovedArrays,
+    motion_noise,
     moving_trips,
     region_mask,
     static_trips,
     view_mask,
 )
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
 
@@ -43,11 +45,10 @@ def rule_components(
     means: Array,
     covariances: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     points: Array,
-    noise: Array,
+    axes: Array,
     destination: Array,
-    max_speed: float,
     region: Array,
     widest: float,
     max_nonlinearity: float,
@@ -62,8 +63,8 @@ def rule_components(
     ----------
     points : array (rows, 2 n + 1)
         Points of the rule, positive ones first, then their mirror images, then the mean.
-    noise : array (6, 2 n + 1)
-        Motion noise of the points (`motion_noise`), or (6, 0) for static objects.
+    axes : array (3, 3)
+        Axes of the motion noise (`motion_noise`).
     widest : float
         Components whose disparity is known no better than to this fraction are not tried.
     max_nonlinearity : float
@@ -85,6 +86,8 @@ def rule_components(
     scratch_weights = np.empty(count)
     factor = np.empty((size, size))
     scratch = np.empty((size, size))
+    noise = np.empty((6, count if size == 6 else 0))
+    with_velocity = alone = np.nan
     todo = np.empty(len(means), dtype=np.intp)
     n_todo = 0
     limits = np.empty(9)
@@ -98,10 +101,12 @@ def rule_components(
         if covariances[k, 2, 2] > (widest * means[k, 2]) ** 2 or not cholesky(covariances[k], factor):
             continue
         if size == 6:
-            spread = math.sqrt(abs(dts[k]))
+            if motion.with_velocity[k] != with_velocity or motion.alone[k] != alone:
+                with_velocity, alone = motion.with_velocity[k], motion.alone[k]
+                motion_noise(points, axes, with_velocity, alone, noise)
             moving_trips(
-                means[k], factor, points, noise, spread * dts[k], spread, homes[k], destination, dts[k], max_speed,
-                images,
+                means[k], factor, points, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
+                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, images,
             )  # fmt: skip
         else:
             static_trips(means[k], factor, points, homes[k], destination, images)

@@ -1,15 +1,112 @@
-"""The word ``constant_velocity``: constant velocity disturbed by white acceleration."""
+"""Constant velocity disturbed by white acceleration: `ConstantVelocity`.
+
+The exact discretisation of continuous white acceleration (Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation
+with Applications to Tracking and Navigation", 2001, section 6.2.2). Its noise has one shape for all intervals: with
+unit normals W and A the position gains ``dt^1.5 (W / 2 + A / sqrt(12))`` and the velocity ``dt^0.5 W``.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.base import Flow, Motion, Noise, NoiseFactor, accelerations, check_speed
+from stereophd.core.motion.settings import PerAxis, acceleration_parameter, speed_parameter
 from stereophd.core.settings import Length, PositiveLength, parameter, settings
 
-PerAxis = tuple[Length, Length, Length]
+Array = NDArray[np.float64]
+
+# The factor of [[1 / 3, 1 / 2], [1 / 2, 1]].
+POSITION_WITH_VELOCITY = 0.5
+POSITION_ALONE = 1.0 / math.sqrt(12.0)
+
+
+@dataclass(frozen=True)
+class ConstantVelocity(Motion):
+    """Constant velocity disturbed by white acceleration, independent on each axis of the world.
+
+    Parameters
+    ----------
+    acceleration_std : float or (3,) array_like
+        Standard deviation of the mean acceleration over 1 s, length/s^2: the spectral density of the
+        acceleration is ``acceleration_std**2`` times 1 s.
+    max_speed : float or None
+        Physical limit on the speed, length/s, for those who draw samples; `transition` is linear and
+        ignores it.
+
+    Raises
+    ------
+    ValueError
+        If acceleration_std is not finite numbers >= 0, or max_speed is not positive.
+    """
+
+    acceleration_std: ArrayLike = 0.0
+    max_speed: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "acceleration_std", accelerations(self.acceleration_std))
+        check_speed(self.max_speed)
+
+    @property
+    def noise_std(self) -> Array:
+        """`acceleration_std` (3,), length/s^2."""
+        return np.array(self.acceleration_std, dtype=np.float64)
+
+    def flow(self, dt: Array) -> Flow:
+        """Return the mean motion over intervals (...): the velocity stays."""
+        return Flow(dt, np.ones(np.shape(dt)), np.zeros((*np.shape(dt), 6)))
+
+    def noise(self, dt: Array) -> Noise:
+        """Return |dt|^3 / 3, sign(dt) dt^2 / 2 and |dt|, for intervals (...)."""
+        return Noise(abs(dt) ** 3 / 3.0, dt * abs(dt) / 2.0, abs(dt))
+
+    def noise_factor(self, dt: Array) -> NoiseFactor:
+        """Return the factor of the noise of intervals (n,): one shape, scaled."""
+        std = np.sqrt(abs(dt))
+        size = np.shape(dt)
+        return NoiseFactor(std * dt, std, np.full(size, POSITION_WITH_VELOCITY), np.full(size, POSITION_ALONE))
+
+    def shocks(self, dt: Array, normal: Array) -> tuple[Array, Array]:
+        """Return noise of positions and of velocities (n, 3) over intervals (n,), from standard normals (n, 2, 3).
+
+        Given the gain in velocity, that of position has the mean ``dt / 2`` times it and the variance ``dt^3 / 12``.
+        """
+        density, step = self.noise_std**2, dt[:, None]
+        velocity = np.sqrt(density * abs(step)) * normal[:, 0]
+        return 0.5 * step * velocity + np.sqrt(density * abs(step) ** 3 / 12) * normal[:, 1], velocity
+
+    def precision(self, dt: Array) -> Array:
+        """Return the inverse covariances (n, 2, 2) of unit noise over positive intervals (n,)."""
+        inverse = np.empty((len(dt), 2, 2))
+        inverse[:, 0, 0] = 12.0 / dt**3
+        inverse[:, 0, 1] = inverse[:, 1, 0] = -6.0 / dt**2
+        inverse[:, 1, 1] = 4.0 / dt
+        return inverse
+
+    def between(self, elapsed: Array, interval: Array) -> tuple[Array, Array]:
+        """Return the weights (n, 4) of the cubic through two positions and velocities; offsets (n, 3) of zero.
+
+        With s = elapsed / interval the position is
+        ``(1 - 3 s^2 + 2 s^3) p_0 + D (s - 2 s^2 + s^3) v_0 + (3 s^2 - 2 s^3) p_1 + D (s^3 - s^2) v_1``.
+        """
+        s = elapsed / interval
+        weights = np.empty((len(s), 4))
+        weights[:, 0] = 1.0 - 3.0 * s**2 + 2.0 * s**3
+        weights[:, 1] = interval * (s - 2.0 * s**2 + s**3)
+        weights[:, 2] = 3.0 * s**2 - 2.0 * s**3
+        weights[:, 3] = interval * (s**3 - s**2)
+        return weights, np.zeros((len(s), 3))
+
+    def velocity_between(self, elapsed: Array, interval: Array) -> tuple[Array, Array]:
+        """Return the weights (n, 4) of the derivative of the cubic of `between`; offsets (n, 3) of zero."""
+        s = elapsed / interval
+        bend = 6.0 * (s - s**2) / interval
+        weights = np.column_stack([-bend, 1.0 - 4.0 * s + 3.0 * s**2, bend, 3.0 * s**2 - 2.0 * s])
+        return weights, np.zeros((len(s), 3))
 
 
 @settings
@@ -17,20 +114,12 @@ class ConstantVelocitySettings:
     """Constant velocity disturbed by white acceleration."""
 
     model: Literal["constant_velocity"] = parameter("the motion model", default="constant_velocity")
-    acceleration_std: Length | PerAxis = parameter(
-        "white acceleration in the world, one value or one per axis: standard deviation of the mean acceleration "
-        "over 1 s (spectral density acceleration_std^2 times 1 s)",
-        default=0.0,
-        unit="length/s^2",
-    )
-    max_speed: PositiveLength | None = parameter(
-        "physical limit on speed; samples above it are scaled back to it", default=None, unit="length/s"
-    )
+    acceleration_std: Length | PerAxis = acceleration_parameter()
+    max_speed: PositiveLength | None = speed_parameter()
 
     def build(self) -> ConstantVelocity:
         """Return the motion model."""
-        std = np.broadcast_to(np.asarray(self.acceleration_std, dtype=float), 3)
-        return ConstantVelocity(std, self.max_speed)
+        return ConstantVelocity(self.acceleration_std, self.max_speed)
 
 
 SETTINGS = ConstantVelocitySettings

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
-from stereophd.core.motion.models import Motion, Static
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.association import kalman_updates
 from stereophd.core.multi.birth import birth_moments
 from stereophd.core.multi.extract import select_objects
@@ -113,7 +113,7 @@ class DisparityFilter(ABC):
     @property
     def state_size(self) -> int:
         """Size of the states: 6, or 3 for static objects."""
-        return 3 if isinstance(self.motion, Static) else 6
+        return self.motion.state_size
 
     def init(self) -> FilterState:
         """Return the state before the first event: no objects."""

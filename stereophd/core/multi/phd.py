@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import OUT_OF_VIEW
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.association import pair_likelihoods
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, missed_states, updated_components

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.kernels import MovedArrays
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.birth import birth_moments

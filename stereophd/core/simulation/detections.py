@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.base import Motion
 from stereophd.core.simulation.objects import BoolArray, MovingObject, StateWindow, state_windows
 from stereophd.core.simulation.timing import FloatArray, IntArray, TimeGrid, instants
 
@@ -31,18 +32,18 @@ class Scene:
     grid : TimeGrid
         Its schedules are those of `cameras`, in order.
     objects : tuple of MovingObject
-    acceleration_std : (3,)
-        Process noise of the objects per axis, length/s^2.
+    motion : Motion
+        Of the objects.
     """
 
     cameras: tuple[Camera, ...]
     grid: TimeGrid
     objects: tuple[MovingObject, ...]
-    acceleration_std: FloatArray
+    motion: Motion
 
     def windows(self) -> Iterator[StateWindow]:
         """Yield the states of the objects, window by window, in order of true time."""
-        return state_windows(self.objects, self.grid, self.acceleration_std)
+        return state_windows(self.objects, self.grid, self.motion)
 
 
 @dataclass(frozen=True)

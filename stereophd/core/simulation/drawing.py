@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.base import Motion
 from stereophd.core.simulation.objects import BoolArray, MovingObject, Path
 from stereophd.core.simulation.timing import FloatArray, TimeGrid, instants
 from stereophd.errors import InputError
@@ -63,7 +64,7 @@ def draw_objects(
     drawing: Drawing,
     cameras: Sequence[Camera],
     grid: TimeGrid,
-    acceleration_std: FloatArray,
+    motion: Motion,
     seed: np.random.SeedSequence,
     first_id: int = 0,
 ) -> tuple[MovingObject, ...]:
@@ -95,7 +96,7 @@ def draw_objects(
         mean_s = drawing.mean_lifetime_s
         death_s = np.inf if mean_s is None else start_s + own.exponential(mean_s)
         life = (first_id + index, float(start_s), float(death_s))
-        drawn.append(_draw_one(drawing, cameras, grid, acceleration_std, own, life))
+        drawn.append(_draw_one(drawing, cameras, grid, motion, own, life))
     return tuple(drawn)
 
 
@@ -103,7 +104,7 @@ def _draw_one(
     drawing: Drawing,
     cameras: Sequence[Camera],
     grid: TimeGrid,
-    acceleration_std: FloatArray,
+    motion: Motion,
     generator: np.random.Generator,
     life: tuple[int, float, float],
 ) -> MovingObject:
@@ -111,11 +112,13 @@ def _draw_one(
         positions = generator.uniform(drawing.low, drawing.high, (CANDIDATES_PER_BATCH, 3))
         velocities = drawing.velocity_std * generator.standard_normal((CANDIDATES_PER_BATCH, 3))
         seeds = generator.integers(0, np.iinfo(np.int64).max, CANDIDATES_PER_BATCH)
-        last_s = life[1] if acceleration_std.any() else min(life[2], grid.end_s)
-        plausible = _stays_in_view_coarsely(drawing.stay_in_view, cameras, positions, velocities, life[1], last_s)
+        last_s = life[1] if motion.noisy else min(life[2], grid.end_s)
+        plausible = _stays_in_view_coarsely(
+            drawing.stay_in_view, cameras, motion, positions, velocities, life[1], last_s
+        )
         for index in np.flatnonzero(plausible):
             candidate = MovingObject(*life, positions[index], velocities[index], int(seeds[index]))
-            if _stays_in_view(drawing.stay_in_view, cameras, grid, acceleration_std, candidate):
+            if _stays_in_view(drawing.stay_in_view, cameras, grid, motion, candidate):
                 return candidate
     raise InputError(
         f"simulate.objects: expected a box and velocities with which an object stays in view of "
@@ -140,15 +143,17 @@ def _combine(stay_in_view: str, seen: BoolArray) -> BoolArray:
 def _stays_in_view_coarsely(
     stay_in_view: str,
     cameras: Sequence[Camera],
+    motion: Motion,
     positions: FloatArray,
     velocities: FloatArray,
     first_s: float,
     last_s: float,
 ) -> BoolArray:
-    """Return which straight paths (n,) are in view at a few instants: cheap, and most fail here."""
+    """Return which paths without noise (n,) are in view at a few instants: cheap, and most fail here."""
     # The last instant stays clear of the end, which no frame reaches.
     times_s = first_s + (last_s - first_s) * np.arange(COARSE_INSTANTS) / COARSE_INSTANTS
-    points = positions[:, None] + velocities[:, None] * (times_s - first_s)[:, None]
+    flow = motion.flow(times_s - first_s)
+    points = positions[:, None] + velocities[:, None] * flow.reach[:, None] + flow.drift[:, :3]
     instants = np.broadcast_to(times_s, points.shape[:2])
     seen = np.stack([in_view_at(camera, points.reshape(-1, 3), instants.reshape(-1)) for camera in cameras])
     return np.asarray(_combine(stay_in_view, seen).reshape(points.shape[:2]).all(axis=1), dtype=np.bool_)
@@ -158,12 +163,12 @@ def _stays_in_view(
     stay_in_view: str,
     cameras: Sequence[Camera],
     grid: TimeGrid,
-    acceleration_std: FloatArray,
+    motion: Motion,
     candidate: MovingObject,
 ) -> bool:
     if stay_in_view == "none":
         return True
-    path = Path(candidate, acceleration_std)
+    path = Path(candidate, motion)
     end_s = np.nextafter(candidate.death_s, np.inf)  # it still exists at its death
     for lower_s, upper_s in grid.windows():
         if upper_s <= candidate.birth_s:

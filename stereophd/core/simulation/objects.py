@@ -1,9 +1,4 @@
-"""How the objects of a scene move.
-
-Motion is constant velocity with white acceleration, independent per axis, discretised exactly: over a
-time dt a position and velocity gain noise of covariance ``q [[dt^3/3, dt^2/2], [dt^2/2, dt]]`` with
-spectral density ``q = acceleration_std^2 * 1 s`` (Bar-Shalom, Li and Kirubarajan 2001, section 6.2.2).
-"""
+"""How the objects of a scene move: by a motion model, discretised exactly."""
 
 from __future__ import annotations
 
@@ -13,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.motion.arrays import walk
+from stereophd.core.motion.base import Motion
 from stereophd.core.simulation.timing import FloatArray, TimeGrid
 
 BoolArray = NDArray[np.bool_]
@@ -49,16 +46,15 @@ class Path:
     ----------
     moving_object : MovingObject
         Whose path; it starts at the birth, and must be asked forwards in time.
-    acceleration_std : (3,)
-        Process noise per axis, length/s^2.
+    motion : Motion
+        Its limit of speed does not apply.
     """
 
-    def __init__(self, moving_object: MovingObject, acceleration_std: FloatArray) -> None:
-        self._density = np.asarray(acceleration_std, dtype=float) ** 2
+    def __init__(self, moving_object: MovingObject, motion: Motion) -> None:
+        self._motion = motion
         self._object = moving_object
         self._time_s = moving_object.birth_s
-        self._position = moving_object.position
-        self._velocity = moving_object.velocity
+        self._state = np.concatenate([moving_object.position, moving_object.velocity])
         self._generator = np.random.default_rng(moving_object.noise_seed)
 
     def states(self, times_s: FloatArray) -> FloatArray:
@@ -68,22 +64,18 @@ class Path:
         """
         if times_s.size == 0:
             return np.empty((0, 6))
-        if not self._density.any():
+        if not self._motion.noisy:
             # One product, not a running sum: the same state at an instant whatever was asked before.
-            elapsed = (times_s - self._object.birth_s)[:, None]
-            velocity = np.broadcast_to(self._velocity, (times_s.size, 3))
-            return np.concatenate([self._object.position + elapsed * velocity, velocity], axis=1)
-        step = np.diff(times_s, prepend=self._time_s)[:, None]
+            reach, keep, drift = self._motion.flow(times_s - self._object.birth_s)
+            position, velocity = self._object.position, self._object.velocity
+            return np.asarray(
+                drift + np.concatenate([position + reach[:, None] * velocity, keep[:, None] * velocity], axis=1)
+            )
+        step = np.diff(times_s, prepend=self._time_s)
         normal = self._generator.standard_normal((times_s.size, 2, 3))
-        velocity_noise = np.sqrt(self._density * step) * normal[:, 0]
-        # Given the gain in velocity, that of position has this mean and variance (conditional Gaussian).
-        position_noise = 0.5 * step * velocity_noise + np.sqrt(self._density * step**3 / 12) * normal[:, 1]
-        velocity = np.cumsum(np.vstack([self._velocity, velocity_noise]), axis=0)
-        gain = step * velocity[:-1] + position_noise
-        position = np.cumsum(np.vstack([self._position, gain]), axis=0)
-        self._time_s = float(times_s[-1])
-        self._position, self._velocity = position[-1], velocity[-1]
-        return np.concatenate([position[1:], velocity[1:]], axis=1)
+        states = walk(self._state, self._motion.arrays(step), *self._motion.shocks(step, normal))
+        self._time_s, self._state = float(times_s[-1]), states[-1]
+        return np.asarray(states)
 
 
 @dataclass(frozen=True)
@@ -114,9 +106,7 @@ class StateWindow:
         return ~np.isnan(self.states[:, :, 0])
 
 
-def state_windows(
-    objects: Sequence[MovingObject], grid: TimeGrid, acceleration_std: FloatArray
-) -> Iterator[StateWindow]:
+def state_windows(objects: Sequence[MovingObject], grid: TimeGrid, motion: Motion) -> Iterator[StateWindow]:
     """Yield the states of all objects, window by window, in memory that does not grow with the run.
 
     Parameters
@@ -124,15 +114,14 @@ def state_windows(
     objects : sequence of MovingObject
     grid : TimeGrid
         Instants of the run.
-    acceleration_std : (3,)
-        Process noise per axis, length/s^2.
+    motion : Motion
     """
     waiting = sorted(objects, key=lambda item: (item.birth_s, item.object_id), reverse=True)
     living: dict[int, tuple[MovingObject, Path]] = {}
     for lower_s, upper_s in grid.windows():
         while waiting and waiting[-1].birth_s < upper_s:
             born = waiting.pop()
-            living[born.object_id] = (born, Path(born, acceleration_std))
+            living[born.object_id] = (born, Path(born, motion))
         times_s = grid.times(lower_s, upper_s)
         states = np.full((len(living), times_s.size, 6), np.nan)
         for row, (item, path) in enumerate(living.values()):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
-from stereophd.core.motion.models import Motion, Static
+from stereophd.core.motion.base import Motion
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class SingleEstimator(ABC, Generic[State]):
     @property
     def state_size(self) -> int:
         """Size of the state: 6, or 3 for a static object."""
-        return 3 if isinstance(self.motion, Static) else 6
+        return self.motion.state_size
 
     @abstractmethod
     def init(self) -> State:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.prior import InitialPrior
-from stereophd.core.motion.models import Motion, Static
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import MAX_NONLINEARITY, Method, MomentsSettings, SampleSets, draw_sample_sets
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.cartesian import CartesianEstimator
@@ -67,10 +67,9 @@ def build_estimator(
 
 def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
     """Return the samples of an estimator's moves; of ``particle`` drawn from the generator."""
-    rows = 3 if isinstance(motion, Static) else 12
     if settings.method == "particle":
-        return fresh_samples(settings.samples, rows, int(rng.integers(2**63)))
-    return _rule(settings.method, settings.samples, rows, settings.max_nonlinearity)
+        return fresh_samples(settings.samples, motion.sample_rows, int(rng.integers(2**63)))
+    return _rule(settings.method, settings.samples, motion.sample_rows, settings.max_nonlinearity)
 
 
 @dataclass(frozen=True)

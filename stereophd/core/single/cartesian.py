@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.moment_kernels import condition
 from stereophd.core.numerics.samples import cubature_points
 from stereophd.core.single.base import (
@@ -113,8 +113,7 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
         dt = time_s - state.home_s
         if self.state_size == 3 or dt == 0.0:
             return state.mean, state.covariance
-        matrix, noise = self.motion.transition(dt)
-        return matrix @ state.mean, matrix @ state.covariance @ matrix.T + noise
+        return self.motion.transition(dt).predict(state.mean, state.covariance)
 
     def estimate(self, state: GaussianState) -> SingleEstimate | None:
         """Return the mean, which is the mode, and the covariance."""

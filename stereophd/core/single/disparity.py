@@ -20,7 +20,7 @@ from stereophd.core.disparity.moments import OUT_OF_VIEW, move, world_moments
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
-from stereophd.core.motion.models import Motion, Static
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets
 from stereophd.core.single.base import (
     SingleEstimate,
@@ -88,7 +88,7 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
 
     def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
         """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
-        still = time_s == state.home_s or (isinstance(self.motion, Static) and not self.rig.moving)
+        still = time_s == state.home_s or (not self.motion.moves and not self.rig.moving)
         if still and camera == state.camera:
             return state.mean, state.covariance
         for shift in (0.0, WIDE):
@@ -192,7 +192,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
 
     def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
         """Particle prediction, whatever the image of the first camera shows of the object."""
-        if isinstance(self.motion, Static) or time_s == state.home_s:
+        if not self.motion.moves or time_s == state.home_s:
             return state.mean, state.covariance
         home = self.rig.space(0, time_s)
         moved = move(
@@ -263,6 +263,5 @@ def world_estimate(state: GaussianState, home: Array, motion: Motion, sets: Samp
     means, covariances = world_moments(
         state.mean[None], state.covariance[None], home[None], np.array([dt]), motion, sets, state.n_events
     )
-    max_speed = motion.max_speed
-    mode = state_in_world(state.mean, home, dt, np.inf if max_speed is None else max_speed)
+    mode = state_in_world(state.mean, home, motion.arrays(np.array([dt])))
     return SingleEstimate(means[0], mode, covariances[0])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.kernels import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.single.base import SingleState
 
@@ -93,10 +94,10 @@ def linear_update(
 
 
 @compiled
-def state_in_world(state: Array, space: Array, dt: float, max_speed: float) -> Array:
-    """World state (6,) of a state (3,) or (6,) in a packed disparity space (30,), `dt` seconds later.
+def state_in_world(state: Array, space: Array, motion: MotionArrays) -> Array:
+    """World state (6,) of a state (3,) or (6,) in a packed disparity space (30,), after the only interval of `motion`.
 
-    NaN at or beyond infinity; the velocity of a state (3,) is 0, and limited to `max_speed`.
+    NaN at or beyond infinity; the velocity of a state (3,) is 0, and limited to the greatest speed.
     """
     out = np.zeros(6)
     if not state[2] > 0.0:
@@ -110,20 +111,21 @@ def state_in_world(state: Array, space: Array, dt: float, max_speed: float) -> A
         velocity[1] = state[4] / space[FY] * z - y * growth
         velocity[2] = -z * growth
         speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-        if speed > max_speed:
-            velocity *= max_speed / speed
+        if speed > motion.max_speed:
+            velocity *= motion.max_speed / speed
     for a in range(3):
         # column a of the rotation: from the camera's axes to the world's
         r0, r1, r2 = space[ROTATION + a], space[ROTATION + 3 + a], space[ROTATION + 6 + a]
-        out[3 + a] = r0 * velocity[0] + r1 * velocity[1] + r2 * velocity[2]
-        out[a] = space[CENTER + a] + r0 * x + r1 * y + r2 * z + dt * out[3 + a]
+        before = r0 * velocity[0] + r1 * velocity[1] + r2 * velocity[2]
+        out[3 + a] = motion.keep[0] * before + motion.drift[0, 3 + a]
+        out[a] = space[CENTER + a] + r0 * x + r1 * y + r2 * z + motion.reach[0] * before + motion.drift[0, a]
     return out
 
 
 @compiled
-def states_in_world(states: Array, space: Array, dt: float, max_speed: float) -> Array:
+def states_in_world(states: Array, space: Array, motion: MotionArrays) -> Array:
     """World states (n, 6) of states (n, 3) or (n, 6): see `state_in_world`."""
     out = np.empty((len(states), 6))
     for i in range(len(states)):
-        out[i] = state_in_world(states[i], space, dt, max_speed)
+        out[i] = state_in_world(states[i], space, motion)
     return out

@@ -7,7 +7,8 @@ with rotation R sees, up to scale,
     R (R_0^T r + rho (c_0 - c)),
 
 smooth through rho = 0. The pixel is a quotient of it, which the filter linearises at the predicted mean.
-A moving object goes from r to ``h = r + rho dt R_0 v``, of which a' = h_1 / h_3, b' = h_2 / h_3, rho' = rho / h_3.
+A moving object goes from r to ``h = r + rho R_0 (reach v + drift)`` (`core.motion`), of which a' = h_1 / h_3,
+b' = h_2 / h_3, rho' = rho / h_3.
 Rays by slopes and not by angles (as in [7]): the prior is then the Gaussian of disparity space, rescaled.
 """
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.single.base import (
     SingleEstimate,
     SingleEstimator,
@@ -107,23 +108,26 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         dt = time_s - state.home_s
         if self.state_size == 3 or dt == 0.0:
             return state.mean, state.covariance
-        _, noise = self.motion.transition(dt)
+        moved, noise, drift = self.motion.transition(dt)
+        reach, keep = moved[0, 3], moved[3, 3]
         axes = rotation(state.anchor)
         rho, velocity = state.mean[2], state.mean[3:]
-        h = np.array([state.mean[0], state.mean[1], 1.0]) + rho * dt * axes @ velocity
+        h = np.array([state.mean[0], state.mean[1], 1.0]) + rho * reach * axes @ velocity + rho * axes @ drift[:3]
         mean = state.mean.copy()
+        mean[3:] = keep * velocity + drift[3:]
         mean[0], mean[1], mean[2] = h[0] / h[2], h[1] / h[2], rho / h[2]
         # columns: a, b, rho, velocity, noise of position
         d_h = np.zeros((3, 9))
         d_h[0, 0] = d_h[1, 1] = 1.0
-        d_h[:, 2] = dt * axes @ velocity
-        d_h[:, 3:6] = rho * dt * axes
+        d_h[:, 2] = reach * axes @ velocity + axes @ drift[:3]
+        d_h[:, 3:6] = rho * reach * axes
         d_h[:, 6:] = rho * axes
         d_rho = np.zeros(9)
         d_rho[2] = 1.0
         jacobian = np.stack([d_h[0] - mean[0] * d_h[2], d_h[1] - mean[1] * d_h[2], d_rho - mean[2] * d_h[2]]) / h[2]
         transition = np.eye(6)
         transition[:3] = jacobian[:, :6]
+        transition[3:, 3:] = keep * np.eye(3)
         into = np.eye(6)
         into[:3, :3] = jacobian[:, 6:]
         return mean, transition @ state.covariance @ transition.T + into @ noise @ into.T

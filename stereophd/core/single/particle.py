@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.kernels import POSITION_ALONE, POSITION_WITH_VELOCITY
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
-from stereophd.core.motion.models import Motion, Static
+from stereophd.core.motion.arrays import MotionArrays
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.resampling import SCHEMES
 from stereophd.core.single.base import (
@@ -79,11 +79,11 @@ def log_likelihoods(particles: Array, camera: Array, point: Array, noise: Array)
 
 
 @compiled
-def _disturb(particles: Array, index: NDArray[np.int64], dt: float, std: Array, normal: Array, limit: float) -> Array:
-    """Pick particles (6, n) and move them by constant velocity and white acceleration; `normal` (6, n)."""
+def _disturb(particles: Array, index: NDArray[np.int64], motion: MotionArrays, normal: Array) -> Array:
+    """Pick particles (6, n) and move them by the only interval of `motion`; `normal` (6, n)."""
     out = np.empty(particles.shape)
-    velocity_scale = math.sqrt(abs(dt))
-    position_scale = dt * velocity_scale
+    std, limit, drift = motion.noise_std, motion.max_speed, motion.drift[0]
+    velocity_scale, position_scale = motion.velocity_noise[0], motion.position_noise[0]
     for i in range(particles.shape[1]):
         k = index[i]
         speed = math.sqrt(particles[3, k] ** 2 + particles[4, k] ** 2 + particles[5, k] ** 2)
@@ -92,10 +92,10 @@ def _disturb(particles: Array, index: NDArray[np.int64], dt: float, std: Array, 
             velocity = slow * particles[3 + a, k]
             shock = std[a] * normal[a, i]
             position_shock = position_scale * (
-                POSITION_WITH_VELOCITY * shock + POSITION_ALONE * std[a] * normal[3 + a, i]
+                motion.with_velocity[0] * shock + motion.alone[0] * std[a] * normal[3 + a, i]
             )
-            out[a, i] = particles[a, k] + dt * velocity + position_shock
-            out[3 + a, i] = velocity + velocity_scale * shock
+            out[a, i] = particles[a, k] + motion.reach[0] * velocity + position_shock + drift[a]
+            out[3 + a, i] = motion.keep[0] * velocity + velocity_scale * shock + drift[3 + a]
     return out
 
 
@@ -181,8 +181,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         if size == 6:
             stds = self.prior.disparity_velocity_std_px_s if in_disparity else (0.0, 0.0, 0.0)
             states[:, 3:] = rng.standard_normal((count, 3)) * np.array(stds)
-        limit = np.inf if self.motion.max_speed is None else self.motion.max_speed
-        particles = states_in_world(states, space, 0.0, limit).T[:size].copy()
+        particles = states_in_world(states, space, self.motion.arrays(np.zeros(1))).T[:size].copy()
         if size == 6 and not in_disparity:
             particles[3:] = rng.standard_normal((3, count)) * self.prior.velocity_spread
         return particles
@@ -201,10 +200,9 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         particles = state.particles
         if due and self.settings.regularised:
             particles, index = particles[:, index] + self._kernel(state, rng), np.arange(count)
-        if not isinstance(self.motion, Static) and dt != 0.0:
-            limit = np.inf if self.motion.max_speed is None else self.motion.max_speed
+        if self.motion.moves and dt != 0.0:
             normal = rng.standard_normal((6, count))
-            particles = _disturb(particles, index, dt, self.motion.acceleration_std, normal, limit)
+            particles = _disturb(particles, index, self.motion.arrays(np.array([dt])), normal)
         elif due:
             particles = np.ascontiguousarray(particles[:, index])
         return particles, weights, log_weights
@@ -239,8 +237,9 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         mode[: self.state_size] = state.particles[:, int(np.argmax(state.weights))]
         dt = state.time_s - state.home_s
         if dt != 0.0:
-            matrix, noise = self.motion.transition(dt)
-            mean, mode, covariance = matrix @ mean, matrix @ mode, matrix @ covariance @ matrix.T + noise
+            transition = self.motion.transition(dt)
+            mean, covariance = transition.predict(mean, covariance)
+            mode = transition.matrix @ mode + transition.drift
         return SingleEstimate(mean, mode, covariance)
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back
 
 Array = NDArray[np.float64]
@@ -111,9 +111,8 @@ def _factors(
 ) -> tuple[float, float]:
     """Return the terms of L for an event: detected, and missed."""
     camera = cameras[event.camera].at(event.time_s)
-    matrix, noise = motion.transition(float(event.time_s - trajectory.times[0]))
-    state = matrix @ trajectory.states[0]
-    covariance = matrix @ trajectory.covariances[0] @ matrix.T + noise
+    transition = motion.transition(float(event.time_s - trajectory.times[0]))
+    state, covariance = transition.predict(trajectory.states[0], trajectory.covariances[0])
     p_detect, densities = _detections(camera, event, state, covariance)
     if p_detect == 0.0:
         return 0.0, 1.0

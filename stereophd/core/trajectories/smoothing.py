@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.motion.models import Motion, Static
+from stereophd.core.motion.base import Motion
 
 Array = NDArray[np.float64]
 
@@ -45,15 +45,15 @@ class Trajectory:
 def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
     """Return the smoothed trajectory (Rauch, Tung and Striebel 1965) at the same events."""
     states, covariances = trajectory.states.copy(), trajectory.covariances.copy()
-    if isinstance(motion, Static):
+    if not motion.moves:
         # what is known at the end holds throughout; the velocity has no covariance to invert
         states[:], covariances[:] = states[-1], covariances[-1]
         return replace(trajectory, states=states, covariances=covariances)
     for k in range(len(states) - 2, -1, -1):
-        matrix, noise = motion.transition(float(trajectory.times[k + 1] - trajectory.times[k]))
-        predicted = matrix @ covariances[k] @ matrix.T + noise
-        gain = np.linalg.solve(predicted, matrix @ covariances[k]).T
-        states[k] += gain @ (states[k + 1] - matrix @ states[k])
+        transition = motion.transition(float(trajectory.times[k + 1] - trajectory.times[k]))
+        state, predicted = transition.predict(states[k], covariances[k])
+        gain = np.linalg.solve(predicted, transition.matrix @ covariances[k]).T
+        states[k] += gain @ (states[k + 1] - state)
         update = gain @ (covariances[k + 1] - predicted) @ gain.T
         covariances[k] += (update + update.T) / 2.0
     return replace(trajectory, states=states, covariances=covariances)
@@ -79,9 +79,8 @@ def extend_back(
     states = np.empty((len(events), 6))
     covariances = np.empty((len(events), 6, 6))
     for k, time_s in enumerate(times):
-        matrix, noise = motion.transition(float(time_s - trajectory.times[0]))
-        states[k] = matrix @ trajectory.states[0]
-        covariances[k] = matrix @ trajectory.covariances[0] @ matrix.T + noise
+        transition = motion.transition(float(time_s - trajectory.times[0]))
+        states[k], covariances[k] = transition.predict(trajectory.states[0], trajectory.covariances[0])
     return Trajectory(
         trajectory.track_id,
         np.concatenate([events, trajectory.events]),

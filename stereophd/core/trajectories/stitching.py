@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.smoothing import Trajectory
 
 Array = NDArray[np.float64]
@@ -60,19 +60,21 @@ def _may_be_near(earlier: Trajectory, starts: Array, positions: Array, spreads: 
         return np.zeros(0, dtype=np.bool_)
     gaps = starts - earlier.times[-1]
     end = earlier.states[-1]
-    predicted = end[:3] + gaps[:, None] * end[3:]
+    flow = motion.flow(gaps)
+    predicted = end[:3] + flow.reach[:, None] * end[3:] + flow.drift[:, :3]
     std = np.sqrt(np.diagonal(earlier.covariances[-1]))
     # a sum of standard deviations is not exceeded, whatever the correlations are, nor the noise of the longest gap
-    noise = np.sqrt(np.diagonal(motion.transition(float(gaps.max()))[1])[:3])
-    bound = std[:3] + gaps[:, None] * std[3:] + noise + spreads
+    noise = np.sqrt(np.diagonal(motion.transition(float(gaps.max())).noise)[:3])
+    bound = std[:3] + flow.reach[:, None] * std[3:] + noise + spreads
     return np.asarray((np.abs(positions - predicted) <= np.sqrt(STITCH_DISTANCE) * bound).all(axis=1))
 
 
 def _distance(earlier: Trajectory, later: Trajectory, motion: Motion) -> float:
     """Squared Mahalanobis distance of the start of a track from the predicted end of another."""
-    matrix, noise = motion.transition(float(later.times[0] - earlier.times[-1]))
-    difference = later.states[0] - matrix @ earlier.states[-1]
-    covariance = matrix @ earlier.covariances[-1] @ matrix.T + noise + later.covariances[0]
+    transition = motion.transition(float(later.times[0] - earlier.times[-1]))
+    predicted, spread = transition.predict(earlier.states[-1], earlier.covariances[-1])
+    difference = later.states[0] - predicted
+    covariance = spread + later.covariances[0]
     # static objects have no velocity to compare: its covariance is zero
     return float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
 

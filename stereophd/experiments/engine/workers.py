@@ -84,11 +84,11 @@ class DaskWorkers:
         try:
             from distributed import Client
         except ImportError:
-            raise InputError("--dask needs Dask, which is not installed: pip install 'stereophd[dask]'") from None
+            raise InputError("`dask` needs Dask, which is not installed: pip install 'stereophd[dask]'") from None
         try:
             self._client = Client(address, timeout=CONNECT_S)
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"--dask {address}: expected the address of a Dask scheduler, found no answer") from error
+            raise InputError(f"`dask` {address}: expected the address of a Dask scheduler, found no answer") from error
 
     @property
     def count(self) -> int:

@@ -1,6 +1,6 @@
 """Many objects: a simulated scene, tracked, scored by OSPA over time (paper VIII-C, Figure 12).
 
-Run k is the scene of run k of ``simulate --runs``, tracked as ``track`` does and scored as ``evaluate`` does,
+Run k is the scene of run k of several runs of ``simulate``, tracked as ``track`` does and scored as ``evaluate`` does,
 without the files between.
 """
 
@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereophd.config.experiment import MultiObjectScenario
-from stereophd.core.bounds.known_association import AssociatedDetections, sight, straight_lines
+from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.alignment import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
@@ -42,7 +43,7 @@ def check(loaded: LoadedConfig) -> None:
     if _scenario(loaded).tracker == "known_association" and np.any(config.simulate.acceleration_std):
         raise InputError(
             f"{loaded.path}: simulate.acceleration_std: expected 0 with the tracker known_association, which fits "
-            "straight lines, found another value"
+            "paths without noise, found another value"
         )
 
 
@@ -60,7 +61,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
         if _scenario(loaded).tracker == "filter":
             estimates = _filtered(loaded, cameras, frames, last)
         else:
-            estimates = _known(loaded, cameras, frames, event_times[last], aligned.points)
+            estimates = _known(loaded, cameras, frames, event_times[last], aligned.points, scene.motion)
     usable = ~(aligned.outside | aligned.gap)
     return _scores(loaded, event_times[last][usable], estimates.keep_scans(usable), aligned.points.keep_scans(usable))
 
@@ -106,8 +107,9 @@ def _known(
     frames: Sequence[Frame],
     times_s: Array,
     truth: PointSets,
+    motion: Motion,
 ) -> PointSets:
-    """Fit straight lines to the detections of every object; those that exist and were seen are reported."""
+    """Fit paths without noise to the detections of every object; those that exist and were seen are reported."""
     multi_filter = build_filter(loaded.config, tuple(cameras), loaded.path)
     baseline, rectification = loaded.config.disparity.baseline, loaded.config.disparity.rectification
     labels = np.unique(truth.label)
@@ -122,7 +124,7 @@ def _known(
             if first[row] is None:
                 first[row] = DisparitySpace(camera.at(time_s), baseline, rectification), time_s, point
     detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    states, covariances, seen = straight_lines(detections, first, multi_filter.birth, times_s)
+    states, covariances, seen = noiseless_paths(detections, first, multi_filter.birth, times_s, motion)
     exists = np.zeros(seen.shape, dtype=bool)
     exists[truth.scan, np.searchsorted(labels, truth.label)] = True
     scan, row = np.nonzero(seen & exists)

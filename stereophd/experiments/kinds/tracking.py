@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless there is an estimator and a prior of its velocity."""
     prior = single_config(loaded).prior
-    if loaded.config.motion.model != "constant_velocity":
-        raise InputError(f"{loaded.path}: motion.model: expected constant_velocity for a moving object")
+    if not loaded.config.motion.build().moves:
+        raise InputError(f"{loaded.path}: motion.model: expected the motion of a moving object, found static")
     if prior.velocity_std is None and prior.disparity_velocity_std_px_s is None:
         raise InputError(
             f"{loaded.path}: filter.prior: expected velocity_std or disparity_velocity_std_px_s, found none"

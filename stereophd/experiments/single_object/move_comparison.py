@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.moments import OUT_OF_VIEW, move
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SETS_IN_TURN, Method, MomentsSettings
 from stereophd.core.single.build import sample_sets
 from stereophd.core.single.disparity import WIDE, widened
@@ -112,9 +112,9 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
     """
     count = np.zeros(2)
     sums, squares = np.zeros(6), np.zeros((6, 6))
-    transition, noise = case.motion.transition(case.dt)
+    transition, noise, drift = case.motion.transition(case.dt)
     # the rounding of the squares stays small about any point near the mean
-    origin = case.destination.from_world((transition @ case.home.to_world(case.mean[None])[0])[None])[0]
+    origin = case.destination.from_world((transition @ case.home.to_world(case.mean[None])[0] + drift)[None])[0]
     remaining = samples
     while remaining > 0:
         drawn = min(remaining, CLOUD)
@@ -123,7 +123,7 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
         if case.motion.max_speed is not None:
             speed = np.linalg.norm(world[:, 3:], axis=1, keepdims=True)
             world[:, 3:] *= np.minimum(1.0, case.motion.max_speed / speed)
-        world = world @ transition.T + rng.multivariate_normal(np.zeros(6), noise, drawn)
+        world = world @ transition.T + drift + rng.multivariate_normal(np.zeros(6), noise, drawn)
         camera = case.destination.camera
         seen = camera.in_view(world[:, :3]) if case.in_view else camera.pose.to_camera(world[:, :3])[:, 2] > 0.0
         moved = case.destination.from_world(world[seen]) - origin

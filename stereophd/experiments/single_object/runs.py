@@ -24,7 +24,8 @@ from stereophd.core.bounds.cramer_rao import (
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.models import Static
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings
@@ -222,7 +223,7 @@ def tracking_bound(
     if kind == "posterior":
         information = information.mean(axis=1, keepdims=True)
     steps = [scenario.motion.transition(dt) for dt in np.diff(scenario.times).tolist()]
-    transitions, noises = np.array([f for f, _ in steps]), np.array([q for _, q in steps])
+    transitions, noises = np.array([step.matrix for step in steps]), np.array([step.noise for step in steps])
     bounds = posterior_bounds(_state_prior_information(scenario) + information[0], transitions, noises, information[1:])
     return np.asarray(bounds[last_events(scenario.times)].mean(axis=1))
 
@@ -249,10 +250,9 @@ def _state_prior_information(scenario: TrackingProblem) -> Array:
 def draw_trajectory(scenario: TrackingProblem, rng: np.random.Generator) -> Array:
     """Draw the states (k, 6) of the object at the scenario's events."""
     states = [np.asarray(scenario.start, dtype=float)]
-    shocks = rng.standard_normal((len(scenario.times) - 1, 2, 3)) * scenario.motion.acceleration_std
+    shocks = rng.standard_normal((len(scenario.times) - 1, 2, 3)) * scenario.motion.noise_std
     for dt, (with_velocity, alone) in zip(np.diff(scenario.times).tolist(), shocks, strict=True):
-        matrix, _ = scenario.motion.transition(dt)
-        state = matrix @ states[-1]
+        state = scenario.motion.transition(dt).matrix @ states[-1]
         # white acceleration: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]]
         state[:3] += dt**1.5 * (0.5 * with_velocity + alone / np.sqrt(12.0))
         state[3:] += dt**0.5 * with_velocity

@@ -2,9 +2,9 @@
 
 Detections: one row a detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
 native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``score``,
-``object_id``) or of usual other names are found by themselves; any others by the option for columns. A row without
-u and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file.
-Pixels are native (pixel (0, 0) is the centre of the top-left pixel) unless the options say otherwise.
+``object_id``) or of usual other names are found by themselves; any others by the option for columns. A row without u
+and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file. Pixels are
+native (pixel (0, 0) is the centre of the top-left pixel) unless the options say otherwise.
 
 Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ... Numbers
 have 17 digits, which is exact.
@@ -22,12 +22,13 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import (
     EXTRA_COLUMNS,
     ExportOptions,
+    ForeignRecording,
     Format,
     ImportOptions,
     Piece,
-    Recording,
 )
 from stereophd.io.interchange.pixels import native_pixels
+from stereophd.io.interchange.text_tables import first_lines, read_batches, separator_of, split_line
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,18 +46,17 @@ USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
     "object_id": ("object_id",),
 }
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-NULLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "None"]
 AXES = ("x", "y", "z", "vx", "vy", "vz")
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read tables of detections."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     recording.pieces = _pieces(recording, sources, options)
     return recording
 
 
-def _pieces(recording: Recording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
+def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
     for path in sources:
         separator, header = _header(path)
         columns = _find_columns(path, header, options)
@@ -73,18 +73,10 @@ def _pieces(recording: Recording, sources: Sequence[Path], options: ImportOption
 
 def _header(path: Path) -> tuple[str, list[str]]:
     """Return the separator of a table and the names of its columns."""
-    try:
-        with open(path, encoding="utf-8-sig") as stream:
-            line = stream.readline().strip()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a table of text, found bytes that are not UTF-8") from error
-    if not line:
+    lines = first_lines(path, 1)
+    if not lines or not lines[0].strip():
         raise InputError(f"{path}: expected a table with a header, found an empty first line")
-    separator = next((s for s in (",", ";", "\t") if s in line), " ")
-    names = [name.strip().strip('"') for name in line.split(separator)]
-    return separator, names
+    return separator_of(lines[0]), split_line(lines[0])
 
 
 def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> dict[str, str]:
@@ -114,25 +106,13 @@ def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> 
 def _batches(path: Path, separator: str, columns: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
     """Yield the table in pieces, numbers as float64."""
     import pyarrow as pa
-    import pyarrow.csv
 
     kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
-    try:
-        reader = pyarrow.csv.open_csv(
-            path,
-            read_options=pyarrow.csv.ReadOptions(use_threads=False, block_size=1 << 22),
-            parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
-            convert_options=pyarrow.csv.ConvertOptions(
-                column_types=kinds, include_columns=list(kinds), null_values=NULLS, strings_can_be_null=False
-            ),
-        )
-        yield from reader
-    except pa.ArrowException as error:
-        raise InputError(f"{path}: expected rows of a table of numbers, found: {str(error).splitlines()[0]}") from error
+    yield from read_batches(path, separator, kinds, str(path))
 
 
 def _split(
-    path: Path, batch: pa.RecordBatch, columns: Mapping[str, str], options: ImportOptions, recording: Recording
+    path: Path, batch: pa.RecordBatch, columns: Mapping[str, str], options: ImportOptions, recording: ForeignRecording
 ) -> Iterator[Piece]:
     """Yield the rows of a batch camera by camera."""
     values = {

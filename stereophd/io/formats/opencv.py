@@ -1,10 +1,10 @@
 """OpenCV calibrations: YAML (also with the line ``%YAML:1.0``), XML, JSON as ``FileStorage`` writes them, and NPZ.
 
 Quantities are found by their usual names, in any case: the camera matrix (``K``, ``camera_matrix``, ``mtx``, ``M``),
-lens coefficients (``D``, ``dist``, ``distortion_coefficients``), and the pose by ``rvec`` and ``tvec`` or by ``R`` and
-``T``. A camera is a mapping of its name, a part of the names (``K1``, ``left_K``, ``K_left``), or a file of its own,
-named as the file. Where two cameras are there and one R, T without a name, as ``stereoCalibrate`` returns them, the
-first camera is at the origin and R, T lead from its axes to those of the second.
+lens coefficients (``D``, ``dist``, ``distortion_coefficients``), and the pose by ``rvec`` and ``tvec`` or by ``R``
+and ``T``. A camera is a mapping of its name, a part of the names (``K1``, ``left_K``, ``K_left``), or a file of its
+own, named as the file. Where two cameras are there and one R, T without a name, as ``stereoCalibrate`` returns them,
+the first camera is at the origin and R, T lead from its axes to those of the second.
 
 Conventions: pixels and camera axes are the native ones. ``x_camera = R x_world + T``, so the centre is ``-R^T T``.
 Coefficients: k1, k2, p1, p2, k3, k4, k5, k6; four of a fisheye where ``fisheye_model`` (or a key like it) says so.
@@ -23,7 +23,7 @@ import numpy as np
 from stereophd.config.cameras import CameraConfig
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Format, ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart, unit
 from stereophd.io.interchange.opencv_storage import read_document, write_yaml
 
@@ -55,9 +55,9 @@ _TAG = r"(?:cam(?:era)?)?\d+|left|right|l|r"
 _RECTIFICATION = ("Q", "P1", "P2")
 
 
-def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read the cameras of calibration files."""
-    recording = Recording(files=list(sources))
+    recording = ForeignRecording(files=list(sources))
     cameras: dict[str, dict[str, Any]] = {}
     for path in sources:
         for name, values in _cameras_of(path).items():
@@ -70,7 +70,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> Recording:
     if pair and {"rotation", "translation"} <= pair.keys() and not any("rotation" in c for c in cameras.values()):
         _place_pair(cameras, pair, where, recording)
     stated = pair.get("unit") if options.length_unit is None else None
-    recording.length_unit = str(stated) if stated else unit(options, recording.assumed, where)
+    recording.length_unit = str(stated) if stated else unit(options, recording, where)
     recording.assumed.append("poses lead from the world to the camera: x_camera = R x_world + T")
     for name, values in cameras.items():
         native = options.name(name)
@@ -83,7 +83,9 @@ def _shared(pair: Mapping[str, Any]) -> dict[str, Any]:
     return {key: pair[key] for key in ("size", "width", "height", "fisheye") if key in pair}
 
 
-def _place_pair(cameras: dict[str, dict[str, Any]], pair: Mapping[str, Any], where: str, recording: Recording) -> None:
+def _place_pair(
+    cameras: dict[str, dict[str, Any]], pair: Mapping[str, Any], where: str, recording: ForeignRecording
+) -> None:
     """Place a stereo pair: the first camera at the origin."""
     if len(cameras) == 1:
         next(iter(cameras.values())).update(pair)
@@ -144,7 +146,7 @@ def _quantity(key: str) -> tuple[str | None, str]:
 
 
 def _camera(
-    name: str, values: Mapping[str, Any], options: ImportOptions, where: str, recording: Recording
+    name: str, values: Mapping[str, Any], options: ImportOptions, where: str, recording: ForeignRecording
 ) -> CameraConfig:
     if "rotation" not in values or "translation" not in values:
         kind = "intrinsics only"

@@ -19,7 +19,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import EXTRA_COLUMNS, ImportOptions, Recording
+from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions
 from stereophd.io.interchange.spool import FRAME, TIME, Spool, U, V, extra_columns, read_rows, spool_pieces
 from stereophd.io.tables import DETECTIONS, FLOAT, INTEGER, TableWriter
 
@@ -48,7 +48,7 @@ class CameraSummary:
 
 
 def write_log(
-    recording: Recording,
+    recording: ForeignRecording,
     options: ImportOptions,
     path: Path,
     folder: Path,
@@ -103,7 +103,7 @@ class _Camera:
     """The second pass over one camera."""
 
     def __init__(
-        self, name: str, spool: Spool, recording: Recording, options: ImportOptions, summary: CameraSummary
+        self, name: str, spool: Spool, recording: ForeignRecording, options: ImportOptions, summary: CameraSummary
     ) -> None:
         self._name, self._spool, self._summary = name, spool, summary
         stated = options.rates.get(name)

@@ -134,7 +134,7 @@ class Piece:
 
 
 @dataclass
-class Recording:
+class ForeignRecording:
     """What a foreign source holds.
 
     Attributes
@@ -145,6 +145,8 @@ class Recording:
         Its cameras, by native name.
     length_unit
         Unit of the camera centres; None without cameras.
+    unit_is_assumed
+        Whether neither the source nor the user states that unit.
     assumed
         Sentences: what the source does not say, and what was taken instead. Complete once `pieces` are consumed.
     warnings
@@ -160,6 +162,7 @@ class Recording:
     pieces: Iterable[Piece] | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     length_unit: str | None = None
+    unit_is_assumed: bool = False
     assumed: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     labels: dict[int, str] = field(default_factory=dict)
@@ -189,7 +192,7 @@ class ExportOptions:
         return {name: value for name, value in stated.items() if value is not None}
 
 
-Reader = Callable[[Sequence[Path], ImportOptions], Recording]
+Reader = Callable[[Sequence[Path], ImportOptions], ForeignRecording]
 #: Writes tracks (a native file) to a path, and returns sentences about what the format cannot hold.
 TracksWriter = Callable[[Path, Path, ExportOptions], list[str]]
 #: Writes cameras in a unit of length to a path (a file, or a folder where the format is one).
@@ -205,7 +208,7 @@ class Format:
     title
         What it is, in a line.
     read
-        Reads files into a `Recording`; None: it is only written.
+        Reads files into a `ForeignRecording`; None: it is only written.
     recognises_cameras
         Whether a file holds cameras in this format, decided by its content; None: never.
     write_tracks, write_cameras

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from stereophd.config.cameras import CameraConfig
-from stereophd.io.interchange.base import ImportOptions, Recording
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.registry import find, recognise_cameras
 
 
-def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, Recording] | None:
+def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:
     """Read a camera file of another program.
 
     Parameters

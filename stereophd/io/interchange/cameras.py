@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stereophd.config.cameras import UNKNOWN_DETECTOR, CameraConfig
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import ImportOptions
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 
 Floats = NDArray[np.float64]
 
@@ -178,9 +178,10 @@ def image_size(name: str, stated: tuple[int, int] | None, options: ImportOptions
     return size
 
 
-def unit(options: ImportOptions, assumed: list[str], of: str) -> str:
-    """Return the unit of length of a source that names none; say so where the user does not state it either."""
+def unit(options: ImportOptions, recording: ForeignRecording, of: str) -> str:
+    """Return the unit of length of a source that names none: the user's, else metres, which is noted as assumed."""
     if options.length_unit is not None:
         return options.length_unit
-    assumed.append(f"{of}: lengths are in metres, for neither the file nor an option names a unit")
+    recording.unit_is_assumed = True
+    recording.assumed.append(f"{of}: lengths are in metres, for neither the file nor an option names a unit")
     return "m"

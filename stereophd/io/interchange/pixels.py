@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, ImportOptions, Recording
+from stereophd.io.interchange.base import Floats, ForeignRecording, ImportOptions
 
 #: What to subtract for the centre of the first pixel to be (0, 0).
 ORIGINS = {"center": 0.0, "corner": 0.5, "one": 1.0}
@@ -13,7 +13,7 @@ def native_pixels(
     pixels: Floats,
     camera: str,
     options: ImportOptions,
-    recording: Recording,
+    recording: ForeignRecording,
     origin: str = "center",
     rows_from: str = "top",
 ) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import EXTRA_COLUMNS, Piece, Recording
+from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, Piece
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def extra_columns(spools: Mapping[str, Spool]) -> list[str]:
     return [name for name, is_there in zip(EXTRA_COLUMNS, found, strict=True) if is_there]
 
 
-def spool_pieces(recording: Recording, folder: Path) -> dict[str, Spool]:
+def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
     """Append every piece to the temporary file of its camera."""
     spools: dict[str, Spool] = {}
     for piece in recording.pieces or ():

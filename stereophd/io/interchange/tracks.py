@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
+from stereophd.io.provenance import from_metadata
+from stereophd.io.provenance import length_unit as unit_of
 from stereophd.io.tables import TRACKS, check_columns, damaged_is_input_error, open_parquet
 
 Floats = NDArray[np.float64]
@@ -132,3 +134,15 @@ def _regular(every: Floats, path: Path) -> tuple[float, Floats]:
         f"{path}: expected reports at a fixed rate for this format, found irregular times; state a rate to resample "
         "to, or track with report.times: {grid: SECONDS}"
     )
+
+
+def metadata_of(path: Path) -> dict[str, Any] | None:
+    """Return the provenance of a table of tracks, or None."""
+    with open_parquet(path, "table of tracks") as parquet:
+        return from_metadata(parquet.schema_arrow.metadata)
+
+
+def length_unit(path: Path) -> str:
+    """Return the unit of length of a table of tracks; metres where it names none."""
+    with open_parquet(path, "table of tracks") as parquet:
+        return unit_of(parquet.schema_arrow.metadata) or "m"

@@ -13,7 +13,6 @@ from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.posterior import PoseSpread, pose_spread
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
@@ -68,9 +67,8 @@ def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, ru
         raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
     scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, run))
     objects, cameras, times, positions = scene_positions(scene)
-    std = np.broadcast_to(np.asarray(settings.acceleration_std, dtype=float), 3)
     return calibration_bound(
-        truth, np.zeros(truth.size), reference, ConstantVelocity(std), objects, cameras, times, positions,
+        truth, np.zeros(truth.size), reference, scene.motion, objects, cameras, times, positions,
         build_scale(loaded, truth),
     )  # fmt: skip
 

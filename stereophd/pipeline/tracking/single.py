@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stereophd.config.model import Config
 from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.intensity import Estimates, Info
 from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
@@ -45,7 +45,7 @@ def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], pa
     assert isinstance(config.filter, SingleSettings)
     prior = config.filter.prior
     no_velocity = prior.velocity_std is None and prior.disparity_velocity_std_px_s is None
-    if isinstance(motion, ConstantVelocity) and no_velocity:
+    if motion.moves and no_velocity:
         raise InputError(f"{path}: filter.prior: expected velocity_std, found none (motion.model is not static)")
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification)
     rng = np.random.default_rng(SINGLE_ESTIMATOR.seed(config.seed))

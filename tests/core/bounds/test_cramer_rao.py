@@ -85,10 +85,10 @@ def test_posterior_bound_is_the_covariance_of_a_kalman_filter() -> None:
     gained = matrix.T @ matrix / 2.0
     covariance = np.diag([4.0, 4.0, 9.0, 1.0, 1.0, 1.0])
     found = bounds.posterior_bounds(
-        np.linalg.inv(covariance), np.array([f for f, _ in steps]), np.array([q for _, q in steps]),
+        np.linalg.inv(covariance), np.array([step.matrix for step in steps]), np.array([step.noise for step in steps]),
         np.tile(gained, (4, 1, 1)),
     )  # fmt: skip
-    for (transition, noise), bound in zip(steps, found[1:], strict=True):
+    for (transition, noise, _), bound in zip(steps, found[1:], strict=True):
         covariance = transition @ covariance @ transition.T + noise
         gain = covariance @ matrix.T @ np.linalg.inv(matrix @ covariance @ matrix.T + 2.0 * np.eye(2))
         covariance = covariance - gain @ matrix @ covariance
@@ -98,7 +98,7 @@ def test_posterior_bound_is_the_covariance_of_a_kalman_filter() -> None:
 def test_posterior_bound_without_a_prior() -> None:
     """Infinite until position and velocity are determined; then that of least squares, without process noise."""
     motion = ConstantVelocity([0.0, 0.0, 0.0])
-    transition, noise = motion.transition(2.0)
+    transition, noise, _ = motion.transition(2.0)
     gained = np.zeros((6, 6))
     gained[:3, :3] = np.eye(3)
     found = bounds.posterior_bounds(gained, transition[None], noise[None], gained[None])
@@ -109,7 +109,7 @@ def test_posterior_bound_without_a_prior() -> None:
 
 
 def test_several_trajectories_at_once() -> None:
-    transition, noise = ConstantVelocity([0.1] * 3).transition(1.0)
+    transition, noise, _ = ConstantVelocity([0.1] * 3).transition(1.0)
     first = np.stack([np.eye(6), 2.0 * np.eye(6)])
     gained = np.stack([np.eye(6), 0.5 * np.eye(6)])[None]
     together = bounds.posterior_bounds(first, transition[None], noise[None], gained)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.bounds.known_association import AssociatedDetections, sight, straight_lines
+from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
+from stereophd.core.motion.models import ConstantVelocity
 from stereophd.core.multi.settings import BirthPrior
 
 STARTS = np.array([[5.0, -3.0, 120.0], [-10.0, 8.0, 90.0]])
@@ -40,7 +41,7 @@ def estimate(prior: BirthPrior, noise: float, seed: int, lens: Lens) -> tuple[np
                 if first[row] is None:
                     first[row] = DisparitySpace(one), time_s, point
     sightings = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    return straight_lines(sightings, first, prior, TIMES)
+    return noiseless_paths(sightings, first, prior, TIMES, ConstantVelocity())
 
 
 @pytest.mark.parametrize("lens", [Lens(), Lens("radial", k1=-0.1)], ids=["pinhole", "radial"])

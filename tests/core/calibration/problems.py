@@ -13,7 +13,7 @@ from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.models import ConstantVelocity, Motion
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
@@ -46,7 +46,7 @@ def make_template(
 ) -> PhdFilter | PmbFilter:
     """The filter of given cameras."""
     motion = ConstantVelocity([0.05] * 3, 12.0) if motion is None else motion
-    rows = 3 if isinstance(motion, Static) else 12
+    rows = motion.sample_rows
     sets = draw_sample_sets("qmc", samples, rows, np.random.SeedSequence(7))
     rig = make_rig(cameras, 1.0, "horizontal", region)
     birth = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=2.0)

@@ -15,8 +15,8 @@ from stereophd.core.calibration.trajectories import (
     fit_states,
     interpolation,
     knot_spacing,
-    link_precisions,
-    motion_bands,
+    motion_links,
+    motion_prior,
     place_knots,
     positions,
 )
@@ -34,13 +34,13 @@ def solve(
     observations = problem.observations
     count = int(observations.trajectories.max()) + 1
     spans = [(0.0, float(observations.times.max()))] * count
-    knots = place_knots(spans, knot_spacing(motion.acceleration_std, 0.2), motion)
-    knot, weights = interpolation(knots, observations.trajectories, observations.times)
+    knots = place_knots(spans, knot_spacing(motion, 0.2), motion)
+    interpolated = interpolation(knots, observations.trajectories, observations.times)
     rough = np.empty((len(observations), 3))
     for k, camera in enumerate(problem.parameters.cameras):
         here = observations.cameras == k
         rough[here] = camera.unproject(observations.points[here], np.full(int(here.sum()), 150.0))
-    states = fit_states(knots, knot, weights, rough, np.ones(len(rough)))
+    states = fit_states(knots, *interpolated, rough, np.ones(len(rough)))
     whole = Problem(problem.parameters, 0, knots, observations, loss, scale)
     return whole, adjust(whole, np.zeros(problem.parameters.size), states)
 
@@ -56,13 +56,13 @@ def residuals(problem: Problem, values: np.ndarray, states: np.ndarray) -> np.nd
         error = observations.points[here] - camera.project(points[here])
         parts.append((error * np.sqrt(observations.precisions[here][:, [0, 1], [0, 1]])).ravel())
     scale = np.exp(log_scale(parameters, problem.reference, values)[0])
-    links, precisions = link_precisions(problem.knots)
-    for link, precision in zip(links, precisions, strict=True):
+    links = motion_links(problem.knots)
+    for link, precision in zip(links.knot, links.precisions, strict=True):
         both = states[link : link + 2].reshape(4, 3)
         factor = np.linalg.cholesky(precision[2:, 2:])  # of rank 2: the last knot given the first
         step = problem.knots.times[link + 1] - problem.knots.times[link]
         change = np.stack([both[2] - both[0] - step * both[1], both[3] - both[1]])
-        parts.append((factor.T @ change / problem.knots.acceleration_std / scale).ravel())
+        parts.append((factor.T @ change / problem.knots.noise_std / scale).ravel())
     return np.concatenate(parts)
 
 
@@ -164,19 +164,19 @@ def test_two_unknown_cameras() -> None:
 
 def test_knots_follow_a_manoeuvre_to_a_part_of_the_noise() -> None:
     motion = ConstantVelocity([0.5, 0.5, 0.5])
-    spacing = knot_spacing(motion.acceleration_std, 0.1)
+    spacing = knot_spacing(motion, 0.1)
     knots = place_knots([(0.0, 20.0)], spacing, motion)
     times = np.linspace(0.0, 20.0, 400)
     path = np.column_stack([np.sin(times), np.cos(0.7 * times), 0.1 * times])
-    knot, weights = interpolation(knots, np.zeros(400, dtype=int), times)
-    states = fit_states(knots, knot, weights, path, np.full(400, 0.1**-2))
-    assert np.abs(positions(states, knot, weights) - path).max() < 0.05
+    interpolated = interpolation(knots, np.zeros(400, dtype=int), times)
+    states = fit_states(knots, *interpolated, path, np.full(400, 0.1**-2))
+    assert np.abs(positions(states, *interpolated) - path).max() < 0.05
 
 
 def test_motion_precision_has_no_say_on_straight_lines() -> None:
     knots = place_knots([(0.0, 10.0), (2.0, 5.0)], 2.0, ConstantVelocity([0.1, 0.2, 0.3]))
     assert knots.count == 2
-    bands = motion_bands(knots)
+    bands = motion_prior(knots).bands
     dense = np.zeros((knots.size, knots.size))
     for k in range(12):
         dense += np.diag(bands[k, : knots.size - k], -k)

@@ -11,7 +11,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.motion.models import ConstantVelocity, Motion
+from stereophd.core.motion.models import Motion
 
 Array = NDArray[np.float64]
 
@@ -73,12 +73,18 @@ def limit_speed(world: Array, max_speed: float) -> Array:
     return np.column_stack([world[:, :3], world[:, 3:] * slow[:, None]])
 
 
-def unit_noise(samples: Array, motion: Motion) -> Array:
-    """Noise (n, 6) of the motion over 1 s in the world, from rows 6 to 11 of a sample set."""
-    # factor of [[1/3, 1/2], [1/2, 1]], position and velocity after 1 s of white acceleration
-    position = 0.5 * samples[6:9] + np.sqrt(1.0 / 12.0) * samples[9:12]
-    velocity = samples[6:9]
-    return np.concatenate([position, velocity]).T * np.tile(motion.acceleration_std, 2)
+def sampled_noise(samples: Array, motion: Motion, dt: float) -> Array:
+    """Noise (n, 6) of the motion in the world, from rows 6 to 11 of a sample set: velocity first, then position."""
+    velocity_first = [3, 4, 5, 0, 1, 2]
+    noise = motion.transition(dt).noise[np.ix_(velocity_first, velocity_first)]
+    factor = np.zeros((6, 6))
+    for axis in range(3):
+        block = noise[np.ix_([axis, 3 + axis], [axis, 3 + axis])]
+        std = np.sqrt(block[0, 0])
+        cross = block[0, 1] / std if std > 0.0 else 0.0
+        factor[axis, axis], factor[3 + axis, axis] = std, cross
+        factor[3 + axis, 3 + axis] = np.sign(dt) * np.sqrt(max(block[1, 1] - cross**2, 0.0))
+    return (factor @ samples[6:12]).T[:, velocity_first]
 
 
 def oracle_world(
@@ -90,10 +96,9 @@ def oracle_world(
     world = home.to_world(states)
     if size == 3:
         return world
-    assert isinstance(motion, ConstantVelocity)
-    world = limit_speed(world, np.inf if motion.max_speed is None else motion.max_speed)
-    scale = np.sqrt(abs(dt)) * np.repeat([dt, 1.0], 3)
-    return world @ motion.transition(dt)[0].T + scale * unit_noise(samples, motion)
+    world = limit_speed(world, motion.speed_limit)
+    matrix, _, drift = motion.transition(dt)
+    return world @ matrix.T + drift + sampled_noise(samples, motion, dt)
 
 
 def oracle_trip(

@@ -23,7 +23,7 @@ REFERENCE_SAMPLES = 200_000
 
 
 def sample_sets(method: str, samples: int, motion: Motion, seed: int = 1) -> SampleSets:
-    rows = 3 if isinstance(motion, Static) else 12
+    rows = motion.sample_rows
     return draw_sample_sets(method, samples, rows, np.random.SeedSequence(seed))
 
 

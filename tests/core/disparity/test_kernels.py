@@ -18,8 +18,8 @@ from tests.core.disparity.cases import (
     make_space,
     oracle_trip,
     random_covariance,
+    sampled_noise,
     state_in,
-    unit_noise,
     weighted,
 )
 
@@ -50,11 +50,12 @@ def test_moving_trips(kind: str, dt: float, max_speed: float) -> None:
     speeds = np.linalg.norm(source.to_world(mean + samples[:6].T @ np.linalg.cholesky(covariance).T)[:, 3:], axis=1)
     assert 20 < (speeds > 2.4).sum() < 280  # the limit matters, and not everywhere
 
-    noise = destination.camera.pose.rotation @ unit_noise(samples, motion).T.reshape(2, 3, -1)
+    noise = destination.camera.pose.rotation @ sampled_noise(samples, motion, dt).T.reshape(2, 3, -1)
     out = np.full((7, 300), np.nan)
+    flow = motion.flow(np.array([dt]))
     kernels.moving_trips(
-        mean, np.linalg.cholesky(covariance), samples, noise.reshape(6, -1), np.sqrt(abs(dt)) * dt, np.sqrt(abs(dt)),
-        source.packed(), destination.packed(), dt, max_speed, out,
+        mean, np.linalg.cholesky(covariance), samples, noise.reshape(6, -1), 1.0, 1.0, source.packed(),
+        destination.packed(), flow.reach[0], flow.keep[0], flow.drift[0], max_speed, out,
     )  # fmt: skip
     np.testing.assert_allclose(out[:6].T, expected, rtol=1e-9, atol=1e-9)
     # the last row is the depth before the destination, times the inverse depth before the source
@@ -73,8 +74,9 @@ def test_speed_limit_holds_for_every_sample() -> None:
     factor = np.diag([5.0, 5.0, 3.0 * mean[2], 10.0, 10.0, 5.0])
     out = np.empty((7, 500))
     kernels.moving_trips(
-        mean, factor, samples, np.zeros((6, 500)), 0.0, 1.0, source.packed(), destination.packed(), 0.5, 4.0, out
-    )
+        mean, factor, samples, np.zeros((6, 500)), 0.0, 1.0, source.packed(), destination.packed(), 0.5, 1.0,
+        np.zeros(6), 4.0, out,
+    )  # fmt: skip
     assert np.isfinite(out).all()
     speed = np.linalg.norm(destination.to_world(out[:6].T)[:, 3:], axis=1)
     assert speed.max() <= 4.0 * (1 + 1e-6)
@@ -89,8 +91,9 @@ def test_trips_are_continuous_through_infinity() -> None:
     out = np.empty((7, 5))
     factor = np.diag([1.0, 1.0, 1e-6, 1.0, 1.0, 1.0])
     kernels.moving_trips(
-        mean, factor, samples, np.ones((6, 5)), 1.0, 1.0, source.packed(), destination.packed(), 0.5, 5.0, out
-    )
+        mean, factor, samples, np.ones((6, 5)), 1.0, 1.0, source.packed(), destination.packed(), 0.5, 1.0,
+        np.zeros(6), 5.0, out,
+    )  # fmt: skip
     assert np.isfinite(out).all()
     # velocities are capped at max_speed * rho: within 1e-6 px of disparity everything moves by micropixels
     assert np.abs(np.diff(out[:3], axis=1)).max() < 1e-4
@@ -286,7 +289,7 @@ def test_relative_pose_and_disparity_scale() -> None:
 @pytest.mark.parametrize("max_speed", [np.inf, 1.0])
 def test_linear_move_is_the_jacobian_of_the_trip(kind: str, dt: float, max_speed: float) -> None:
     source, destination = pair(kind)
-    motion = ConstantVelocity(ACCELERATION)
+    motion = ConstantVelocity(ACCELERATION, None if max_speed == np.inf else max_speed)
     mean = state_in(source, WORLD)
     covariance = random_covariance(np.random.default_rng(9), [4.0, 3.0, 0.3, 2.0, 2.0, 0.05])
     # the scaling of a speed above the limit is taken at the mean
@@ -307,8 +310,8 @@ def test_linear_move_is_the_jacobian_of_the_trip(kind: str, dt: float, max_speed
     found_mean, found = np.empty(6), np.empty((6, 6))
     axes = destination.camera.pose.rotation * ACCELERATION
     linear_kernels.linear_move(
-        mean, np.linalg.cholesky(covariance), axes, source.packed(), destination.packed(), dt, max_speed,
-        found_mean, found,
+        mean, np.linalg.cholesky(covariance), axes, source.packed(), destination.packed(),
+        motion.arrays(np.array([dt])), 0, found_mean, found,
     )  # fmt: skip
     np.testing.assert_allclose(found_mean, destination.from_world(moved)[0], rtol=1e-10)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))

@@ -25,7 +25,7 @@ def test_two_steps_of_one_direction_are_one_step(
 ) -> None:
     second = abs(second) * (-1.0 if first < 0 else 1.0)
     motion = ConstantVelocity(acceleration_std)
-    (f1, q1), (f2, q2), (f, q) = (motion.transition(dt) for dt in (first, second, first + second))
+    (f1, q1, _), (f2, q2, _), (f, q, _) = (motion.transition(dt) for dt in (first, second, first + second))
     np.testing.assert_allclose(f2 @ f1, f, rtol=0, atol=scale(f))
     np.testing.assert_allclose(f2 @ q1 @ f2.T + q2, q, rtol=0, atol=scale(q, q1, q2))
 
@@ -34,8 +34,8 @@ def test_two_steps_of_one_direction_are_one_step(
 @given(dt=steps, acceleration_std=accelerations)
 def test_backward_step_undoes_the_forward_one(dt: float, acceleration_std: tuple[float, ...]) -> None:
     motion = ConstantVelocity(acceleration_std)
-    forward, forward_covariance = motion.transition(dt)
-    backward, backward_covariance = motion.transition(-dt)
+    forward, forward_covariance, _ = motion.transition(dt)
+    backward, backward_covariance, _ = motion.transition(-dt)
     np.testing.assert_allclose(backward @ forward, np.eye(6), rtol=0, atol=1e-12)
     # x(t) = F x(t - dt) + w, hence x(t - dt) = F^-1 x(t) - F^-1 w.
     expected = backward @ forward_covariance @ backward.T
@@ -45,7 +45,7 @@ def test_backward_step_undoes_the_forward_one(dt: float, acceleration_std: tuple
 @settings(max_examples=200, deadline=None)
 @given(dt=steps, acceleration_std=accelerations)
 def test_process_covariance_is_symmetric_and_positive(dt: float, acceleration_std: tuple[float, ...]) -> None:
-    _, q = ConstantVelocity(acceleration_std).transition(dt)
+    _, q, _ = ConstantVelocity(acceleration_std).transition(dt)
     assert np.array_equal(q, q.T)
     assert np.linalg.eigvalsh(q).min() >= -scale(q)
 
@@ -56,7 +56,7 @@ def test_process_covariance_is_the_integral_of_white_acceleration() -> None:
     s = (np.arange(n) + 0.5) * dt / n
     gain = np.stack([s, np.ones(n)])
     per_axis = gain @ gain.T * dt / n
-    _, q = ConstantVelocity(acceleration_std).transition(dt)
+    _, q, _ = ConstantVelocity(acceleration_std).transition(dt)
     for axis in range(3):
         block = q[np.ix_([axis, axis + 3], [axis, axis + 3])]
         np.testing.assert_allclose(block, acceleration_std[axis] ** 2 * per_axis, rtol=1e-8)
@@ -64,27 +64,27 @@ def test_process_covariance_is_the_integral_of_white_acceleration() -> None:
 
 
 def test_one_second_gives_the_stated_change_of_velocity() -> None:
-    _, q = ConstantVelocity([0.1, 0.2, 0.3]).transition(1.0)
+    _, q, _ = ConstantVelocity([0.1, 0.2, 0.3]).transition(1.0)
     np.testing.assert_allclose(np.sqrt(np.diag(q)[3:]), [0.1, 0.2, 0.3])
 
 
 def test_no_time_is_no_change() -> None:
-    f, q = ConstantVelocity([1.0, 2.0, 3.0], max_speed=5.0).transition(0.0)
+    f, q, _ = ConstantVelocity([1.0, 2.0, 3.0], max_speed=5.0).transition(0.0)
     assert np.array_equal(f, np.eye(6))
     assert np.array_equal(q, np.zeros((6, 6)))
 
 
 def test_transition_moves_positions_by_velocity() -> None:
-    f, _ = ConstantVelocity([0.0, 0.0, 0.0]).transition(-2.0)
+    f, _, _ = ConstantVelocity([0.0, 0.0, 0.0]).transition(-2.0)
     assert (f @ [1.0, 2.0, 3.0, 0.5, 0.0, -1.0]).tolist() == [0.0, 2.0, 5.0, 0.5, 0.0, -1.0]
 
 
 @pytest.mark.parametrize("dt", [-3.0, 0.0, 4.0])
 def test_static_objects_do_not_move(dt: float) -> None:
-    f, q = Static().transition(dt)
+    f, q, _ = Static().transition(dt)
     assert np.array_equal(f, np.eye(6))
     assert np.array_equal(q, np.zeros((6, 6)))
-    assert np.array_equal(Static().acceleration_std, np.zeros(3))
+    assert np.array_equal(Static().noise_std, np.zeros(3))
     assert Static().max_speed is None
 
 

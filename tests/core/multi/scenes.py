@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.models import ConstantVelocity, Motion
 from stereophd.core.multi.intensity import GaussianMixture
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.phd import PhdFilter
@@ -35,7 +35,7 @@ def make_filter(
         cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
     motion = ConstantVelocity([0.01] * 3, 6.0) if motion is None else motion
     rig: Rig = make_rig(cameras, baseline, "horizontal")
-    rows = 3 if isinstance(motion, Static) else 12
+    rows = motion.sample_rows
     sets = draw_sample_sets(method, samples, rows, np.random.SeedSequence(7))  # type: ignore[arg-type]
     values = {
         "survival_per_s": 0.99,

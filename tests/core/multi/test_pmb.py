@@ -66,7 +66,7 @@ def make_pmb(
     if cameras is None:
         cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
     motion = ConstantVelocity([0.01] * 3, 6.0) if motion is None else motion
-    rows = 3 if isinstance(motion, Static) else 12
+    rows = motion.sample_rows
     sets = draw_sample_sets(method, samples, rows, np.random.SeedSequence(7))  # type: ignore[arg-type]
     values = {"survival_per_s": 0.99, "birth": birth, "extraction": Hysteresis(confirm=0.9, release=0.02), **options}
     return PmbFilter(make_rig(cameras, 1.0, "horizontal"), motion, sets, PmbSettings(**values), threads)  # type: ignore[arg-type]

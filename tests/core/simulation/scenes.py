@@ -7,11 +7,12 @@ import numpy as np
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
+from stereophd.core.motion.models import ConstantVelocity
 from stereophd.core.simulation.detections import Scene, SimulatedFrame, simulate_frames
 from stereophd.core.simulation.objects import MovingObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid
 
-NO_NOISE = np.zeros(3)
+NO_NOISE = ConstantVelocity()
 
 
 def camera(
@@ -71,7 +72,7 @@ def scene(
     rates_hz = rates_hz or [10.0] * len(cameras)
     phases_s = phases_s or [0.0] * len(cameras)
     schedules = [Schedule(rate, 0.0, duration_s, phase) for rate, phase in zip(rates_hz, phases_s, strict=True)]
-    return Scene(tuple(cameras), TimeGrid(tuple(schedules)), tuple(objects), np.full(3, acceleration_std))
+    return Scene(tuple(cameras), TimeGrid(tuple(schedules)), tuple(objects), ConstantVelocity(acceleration_std))
 
 
 def frames_of(made: Scene, seed: int = 1) -> list[SimulatedFrame]:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.models import ConstantVelocity
 from stereophd.core.simulation import drawing as drawing_module
 from stereophd.core.simulation.drawing import Drawing, draw_objects
 from stereophd.core.simulation.objects import MovingObject, Path, state_windows
@@ -31,7 +32,7 @@ def draw(
     acceleration_std: float = 0.0,
     seed: int = 3,
 ) -> tuple[MovingObject, ...]:
-    noise = np.full(3, acceleration_std)
+    noise = ConstantVelocity(acceleration_std)
     return draw_objects(drawing, cameras, grid(duration_s), noise, np.random.SeedSequence(seed))
 
 
@@ -47,8 +48,8 @@ def test_without_noise_the_path_is_a_straight_line() -> None:
 def test_a_path_does_not_depend_on_how_it_is_asked_for(first: int, second: int, noise: float) -> None:
     times = np.cumsum(np.random.default_rng(1).exponential(0.1, 60))
     item = moving_object(velocity=(1.0, 0.0, 0.0))
-    whole = Path(item, np.full(3, noise)).states(times)
-    path = Path(item, np.full(3, noise))
+    whole = Path(item, ConstantVelocity(noise)).states(times)
+    path = Path(item, ConstantVelocity(noise))
     cuts = sorted((first, second))
     pieces = [path.states(part) for part in np.split(times, cuts)]
     np.testing.assert_array_equal(np.concatenate(pieces), whole)
@@ -59,7 +60,7 @@ def test_process_noise_has_the_covariance_of_integrated_white_acceleration() -> 
     # sqrt((c_ij^2 + c_ii c_jj) / n).
     number, step, deviations = 20000, 0.7, np.array([0.5, 1.0, 2.0])
     items = [moving_object((0.0, 0.0, 0.0), object_id=k, noise_seed=k) for k in range(number)]
-    ends = np.stack([Path(item, deviations).states(np.array([step]))[0] for item in items])
+    ends = np.stack([Path(item, ConstantVelocity(deviations)).states(np.array([step]))[0] for item in items])
     for axis, deviation in enumerate(deviations):
         expected = deviation**2 * np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
         found = np.cov(ends[:, axis], ends[:, axis + 3])
@@ -74,7 +75,9 @@ def test_many_small_steps_gain_as_much_as_one_large_step() -> None:
     # 5 standard errors of a variance, sqrt(2 / n).
     times = np.sort(np.random.default_rng(2).uniform(0, 1, 50))
     times[-1] = 1.0
-    ends = [Path(moving_object((0.0, 0.0, 0.0), noise_seed=k), np.ones(3)).states(times)[-1] for k in range(4000)]
+    ends = [
+        Path(moving_object((0.0, 0.0, 0.0), noise_seed=k), ConstantVelocity(1.0)).states(times)[-1] for k in range(4000)
+    ]
     for found, expected in ((np.var(ends, axis=0)[:3], 1 / 3), (np.var(ends, axis=0)[3:], 1.0)):
         assert (np.abs(found / expected - 1) < 5 * np.sqrt(2 / 4000)).all()
 
@@ -107,7 +110,7 @@ def test_drawn_objects_stay_in_view_of_all_cameras(acceleration_std: float) -> N
     for item in items:
         assert (item.position >= BOX[0]).all()
         assert (item.position <= BOX[1]).all()
-        points = Path(item, np.full(3, acceleration_std)).states(times)[:, :3]
+        points = Path(item, ConstantVelocity(acceleration_std)).states(times)[:, :3]
         for seen_by in cameras:
             assert all(seen_by.at(time).in_view(points[[k]])[0] for k, time in enumerate(times))
 

@@ -24,7 +24,7 @@ def simulated(times: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """True states (k, 6) and noisy positions (k, 3) of one object."""
     states = [rng.normal(0.0, [5, 5, 5, 1, 1, 1])]
     for before, after in pairwise(times):
-        matrix, noise = MOTION.transition(after - before)
+        matrix, noise, _ = MOTION.transition(after - before)
         states.append(matrix @ states[-1] + rng.multivariate_normal(np.zeros(6), noise, method="svd"))
     truth = np.array(states)
     return truth, truth[:, :3] + rng.multivariate_normal(np.zeros(3), NOISE, len(times))
@@ -36,7 +36,7 @@ def filtered(times: Array, positions: Array, prior: Array) -> Trajectory:
     means, covariances = [], []
     for k, position in enumerate(positions):
         if k:
-            matrix, noise = MOTION.transition(times[k] - times[k - 1])
+            matrix, noise, _ = MOTION.transition(times[k] - times[k - 1])
             mean, covariance = matrix @ mean, matrix @ covariance @ matrix.T + noise
         gain = covariance @ OBSERVE.T @ np.linalg.inv(OBSERVE @ covariance @ OBSERVE.T + NOISE)
         mean = mean + gain @ (position - OBSERVE @ mean)
@@ -58,7 +58,7 @@ def batch(times: Array, positions: Array, prior: Array) -> tuple[Array, Array]:
         information[here, here] += OBSERVE.T @ np.linalg.inv(NOISE) @ OBSERVE
         vector[here] += OBSERVE.T @ np.linalg.inv(NOISE) @ position
         if k:
-            matrix, noise = MOTION.transition(times[k] - times[k - 1])
+            matrix, noise, _ = MOTION.transition(times[k] - times[k - 1])
             step = np.concatenate([-matrix, np.eye(6)], axis=1)
             both = slice(6 * k - 6, 6 * k + 6)
             information[both, both] += step.T @ np.linalg.inv(noise) @ step

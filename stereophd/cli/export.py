@@ -1,0 +1,49 @@
+"""``stereophd export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, print_data, print_report
+
+
+def export_command(
+    context: typer.Context,
+    form: Annotated[
+        str,
+        typer.Argument(metavar="FORMAT", help="Format, such as csv (all: docs/interchange.md).", show_default=False),
+    ],
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="SOURCE", help="Tracks (Parquet), cameras, or a folder of them.", show_default=False),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.", show_default=False)],
+    track: Annotated[
+        list[int] | None,
+        typer.Option("--track", metavar="ID", help="Write this track only (repeatable).", show_default=False),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option("--rate", metavar="HZ", help="Resample the tracks to this rate.", show_default=False, min=1e-9),
+    ] = None,
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Write tracks or cameras as a file of another program."""
+    session = begin(context)
+    from stereophd.commands.export import export
+    from stereophd.io.interchange.base import ExportOptions
+
+    report = export(form, source, out, ExportOptions(track, rate), force)
+    if session.json:
+        print_report(session, report)
+    elif not session.quiet:
+        notes = [f"{note[:1].upper()}{note[1:]}." for note in report["notes"]]
+        print_data("\n".join([*notes, f"Written: {out} ({report['what']})"]))

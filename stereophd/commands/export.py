@@ -1,0 +1,131 @@
+"""Write tracks or cameras as a file of another program."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from stereophd.errors import InputError
+from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
+from stereophd.io.disk import write_error
+from stereophd.io.interchange.base import ExportOptions, Format
+from stereophd.io.interchange.camera_files import read_cameras
+from stereophd.io.interchange.registry import find, names
+from stereophd.io.provenance import provenance
+
+TRACKS_FILE, CAMERAS_FILE = "tracks.parquet", "cameras.yaml"
+REPORT_VERSION = 1
+
+
+def export(
+    form: str,
+    source: Path | str,
+    out: Path | str,
+    options: ExportOptions | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Export tracks or cameras; the content of the source decides which.
+
+    Parameters
+    ----------
+    form
+        Name of the format, a module of `stereophd.io.formats`.
+    source
+        A ``tracks.parquet``, a native or foreign file of cameras, or an output folder that holds one of them.
+    out
+        The file (a folder where the format is one), written whole or not at all.
+    options
+        Which tracks, and at which rate.
+    force
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    dict
+        ``format``, ``what`` (``tracks`` or ``cameras``), ``file``, ``notes`` (sentences about what the format cannot
+        hold) and ``provenance``.
+
+    Raises
+    ------
+    InputError
+        An unknown format or one that holds no such thing; an unusable source; an existing target without `force`.
+    """
+    options = options or ExportOptions()
+    written = find(form)
+    path, target = Path(source), Path(out)
+    what, path = _find_source(written, form, path)
+    _check_target(target, force, written)
+    if what == "tracks":
+        assert written.write_tracks is not None
+        with atomic_write(target) as temporary:
+            notes = written.write_tracks(path, temporary, options)
+    else:
+        notes = _write_cameras(written, path, target)
+    inputs = {what: path} if path.is_file() else {}
+    return {
+        "report_version": REPORT_VERSION,
+        "command": "export",
+        "format": form,
+        "what": what,
+        "file": target.name,
+        "notes": notes,
+        "provenance": provenance("export", {"format": form, **options.plain()}, inputs=inputs),
+    }
+
+
+def _find_source(written: Format, form: str, path: Path) -> tuple[str, Path]:
+    """Return whether a source holds tracks or cameras, and the file."""
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file or folder")
+    wants_tracks = written.write_tracks is not None
+    if path.is_dir() and wants_tracks and (path / TRACKS_FILE).is_file():
+        path = path / TRACKS_FILE
+    elif path.is_dir() and (path / CAMERAS_FILE).is_file():
+        path = path / CAMERAS_FILE
+    what = "tracks" if path.is_file() and _is_parquet(path) else "cameras"
+    if (written.write_tracks if what == "tracks" else written.write_cameras) is None:
+        able = [name for name in names() if _holds(find(name), what)]
+        raise InputError(f"{path}: expected a format that holds {what} ({', '.join(able)}), found {form}")
+    return what, path
+
+
+def _holds(form: Format, what: str) -> bool:
+    return (form.write_tracks if what == "tracks" else form.write_cameras) is not None
+
+
+def _is_parquet(path: Path) -> bool:
+    with open(path, "rb") as stream:
+        return stream.read(4) == b"PAR1"
+
+
+def _check_target(target: Path, force: bool, written: Format) -> None:
+    if target.is_dir() and not (written.is_folder and (force or not any(target.iterdir()))):
+        if written.is_folder:
+            raise InputError(f"{target}: expected a new or empty folder; use `force=True` to replace its files")
+        raise InputError(f"{target}: expected a file to write, found a folder")
+    if target.exists() and not target.is_dir() and not force:
+        raise InputError(f"{target} exists already; use `force=True` to replace it")
+    if not target.parent.is_dir():
+        raise InputError(f"{target.parent}: expected a folder, found none")
+
+
+def _write_cameras(written: Format, path: Path, target: Path) -> list[str]:
+    assert written.write_cameras is not None
+    cameras, unit, assumed = read_cameras(path)
+    if not written.is_folder:
+        with atomic_write(target) as temporary:
+            return [*assumed, *written.write_cameras(cameras, unit, temporary)]
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=target.parent))
+        try:
+            notes = written.write_cameras(cameras, unit, folder)
+            target.mkdir(exist_ok=True)
+            for file in sorted(folder.iterdir()):
+                file.replace(target / file.name)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+    except OSError as error:
+        raise write_error(error, target) from error
+    return [*assumed, *notes]

@@ -1,0 +1,70 @@
+"""Files of cameras as trees: the native form, or a file of another program that its content shows."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from stereophd.config.yaml import Tree, parse_yaml, read_yaml
+from stereophd.errors import InputError
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@dataclass(frozen=True)
+class CameraTree:
+    """The cameras of a file in the native form.
+
+    Attributes
+    ----------
+    tree
+        With the keys ``units`` and ``cameras``, if the file is well-formed.
+    has_unit
+        Whether the file (or its format) states the unit of length; if not, it is taken for that of the configuration.
+    sha256
+        Of the bytes that were read.
+    """
+
+    tree: Tree
+    has_unit: bool
+    sha256: str
+
+
+def read_camera_tree(path: Path) -> CameraTree:
+    """Read a file of cameras.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is of no known form.
+    """
+    refused: InputError | None = None
+    native: CameraTree | None = None
+    try:
+        tree, content = read_yaml(path)
+        native = CameraTree(tree, True, hashlib.sha256(content).hexdigest())
+    except InputError as error:
+        refused = error
+    if native is not None and isinstance(native.tree.data, dict) and {"units", "cameras"} <= native.tree.data.keys():
+        return native
+    # only now: the formats are not loaded for native files
+    from stereophd.io.interchange.camera_files import read_foreign_cameras
+
+    foreign = read_foreign_cameras(path)
+    if foreign is None:
+        if native is None:
+            assert refused is not None
+            raise refused
+        return native
+    from stereophd.io.cameras import cameras_text
+
+    form, recording = foreign
+    for sentence in (f"read as {form}", *recording.assumed):
+        LOGGER.info("%s: %s", path, sentence)
+    for sentence in recording.warnings:
+        LOGGER.warning("%s", sentence)
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in recording.files)).hexdigest()
+    text = cameras_text(recording.cameras, recording.length_unit or "m")
+    return CameraTree(parse_yaml(text, str(path), numbered=False), not recording.unit_is_assumed, digest)

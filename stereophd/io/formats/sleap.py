@@ -1,0 +1,94 @@
+"""SLEAP: tracked points of an analysis file (HDF5, ``...analysis.h5``), one file a camera.
+
+Read with h5py (extra ``pose``). The project file (``.slp``) changes with SLEAP's versions; export it as an analysis
+file. A camera is named as its file. Points are numbered by track and node: ``track * nodes + node``; ``least_score``
+leaves out points of a smaller score.
+
+Conventions: (0, 0) is the centre of the top-left pixel. Every frame is in the file; frames without points are empty.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_extra
+from stereophd.io.interchange.pixels import native_pixels
+from stereophd.io.interchange.points import point_rows
+
+#: Order of the axes where the file names none: as MATLAB reads it.
+USUAL_AXES = ("track", "xy", "node", "frame")
+WANTED_AXES = ("frame", "track", "node", "xy")
+FRAMES_OF_A_PIECE = 20_000
+
+
+def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
+    """Read the points of an analysis file for each camera."""
+    recording = ForeignRecording(files=list(sources))
+    for path in sources:
+        if path.suffix.lower() == ".slp":
+            raise InputError(
+                f"{path}: expected an analysis file (sleap-convert, format analysis), found a project (.slp)"
+            )
+    recording.pieces = _pieces(sources, options, recording)
+    return recording
+
+
+def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
+    try:
+        import h5py
+    except ImportError as error:
+        raise need_extra("h5py", "pose", f"{sources[0]}: a file of SLEAP") from error
+    for path in sources:
+        stem = path.name.removesuffix(path.suffix).removesuffix(".analysis")
+        camera = options.name(stem)
+        try:
+            with h5py.File(path, "r") as file:
+                yield from _file_pieces(file, camera, options, recording)
+        except (OSError, KeyError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{path}: expected an analysis file of SLEAP (tracks, node_names), found: {error}"
+            ) from error
+
+
+def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
+    tracks = file["tracks"]
+    axes = tuple(json.loads(tracks.attrs["dims"])) if "dims" in tracks.attrs else USUAL_AXES
+    axes = tuple("xy" if axis == "xy" else axis.rstrip("s") for axis in axes)
+    order = [axes.index(axis) for axis in WANTED_AXES]
+    frame_axis = axes.index("frame")
+    score_axes = [axis for axis in axes if axis != "xy"]
+    score_order = [score_axes.index(axis) for axis in WANTED_AXES[:3]]
+    total = tracks.shape[frame_axis]
+    names = [_text(name) for name in file["node_names"]]
+    labels = [_text(name) for name in file["track_names"]] if "track_names" in file else []
+    for start in range(0, total, FRAMES_OF_A_PIECE):
+        part = slice(start, min(start + FRAMES_OF_A_PIECE, total))
+        values = np.transpose(tracks[tuple(part if k == frame_axis else slice(None) for k in range(4))], order)
+        count, people, nodes, _ = values.shape
+        points = np.asarray(values, dtype=np.float64).reshape(count, people * nodes, 2)
+        scores = None
+        if "point_scores" in file:
+            axis = score_axes.index("frame")
+            chosen = file["point_scores"][tuple(part if k == axis else slice(None) for k in range(3))]
+            scores = np.asarray(np.transpose(chosen, score_order), dtype=np.float64).reshape(count, people * nodes)
+        for k in range(people * nodes):
+            who = labels[k // nodes] if k // nodes < len(labels) else f"track{k // nodes}"
+            recording.labels[k] = f"{who}.{names[k % nodes]}"
+        flat = native_pixels(points.reshape(-1, 2), camera, options, recording)
+        frames = np.arange(part.start, part.stop, dtype=np.float64)
+        yield point_rows(camera, frames, flat.reshape(points.shape), scores, options.least_score)
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+FORMAT = Format("SLEAP: tracked points (analysis HDF5)", read=read)

@@ -1,0 +1,98 @@
+"""Projection matrices, as direct linear transformations and others state them, taken apart into cameras.
+
+``(u, v, 1) ~ P (X, Y, Z, 1)`` with ``P = K [R | -R C]``. A matrix is defined up to a factor: its sign decides which
+side of the camera is the front, and for a world that is left-handed no rotation R has the scene in front.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.errors import InputError
+
+Floats = NDArray[np.float64]
+
+#: Turns a left-handed world into a right-handed one.
+MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Decomposed:
+    """A projection matrix in parts: K (3, 3) with skew K[0, 1] and K[2, 2] = 1, rotation, and centre."""
+
+    matrix: Floats
+    rotation: Floats
+    center: Floats
+
+    @property
+    def skew_slope(self) -> float:
+        """What u gains by the skew in a row below the principal point, px per px."""
+        return float(self.matrix[0, 1] / self.matrix[1, 1])
+
+    def depth(self, points: Floats) -> Floats:
+        """Return the depths (n,) of world points (n, 3)."""
+        return np.asarray((points - self.center) @ self.rotation[2], dtype=np.float64)
+
+
+def decompose(projection: Floats, where: str) -> Decomposed:
+    """Take a projection matrix (3, 4) apart, with positive focal lengths and a proper rotation.
+
+    Raises
+    ------
+    InputError
+        The matrix has no centre of projection.
+    """
+    from scipy.linalg import rq
+
+    left = projection[:, :3]
+    if not np.isfinite(projection).all() or np.linalg.cond(left) > 1e15:
+        raise InputError(f"{where}: expected a camera's projection, found a singular matrix")
+    matrix, rotation = rq(left * np.sign(np.linalg.det(left)))
+    signs = np.sign(np.diag(matrix))
+    matrix, rotation = matrix * signs, signs[:, None] * rotation
+    center: Floats = -np.linalg.solve(left, projection[:, 3]).astype(np.float64)
+    return Decomposed(matrix / matrix[2, 2], rotation, center)
+
+
+def is_left_handed(cameras: Sequence[Decomposed], points: Floats | None) -> bool:
+    """Whether the world of some cameras is left-handed: the scene lies behind most of them.
+
+    Parameters
+    ----------
+    cameras
+        With proper rotations.
+    points
+        World points (n, 3) that the cameras see; None: the point nearest to all optical axes, or where they are
+        parallel the origin, stands for the scene.
+    """
+    if points is None or not len(points):
+        points = _scene(cameras)
+    behind = [float(np.median(np.sign(camera.depth(points)))) for camera in cameras]
+    return sum(behind) < 0
+
+
+def _scene(cameras: Sequence[Decomposed]) -> Floats:
+    across = [np.eye(3) - np.outer(camera.rotation[2], camera.rotation[2]) for camera in cameras]
+    total = np.sum(across, axis=0)
+    if np.linalg.cond(total) > 1e3:
+        return np.zeros((1, 3))
+    target = np.sum([a @ camera.center for a, camera in zip(across, cameras, strict=True)], axis=0)
+    return np.linalg.solve(total, target)[None]
+
+
+def triangulate(projections: Sequence[Floats], pixels: Floats) -> Floats:
+    """Return world points of pixels (n, cameras, 2), linearly; those that fewer than two cameras see are left out."""
+    result = []
+    for row in pixels:
+        seen = np.isfinite(row).all(axis=1)
+        if seen.sum() < 2:
+            continue
+        pairs = [(p, uv) for p, uv, is_seen in zip(projections, row, seen, strict=True) if is_seen]
+        equations = np.concatenate([uv[:, None] * p[2] - p[:2] for p, uv in pairs])
+        solution, *_ = np.linalg.lstsq(equations[:, :3], -equations[:, 3], rcond=None)
+        result.append(solution)
+    return np.array(result).reshape(-1, 3)

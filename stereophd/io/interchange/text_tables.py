@@ -1,0 +1,115 @@
+"""Tables of text in pieces, with Arrow's reader; what is wrong with them is an `InputError`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import Floats
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+NULLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "None"]
+BLOCK_BYTES = 1 << 22
+
+
+def first_lines(path: Path, count: int) -> list[str]:
+    """Return the first lines of a text file, without the ends of lines.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is no text.
+    """
+    try:
+        with open(path, encoding="utf-8-sig") as stream:
+            return [line.rstrip("\r\n") for line, _ in zip(stream, range(count), strict=False)]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected text, found bytes that are not UTF-8") from error
+
+
+def separator_of(line: str) -> str:
+    """Return what separates the columns of a line: comma, semicolon, tab or space."""
+    return next((s for s in (",", ";", "\t") if s in line), " ")
+
+
+def split_line(line: str) -> list[str]:
+    """Return the words of a line of a table."""
+    return [word.strip().strip('"') for word in line.split(separator_of(line))]
+
+
+def read_batches(
+    source: Path | IO[bytes],
+    separator: str,
+    kinds: Mapping[str, pa.DataType],
+    where: str,
+    names: list[str] | None = None,
+    skip: int = 0,
+) -> Iterator[pa.RecordBatch]:
+    """Yield columns of a table in pieces.
+
+    Parameters
+    ----------
+    source
+        The file.
+    separator
+        One character between columns.
+    kinds
+        Column -> type; only these are read.
+    where
+        The file, for messages.
+    names
+        Names of all columns where the file has no header.
+    skip
+        Lines before the header (or the first row).
+
+    Raises
+    ------
+    InputError
+        A row with too many or too few columns, or a value of another type.
+    """
+    import pyarrow as pa
+    import pyarrow.csv
+
+    try:
+        yield from pyarrow.csv.open_csv(
+            source,
+            read_options=pyarrow.csv.ReadOptions(
+                use_threads=False, block_size=BLOCK_BYTES, column_names=names, skip_rows=skip
+            ),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=separator),
+            convert_options=pyarrow.csv.ConvertOptions(
+                column_types=dict(kinds), include_columns=list(kinds), null_values=NULLS, strings_can_be_null=False
+            ),
+        )
+    except pa.ArrowException as error:
+        raise InputError(
+            f"{where}: expected rows of a table of numbers, found: {str(error).splitlines()[0]}"
+        ) from error
+
+
+def numbers(batch: Any, column: str) -> Floats:
+    """Return a column of numbers, NaN where it is empty."""
+    values: Floats = batch.column(column).to_numpy(zero_copy_only=False)
+    return values
+
+
+def read_matrix(path: Path) -> Floats | None:
+    """Return a small table of numbers without a header, or None if the file is not one."""
+    import numpy as np
+
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        rows = [
+            [float(word) for word in line.replace(",", " ").replace(";", " ").split()] for line in lines if line.strip()
+        ]
+    except (OSError, ValueError):
+        return None
+    if not rows or len({len(row) for row in rows}) != 1:
+        return None
+    return np.array(rows)

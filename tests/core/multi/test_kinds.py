@@ -1,0 +1,52 @@
+"""Every kind of filter, found by its name, keeps the contract of a filter."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stereophd.core.disparity.events import make_event, make_rig
+from stereophd.core.disparity.prior import DisparityPrior
+from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.kinds import filters
+from stereophd.core.multi.settings import BirthPrior, Hysteresis
+from stereophd.core.numerics.samples import draw_sample_sets
+from tests.core.disparity.cases import make_camera
+
+BIRTH = BirthPrior(per_frame=0.2, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.5)
+OBJECT = np.array([1.0, 2.0, 90.0])
+
+
+def kinds() -> list[Any]:
+    return [pytest.param(word, kind, id=word) for word, kind in filters().items()]
+
+
+@pytest.mark.parametrize(("word", "kind"), kinds())
+class TestEveryKind:
+    def test_its_word_is_the_name_of_its_module(self, word: str, kind: Any) -> None:
+        assert kind(birth=BIRTH).kind == word
+        assert kind.__module__ == f"stereophd.core.multi.kinds.{word}"
+
+    def test_declares_every_parameter(self, word: str, kind: Any) -> None:
+        assert dataclasses.is_dataclass(kind)
+        assert all(field.metadata["description"] for field in dataclasses.fields(kind))
+        assert issubclass(type(kind(birth=BIRTH).extraction), Hysteresis)
+
+    def test_finds_an_object_that_two_cameras_see(self, word: str, kind: Any) -> None:
+        cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
+        sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
+        built = kind(birth=BIRTH).build(make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3), sets)
+        assert isinstance(built, DisparityFilter)
+        state, estimates = built.init(), None
+        for k in range(8):
+            camera = cameras[k % 2]
+            pixels = camera.project(OBJECT[None])
+            state, info, estimates = built.step(state, make_event(camera, k % 2, 0.5 * (k // 2), pixels))
+            assert np.isfinite(info.log_likelihood)
+        assert estimates is not None
+        assert len(estimates.states) == 1
+        np.testing.assert_allclose(estimates.states[0, :3], OBJECT, atol=3.0)

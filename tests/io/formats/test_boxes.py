@@ -1,0 +1,78 @@
+"""Boxes: MOTChallenge and COCO."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from stereophd.errors import InputError
+
+from .conftest import log_rows
+
+Import = Callable[..., tuple[dict[str, Any], Path]]
+
+
+def write_sequence(folder: Path, rows: str, rate: float = 10.0) -> Path:
+    (folder / "det").mkdir(parents=True)
+    (folder / "det" / "det.txt").write_text(rows)
+    text = f"[Sequence]\nname={folder.name}\nimDir=img1\nframeRate={rate}\nseqLength=4\nimWidth=640\nimHeight=480\n"
+    (folder / "seqinfo.ini").write_text(text)
+    return folder
+
+
+def test_sequences_of_motchallenge(tmp_path: Path, imported: Import) -> None:
+    # a box over the first pixel alone has its centre in it
+    first = write_sequence(tmp_path / "north", "1,-1,1,1,1,1,0.9,-1,-1,-1\n3,-1,11,21,4,6,0.4,-1,-1,-1\n")
+    second = write_sequence(tmp_path / "south", "2,-1,5,5,3,3,0.8\n", rate=20.0)
+    report, out = imported("mot", first, second)
+    assert log_rows(out / "detections.parquet") == [
+        (0.0, "north", 1, 0.0, 0.0),
+        (0.0, "south", 1, None, None),
+        (0.05, "south", 2, 5.0, 5.0),
+        (0.1, "north", 2, None, None),
+        (0.1, "south", 3, None, None),
+        (pytest.approx(0.15), "south", 4, None, None),
+        (0.2, "north", 3, 11.5, 22.5),
+        (pytest.approx(0.3), "north", 4, None, None),
+    ]
+    assert "object_id" not in pq.read_schema(out / "detections.parquet").names
+    assert report["cameras"]["north"]["rate_hz"] == pytest.approx(10)
+    _, out = imported("mot", first, box_point="bottom", least_score=0.5)
+    assert log_rows(out / "detections.parquet")[2] == (0.2, "north", 3, None, None)
+    bare = tmp_path / "bare.txt"
+    bare.write_text("1,-1,1,1,1,1,1\n")
+    with pytest.raises(InputError, match=r"expected a seqinfo.ini or a rate"):
+        imported("mot", bare)
+
+
+def test_annotations_of_coco(tmp_path: Path, imported: Import) -> None:
+    document = {
+        "images": [
+            {"id": 11, "file_name": "a/frame_000000.png", "width": 64, "height": 48},
+            {"id": 12, "file_name": "a/frame_000001.png", "width": 64, "height": 48},
+            {"id": 13, "file_name": "b/frame_000000.png", "width": 64, "height": 48},
+        ],
+        "annotations": [
+            {"id": 1, "image_id": 11, "bbox": [0, 0, 1, 1], "score": 0.5, "track_id": 4},
+            {"id": 2, "image_id": 13, "keypoints": [3, 4, 2, 0, 0, 0, 7, 8, 1]},
+        ],
+    }
+    (tmp_path / "labels.json").write_text(json.dumps(document))
+    _, out = imported("coco", tmp_path / "labels.json", rates=2.0)
+    assert log_rows(out / "detections.parquet") == [
+        (0.0, "a", 0, 0.0, 0.0),
+        (0.0, "b", 0, 3.0, 4.0),
+        (0.0, "b", 0, 7.0, 8.0),
+        (0.5, "a", 1, None, None),
+    ]
+    table = pq.read_table(out / "detections.parquet")
+    assert table.column("object_id").to_pylist() == [4, 0, 2, None]
+    assert table.column("score").to_pylist() == [0.5, None, None, None]
+    (tmp_path / "bad.json").write_text("{}")
+    with pytest.raises(InputError, match="expected COCO's images"):
+        imported("coco", tmp_path / "bad.json", rates=2.0)

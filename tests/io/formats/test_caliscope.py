@@ -1,0 +1,78 @@
+"""caliscope and aniposelib: files written by hand, and a real session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from stereophd.config.loading import load_cameras
+from stereophd.core.geometry.pose import rotation_to_vector
+from stereophd.io.interchange.cameras import take_apart
+from tests.shared_data import shared_data
+
+from .conftest import assert_same_cameras, cameras_of, log_rows, rig
+
+Import = Callable[..., tuple[dict[str, Any], Path]]
+
+
+def write_session(folder: Path, version: int) -> None:
+    """Write a session of two cameras; version 0 has ports and rotation vectors."""
+    lines = []
+    for index, (name, config) in enumerate(rig().items()):
+        parts = take_apart(name, config)
+        rotation = parts.rotation if version else rotation_to_vector(parts.rotation)
+        lines += [f"[cameras.{index}]" if version else f"[cam_{index}]", f"{'cam_id' if version else 'port'} = {index}"]
+        lines += [f"size = {list(parts.size)}", f"matrix = {parts.matrix.tolist()}", "ignore = false"]
+        lines += [f"distortions = {parts.coefficients[:5].tolist()}", f"rotation = {rotation.tolist()}"]
+        lines += [f"translation = {parts.translation.tolist()}", ""]
+    (folder / ("camera_array.toml" if version else "config.toml")).write_text("\n".join(lines))
+    camera, point = ("cam_id", "keypoint_id") if version else ("port", "point_id")
+    (folder / "xy.csv").write_text(
+        f"sync_index,{camera},frame_index,frame_time,{point},img_loc_x,img_loc_y\n"
+        "5,0,4,100.25,7,10.5,20.5\n5,0,4,100.25,8,11.5,20.5\n7,0,6,100.75,7,12.5,20.5\n6,1,5,100.5,7,1,2\n"
+    )
+    (folder / "timestamps.csv").write_text(
+        f"sync_index,{camera},frame_time\n5,1,100.3125\n5,0,100.25\n6,0,100.5\n6,1,100.5\n7,0,100.75\n7,1,100.8125\n"
+    )
+
+
+def test_both_versions_of_a_session(tmp_path: Path, imported: Import) -> None:
+    for version in (0, 1):
+        folder = tmp_path / f"session{version}"
+        folder.mkdir()
+        write_session(folder, version)
+        report, out = imported("caliscope", folder)
+        expected = dict(zip(("cam0", "cam1"), rig().values(), strict=True))
+        assert_same_cameras(cameras_of(out), expected)
+        assert log_rows(out / "detections.parquet") == [
+            (100.25, "cam0", 5, 10.5, 20.5),
+            (100.25, "cam0", 5, 11.5, 20.5),
+            (100.3125, "cam1", 5, None, None),
+            (100.5, "cam0", 6, None, None),
+            (100.5, "cam1", 6, 1.0, 2.0),
+            (100.75, "cam0", 7, 12.5, 20.5),
+            (100.8125, "cam1", 7, None, None),
+        ]
+        assert report["length_unit"] == "m"
+
+
+def test_a_real_session_agrees_with_its_conversion(imported: Import) -> None:
+    """Detections, empty frames and cameras are those of a conversion that was made by hand."""
+    board = shared_data("board", "1")
+    report, out = imported("caliscope", board / "caliscope", offsets=-48033.00157345)
+    expected, found = (
+        sorted((c, f - first, u, v, t) for t, c, f, u, v in log_rows(path / "detections.parquet") if u is not None)
+        for path, first in ((board, 0), (out, 416))
+    )
+    assert len(found) == 1725
+    assert [row[:4] for row in found] == [row[:4] for row in expected]
+    # the conversion rounded times
+    assert np.abs(np.array([a[4] - b[4] for a, b in zip(found, expected, strict=True)])).max() < 1e-4
+    assert sum(row["frames"] for row in report["cameras"].values()) == 192
+    assert_same_cameras(cameras_of(out), dict(load_cameras(board / "cameras.yaml").cameras), atol=1e-6)
+    assert set(pq.read_table(out / "detections.parquet").column("object_id").drop_null().to_pylist()) == set(range(12))
+    assert np.isclose(report["cameras"]["cam1"]["rate_hz"], 6.0, rtol=0.01)

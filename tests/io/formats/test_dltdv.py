@@ -1,0 +1,140 @@
+"""DLTdv, Argus, easyWand: files written as their programs write them, from cameras that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.errors import InputError
+
+from .conftest import SIZES, cameras_of, log_rows, rig
+
+Import = Callable[..., tuple[dict[str, Any], Path]]
+STATED = {"rates": 100.0, "image_sizes": {f"cam{k + 1}": size for k, size in enumerate(SIZES.values())}}
+MIRROR = np.diag([1.0, 1.0, -1.0])
+
+
+def cameras() -> list[Camera]:
+    return [config.build(name) for name, config in rig(lens=(0.0,)).items()]
+
+
+def from_below(camera: Camera) -> np.ndarray:
+    """Return the projection (3, 4) to pixels that count from (1, 1) in the lower left."""
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+    pose = np.column_stack([camera.pose.rotation, -camera.pose.rotation @ camera.pose.center])
+    return np.array([[1.0, 0, 1], [0, -1, camera.height], [0, 0, 1]]) @ matrix @ pose
+
+
+def write_coefficients(path: Path, projections: list[np.ndarray]) -> Path:
+    np.savetxt(path, np.array([(p / p[2, 3]).ravel()[:11] for p in projections]).T, delimiter=",", fmt="%.17g")
+    return path
+
+
+def write_points(path: Path, pixels: np.ndarray, argus: bool = False) -> Path:
+    """Write (frames, points, cameras, 2) as DLTdv or Argus do."""
+    frames, points, count, _ = pixels.shape
+    pattern = "Track {p}_cam_{c}_{a}" if argus else "pt{p}_cam{c}_{a}"
+    names = [
+        pattern.format(p=p + 1, c=c + 1, a=a if argus else a.upper())
+        for p in range(points)
+        for c in range(count)
+        for a in "xy"
+    ]
+    rows = [",".join("NaN" if np.isnan(x) else repr(x) for x in row) for row in pixels.reshape(frames, -1).tolist()]
+    path.write_text("\n".join([",".join(names), *rows]) + "\n")
+    return path
+
+
+def scene(mirror: bool = False, skew: float = 0.0) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    """Return world points (frames, points, 3), projections, and the pixels in them (frames, points, cameras, 2)."""
+    points = np.random.default_rng(3).normal(0, 0.2, (6, 3, 3))
+    projections = [from_below(camera) for camera in cameras()]
+    if skew:
+        projections = [np.array([[1, skew, 0], [0, 1, 0], [0, 0, 1.0]]) @ p for p in projections]
+    if mirror:
+        projections = [p @ np.diag([1.0, 1, -1, 1]) for p in projections]
+        points = points @ MIRROR
+    homogeneous = np.concatenate([points, np.ones((6, 3, 1))], axis=2)
+    images = [homogeneous @ p.T for p in projections]
+    return points, projections, np.stack([image[..., :2] / image[..., 2:] for image in images], axis=2)
+
+
+def assert_cameras_see_the_points(out: Path, points: np.ndarray, missing: int = 0) -> None:
+    """The imported cameras project the points to the imported pixels."""
+    rows = log_rows(out / "detections.parquet")
+    assert sum(row[3] is not None for row in rows) == 36 - missing
+    for name, config in cameras_of(out).items():
+        camera = config.build(name)
+        inside = camera.pose.to_camera(points.reshape(-1, 3))
+        assert (inside[:, 2] > 0).all()
+        flat = inside[:, :2] / inside[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+        expected = flat.reshape(6, 3, 2)
+        for time, _, frame, u, v in (row for row in rows if row[1] == name and row[3] is not None):
+            assert time == pytest.approx(frame / 100)
+            assert np.abs(expected[frame] - [u, v]).max(axis=1).min() < 1e-7
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("argus", [False, True])
+@pytest.mark.parametrize("skew", [0.0, 0.01])
+def test_points_and_coefficients(tmp_path: Path, imported: Import, mirror: bool, argus: bool, skew: float) -> None:
+    points, projections, pixels = scene(mirror, skew)
+    pixels[2, 1, 0] = np.nan
+    pixels[4, :, 1] = np.nan
+    files = (
+        write_points(tmp_path / "flight-xypts.csv", pixels, argus),
+        write_coefficients(tmp_path / "dlt.csv", projections),
+    )
+    report, out = imported("dltdv", *files, **STATED)
+    # a left-handed world comes back with its z axis reversed
+    assert_cameras_see_the_points(out, points @ MIRROR if mirror else points, missing=4)
+    assert any("left-handed" in sentence for sentence in report["assumed"]) == mirror
+    assert any("skew" in sentence for sentence in report["assumed"]) == bool(skew)
+    assert report["cameras"]["cam2"]["empty_frames"] == 1
+    assert report["labels"]["0"] == ("Track 1" if argus else "pt1")
+
+
+def test_sparse_points(tmp_path: Path, imported: Import) -> None:
+    points, projections, pixels = scene()
+    flat = pixels.reshape(6, -1)
+    lines = [f"{i + 1}\t{j + 1}\t{flat[i, j]:.12f}" for j in range(flat.shape[1]) for i in range(6)]
+    (tmp_path / "xypts.tsv").write_text("\n".join(["xypts", f"6\t{flat.shape[1]}\t{flat.size}", *lines]) + "\n")
+    _, out = imported("dltdv", tmp_path / "xypts.tsv", write_coefficients(tmp_path / "dlt.csv", projections), **STATED)
+    assert_cameras_see_the_points(out, points)
+
+
+def test_a_camera_profile_undistorts_the_points(tmp_path: Path, imported: Import) -> None:
+    points, projections, pixels = scene()
+    rows = []
+    for k, camera in enumerate(cameras()):
+        # the lens is stated in pixels from below, about a principal point of its own
+        focal, center = 505.0, np.array([camera.width / 2 + 3, camera.height / 2 - 2])
+        k1, p1, p2 = -0.05, 2e-3, -1e-3
+        x, y = np.moveaxis((pixels[:, :, k] - center) / focal, -1, 0)
+        r = x * x + y * y
+        xd = x * (1 + k1 * r) + 2 * p1 * x * y + p2 * (r + 2 * x * x)
+        yd = y * (1 + k1 * r) + p1 * (r + 2 * y * y) + 2 * p2 * x * y
+        pixels[:, :, k] = np.stack([xd, yd], axis=-1) * focal + center
+        rows.append([k + 1, focal, camera.width, camera.height, *center, 1, k1, 0, p1, p2, 0])
+    np.savetxt(tmp_path / "profile.txt", rows, fmt="%.17g")
+    sources = write_points(tmp_path / "xypts.csv", pixels), write_coefficients(tmp_path / "dlt.csv", projections)
+    report, out = imported("dltdv", *sources, tmp_path / "profile.txt", rates=100.0)
+    assert_cameras_see_the_points(out, points)
+    assert any("undistorted by the camera profile" in sentence for sentence in report["assumed"])
+
+
+def test_what_is_missing_is_named(tmp_path: Path, imported: Import) -> None:
+    _, projections, pixels = scene()
+    points, coefficients = write_points(tmp_path / "p.csv", pixels), write_coefficients(tmp_path / "c.csv", projections)
+    with pytest.raises(InputError, match="expected the size of the images"):
+        imported("dltdv", points, coefficients, rates=100.0)
+    with pytest.raises(InputError, match="expected times, or a rate"):
+        imported("dltdv", points, coefficients, image_sizes=STATED["image_sizes"])
+    (tmp_path / "x.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="expected points"):
+        imported("dltdv", tmp_path / "x.csv", rates=100.0)

@@ -1,0 +1,144 @@
+"""Tracks in the files of other programs: read back by other readers where there are any."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stereophd.commands.export import export
+from stereophd.errors import InputError
+from stereophd.io.cameras import write_cameras
+from stereophd.io.interchange.base import ExportOptions
+from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.tables import TRACKS, TableWriter
+
+from .conftest import rig
+
+TIMES = {3: np.array([0.0, 0.1, 0.2, 0.3]), 8: np.array([0.2, 0.3, 0.5])}
+
+
+def positions(track: int) -> np.ndarray:
+    """Return positions on a line, of numbers that no short decimal holds."""
+    return np.stack([TIMES[track] * np.pi, np.full(len(TIMES[track]), track / 7), -TIMES[track] / 3], axis=1)
+
+
+@pytest.fixture
+def tracks(tmp_path: Path) -> Path:
+    """Tracks at multiples of 0.1 s, not all of them."""
+    cameras = {name: config.model_dump(mode="json") for name, config in rig().items()}
+    record = provenance("track", {"cameras": cameras}, length_unit="cm")
+    path = tmp_path / "tracks.parquet"
+    with TableWriter(path, TRACKS, to_metadata(record)) as table:
+        rows = [(t, k, i) for k, times in TIMES.items() for i, t in enumerate(times.tolist())]
+        for time, track, index in sorted(rows):
+            x, y, z = positions(track)[index]
+            columns = {"x": x, "y": y, "z": z, "vx": np.pi, "vy": 0.0, "vz": -1 / 3}
+            covariance = np.arange(36.0)[None] / 7
+            key = {"time_s": np.array([time]), "camera": "left", "frame": round(time * 10), "track_id": track}
+            table.append(
+                {**key, **{k: float(v) for k, v in columns.items()}, "covariance": covariance, "existence": 0.5}
+            )
+    return path
+
+
+def test_csv_is_exact(tracks: Path, tmp_path: Path) -> None:
+    report = export("csv", tracks, tmp_path / "out.csv")
+    assert report["what"] == "tracks"
+    with open(tmp_path / "out.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 7
+    for row in rows:
+        track = int(row["track_id"])
+        index = TIMES[track].tolist().index(float(row["time_s"]))
+        assert [float(row[axis]) for axis in "xyz"] == positions(track)[index].tolist()
+        assert float(row["cov_vx_vz"]) == (3 * 6 + 5) / 7
+
+
+def test_tum_holds_one_track(tracks: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected one track for this format, found 2; choose one of 3, 8"):
+        export("tum", tracks, tmp_path / "out.tum")
+    assert not (tmp_path / "out.tum").exists()
+    export("tum", tracks, tmp_path / "out.tum", ExportOptions([8]))
+    table = np.loadtxt(tmp_path / "out.tum")
+    np.testing.assert_array_equal(table[:, 0], TIMES[8])
+    np.testing.assert_array_equal(table[:, 1:4], positions(8))
+    np.testing.assert_array_equal(table[:, 4:], [[0, 0, 0, 1]] * 3)
+
+
+def test_mot_in_three_dimensions(tracks: Path, tmp_path: Path) -> None:
+    export("mot", tracks, tmp_path / "out.txt")
+    table = np.loadtxt(tmp_path / "out.txt", delimiter=",")
+    assert table[:, 0].tolist() == [1, 2, 3, 3, 4, 4, 5]
+    mine = table[table[:, 1] == 8]
+    np.testing.assert_array_equal(mine[:, 7:], positions(8))
+    assert (table[:, 2:6] == -1).all()
+
+
+def test_trc_fills_the_grid(tracks: Path, tmp_path: Path) -> None:
+    export("trc", tracks, tmp_path / "out.trc")
+    lines = (tmp_path / "out.trc").read_text().splitlines()
+    assert lines[2].split("\t")[2:5] == ["6", "2", "cm"]
+    assert lines[3].split("\t")[:6] == ["Frame#", "Time", "track_3", "", "", "track_8"]
+    rows = [line.split("\t") for line in lines[6:]]
+    assert [len(row) for row in rows] == [8] * 6
+    assert [float(x) for x in rows[1][2:5]] == pytest.approx(positions(3)[1], abs=1e-12)
+    assert rows[0][5:] == ["", "", ""]
+    # at 0.4 s the second track lies between two of its times
+    assert float(rows[4][5]) == pytest.approx(0.4 * np.pi)
+
+
+def test_irregular_times_need_a_rate(tracks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stereophd.io.interchange.tracks.REGULAR", 1e-30)
+    with pytest.raises(InputError, match="expected reports at a fixed rate"):
+        export("trc", tracks, tmp_path / "out.trc")
+    monkeypatch.undo()
+    export("trc", tracks, tmp_path / "out.trc", ExportOptions(rate_hz=20.0))
+    assert (tmp_path / "out.trc").read_text().splitlines()[2].split("\t")[:3] == ["20.0", "20.0", "11"]
+
+
+def test_c3d_is_read_by_its_library(tracks: Path, tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    export("c3d", tracks, tmp_path / "out.c3d")
+    file = ezc3d.c3d(str(tmp_path / "out.c3d"))
+    assert file["parameters"]["POINT"]["LABELS"]["value"] == ["track_3", "track_8"]
+    assert file["parameters"]["POINT"]["UNITS"]["value"] == ["cm"]
+    assert file["parameters"]["POINT"]["RATE"]["value"][0] == pytest.approx(10)
+    points = file["data"]["points"]
+    assert points.shape == (4, 2, 6)
+    np.testing.assert_allclose(points[:3, 0, :4].T, positions(3), atol=1e-6)
+    assert np.isnan(points[0, 0, 4:]).all()
+
+
+def test_rerun_holds_tracks_and_cameras(tracks: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    report = export("rerun", tracks, tmp_path / "out.rrd")
+    content = (tmp_path / "out.rrd").read_bytes()
+    assert content[:3] == b"RRF"
+    for name in (b"world/tracks/3", b"world/tracks/8", b"world/cameras/left", b"Pinhole"):
+        assert name in content
+    assert report["notes"] == ["positions have single precision"]
+
+
+def test_targets_and_sources_are_checked(tracks: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.csv"
+    target.write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        export("csv", tracks, target)
+    assert target.read_text() == "mine"
+    export("csv", tmp_path, target, force=True)
+    with pytest.raises(InputError, match=r"expected a format that holds tracks \(c3d, csv, mot, rerun, trc, tum\)"):
+        export("kalibr", tracks, tmp_path / "x.yaml")
+    write_cameras(tmp_path / "cameras.yaml", rig(), "cm")
+    with pytest.raises(InputError, match="expected a format that holds cameras"):
+        export("csv", tmp_path / "cameras.yaml", tmp_path / "x.csv")
+    with pytest.raises(InputError, match=r"expected the tracks \[5\]"):
+        export("csv", tracks, tmp_path / "x.csv", ExportOptions([5]))
+    assert export("colmap", tmp_path / "cameras.yaml", tmp_path / "model")["what"] == "cameras"
+    assert sorted(path.name for path in (tmp_path / "model").iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]
+    # a foreign file of cameras becomes another one
+    export("opencv", tmp_path / "cameras.yaml", tmp_path / "rig.yml")
+    export("anipose", tmp_path / "rig.yml", tmp_path / "rig.toml")
+    assert 'name = "left"' in (tmp_path / "rig.toml").read_text()
