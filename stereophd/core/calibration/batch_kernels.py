@@ -96,7 +96,7 @@ def predict(
             weights >= step.important, sets.first, sets.second, destination, step.shape_p_detect, region, moved,
         )  # fmt: skip
         fade_out_of_view(
-            weights, moved[3], means, homes, step.time_s - times, spaces[h], step.elapsed, step.out_of_view_s
+            weights, moved[3], means, homes, step.time_s - parts[4][part], spaces[h], step.elapsed, step.out_of_view_s
         )
         _forget(weights, parts[3][part], moved, step)
     return all_weights, all_moved
