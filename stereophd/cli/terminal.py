@@ -72,7 +72,7 @@ def to_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON; NaN and infinity become null, which JSON knows."""
     from stereophd.io.json_text import json_text
 
-    return json_text(report)
+    return json_text(report, ascii_only=not (sys.stdout.encoding or "utf-8").lower().startswith("utf"))
 
 
 def print_report(session: Session, report: Mapping[str, Any]) -> None:

@@ -13,9 +13,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.kernels import OUT_OF_VIEW, disparity_scale
+from stereophd.core.disparity.moved import OUT_OF_VIEW
+from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.kernels import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -28,7 +30,7 @@ def fade_out_of_view(
     status: Integers,
     means: Array,
     homes: Array,
-    dts: Array,
+    motion: MotionArrays,
     views: Array,
     elapsed: float,
     time_constant: float,
@@ -36,14 +38,16 @@ def fade_out_of_view(
     """Multiply the weights of components outside every view by ``exp(-elapsed / time_constant)``, in place.
 
     A component is outside every view if the event's camera has too little of it in view (`status`) and no camera has
-    its mean in view, extrapolated at constant velocity to the time of the event.
+    its mean in view, moved on to the time of the event.
 
     Parameters
     ----------
     weights, status : arrays (n,)
         Of the components, and their status in the view of the event's camera.
-    means, homes, dts : arrays (n, d), (n, 30), (n,)
-        Components in their packed home spaces, and the time from them to the event, s.
+    means, homes : arrays (n, d), (n, 30)
+        Components in their packed home spaces.
+    motion : MotionArrays
+        From the time of each component to that of the event.
     views : array (c, 30)
         Packed spaces of all cameras at the time of the event.
     elapsed : float
@@ -55,28 +59,28 @@ def fade_out_of_view(
         return
     factor = math.exp(-elapsed / time_constant)
     for k in range(len(weights)):
-        if status[k] == OUT_OF_VIEW and not _mean_in_view(means[k], homes[k], dts[k], views):
+        if status[k] == OUT_OF_VIEW and not _mean_in_view(means[k], homes[k], motion.reach[k], motion.drift[k], views):
             weights[k] *= factor
 
 
 @compiled
-def _mean_in_view(mean: Array, home: Array, dt: float, views: Array) -> bool:
-    """Whether any camera has the mean (d,) in view, extrapolated over `dt`."""
+def _mean_in_view(mean: Array, home: Array, reach: float, drift: Array, views: Array) -> bool:
+    """Whether any camera has the mean (d,) in view after the motion (`reach` and `drift` of `MotionArrays`)."""
     # position and its displacement, both times rho: points at infinity have a direction
     rho = mean[2] / disparity_scale(home)
     ray_x, ray_y, ray_z = (mean[0] - home[CX]) / home[FX], (mean[1] - home[CY]) / home[FY], 1.0
     if len(mean) == 6 and rho > 0.0:
         growth = mean[5] / mean[2]
-        ray_x += dt * (mean[3] / home[FX] - ray_x * growth)
-        ray_y += dt * (mean[4] / home[FY] - ray_y * growth)
-        ray_z -= dt * growth
+        ray_x += reach * (mean[3] / home[FX] - ray_x * growth)
+        ray_y += reach * (mean[4] / home[FY] - ray_y * growth)
+        ray_z -= reach * growth
     for c in range(len(views)):
         view = views[c]
         x, y, z = 0.0, 0.0, 0.0
         for a in range(3):
             # the world's axis a: from the home camera's axes, and from the one camera to the other
             world = home[ROTATION + a] * ray_x + home[ROTATION + 3 + a] * ray_y + home[ROTATION + 6 + a] * ray_z
-            world += rho * (home[CENTER + a] - view[CENTER + a])
+            world += rho * (home[CENTER + a] + drift[a] - view[CENTER + a])
             x += view[ROTATION + a] * world
             y += view[ROTATION + 3 + a] * world
             z += view[ROTATION + 6 + a] * world

@@ -19,7 +19,7 @@ from stereophd.core.settings import Positive, parameter, settings
 Array = NDArray[np.float64]
 Method = Literal["adaptive", "qmc", "particle", "unscented", "linear"]
 
-# Non-linearity (`stereophd.core.disparity.rule_kernels`) up to which a component is moved by the low-order rule.
+# Non-linearity (`stereophd.core.disparity.rule_move`) up to which a component is moved by the low-order rule.
 MAX_NONLINEARITY = 0.03
 
 FEWEST_QMC_SAMPLES = 64

@@ -29,7 +29,7 @@ from stereophd.pipeline.tracking.run import reported_records
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.core.multi.intensity import Estimates
+    from stereophd.core.multi.estimates import Estimates
     from stereophd.io.logs import Frame
 
 

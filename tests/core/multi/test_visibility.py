@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.events import make_event, make_rig
-from stereophd.core.disparity.kernels import IN_VIEW, OUT_OF_VIEW
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import ConstantVelocity
 from stereophd.core.multi.base import FilterState
@@ -34,14 +34,17 @@ def test_it_fades_where_no_camera_has_the_mean_in_view() -> None:
     assert 0.2 < seen.mean() < 0.8
     packed = make_rig(cameras, 1.0, "horizontal").packed
     weights = np.ones(len(points))
-    homes, dts = np.repeat(packed[:1], len(points), axis=0), np.full(len(points), 2.0)
+    homes, motion = (
+        np.repeat(packed[:1], len(points), axis=0),
+        ConstantVelocity([0.0] * 3).arrays(np.full(len(points), 2.0)),
+    )
     status = np.full(len(points), OUT_OF_VIEW)
-    fade_out_of_view(weights, status, means, homes, dts, packed, 1.5, 5.0)
+    fade_out_of_view(weights, status, means, homes, motion, packed, 1.5, 5.0)
     np.testing.assert_allclose(weights, np.where(seen, 1.0, np.exp(-1.5 / 5.0)), rtol=1e-12)
     weights = np.ones(len(points))
-    fade_out_of_view(weights, np.full(len(points), IN_VIEW), means, homes, dts, packed, 1.5, 5.0)
+    fade_out_of_view(weights, np.full(len(points), IN_VIEW), means, homes, motion, packed, 1.5, 5.0)
     np.testing.assert_array_equal(weights, 1.0)
-    fade_out_of_view(weights, status, means, homes, dts, packed, 1.5, np.inf)
+    fade_out_of_view(weights, status, means, homes, motion, packed, 1.5, np.inf)
     np.testing.assert_array_equal(weights, 1.0)
 
 
