@@ -28,6 +28,7 @@ from stereophd.io.json_text import write_json
 from stereophd.io.provenance import from_metadata, provenance, to_metadata
 from stereophd.io.tables import RUNS, SUMMARY, TableWriter
 from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.sizes import check_size, size_of_experiment
 from stereophd.report.installed import can_draw
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ def experiment(
     resume: bool = False,
     force: bool = False,
     progress: Progress | None = None,
+    force_size: bool = False,
 ) -> Results:
     """Run an experiment, and write ``runs.parquet``, ``summary.parquet``, ``timing.json`` and the figure.
 
@@ -67,6 +69,8 @@ def experiment(
         Whether results of an earlier experiment may be replaced.
     progress : callable, optional
         Called with the runs done and their total.
+    force_size : bool
+        Whether an experiment that takes very long is meant.
 
     Returns
     -------
@@ -87,6 +91,8 @@ def experiment(
         raise InputError(f"`jobs`: expected at least 1, found {jobs}")
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
+    size = size_of_experiment(loaded, settings.runs, len(parts))
+    check_size(size, f"{loaded.path}: experiment", out, force_size)
     store = PartStore(out, loaded)
     with output_lock(out):
         try:
