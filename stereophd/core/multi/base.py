@@ -25,6 +25,7 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
@@ -127,11 +128,12 @@ class DisparityFilter(ABC):
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
         weights = mixture.weights * self.settings.survival_per_s**elapsed
+        homes, intervals = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
         moved = move(
             mixture.means,
             mixture.covariances,
-            self.rig.spaces(mixture.cameras, mixture.times),
-            event.time_s - mixture.times,
+            homes,
+            intervals,
             self.rig.space(event.camera, event.time_s),
             self.motion,
             self.sets,
@@ -140,6 +142,11 @@ class DisparityFilter(ABC):
             weights >= IMPORTANT_WEIGHT,
             self.threads,
             self.rig.region,
+        )
+        views = self.rig.views(event.time_s)
+        motion = self.motion.arrays(intervals)
+        fade_out_of_view(
+            weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
         )
         weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
         return Prediction(mixture.with_weights(weights), moved)
