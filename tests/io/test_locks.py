@@ -84,6 +84,8 @@ class TestWithoutLocksOfTheSystem:
             ("process 1 on another-machine", True),
             ("", False),
         ],
+        # the numbers differ from process to process, the names of the tests may not
+        ids=["running", "own", "gone", "elsewhere", "nobody"],
     )
     def test_the_process_that_the_file_names_counts(self, tmp_path: Path, owner: str, refused: bool) -> None:
         (tmp_path / LOCK_NAME).write_text(owner)
