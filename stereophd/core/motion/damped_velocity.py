@@ -78,9 +78,9 @@ class DampedVelocity(Motion):
         x, scale = self._time_constants(dt), self.time_constant_s
         e = -np.expm1(-x)
         series = x**3 * np.polynomial.polynomial.polyval(np.clip(x, -SERIES_BELOW, SERIES_BELOW), SERIES)
-        position: Array = abs(np.where(abs(x) < SERIES_BELOW, series, x - e - e**2 / 2.0))
-        velocity: Array = abs(np.expm1(-2.0 * x)) / 2.0
-        return Noise(scale**3 * position, np.sign(x) * scale**2 * e**2 / 2.0, scale * velocity)
+        position = np.asarray(np.where(abs(x) < SERIES_BELOW, series, x - e - e**2 / 2.0), dtype=np.float64)
+        velocity = np.asarray(abs(np.expm1(-2.0 * x)) / 2.0, dtype=np.float64)
+        return Noise(scale**3 * abs(position), np.sign(x) * scale**2 * e**2 / 2.0, scale * velocity)
 
     def _time_constants(self, dt: Array) -> Array:
         return np.maximum(np.asarray(dt) / self.time_constant_s, -MOST_TIME_CONSTANTS)
