@@ -6,7 +6,7 @@ DEMO := out/quickstart
 PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
 
-.PHONY: help demo test lint format bench schema venv clean
+.PHONY: help demo test lint format bench schema reference venv clean
 
 help:
 	@echo "make demo   simulate, track and evaluate a small scene, with pictures, in $(DEMO)"
@@ -14,6 +14,7 @@ help:
 	@echo "make lint   ruff, mypy and the import contracts"
 	@echo "make bench  speed benchmarks (minutes)"
 	@echo "make schema write configs/schema.json anew"
+	@echo "make reference write the reference in docs/configuration.md anew"
 	@echo "make clean  remove $(VENV) and out"
 
 demo: $(VENV)/.installed-plot
@@ -46,6 +47,9 @@ bench: $(VENV)/.installed-all
 		"long_log.py --detections 200000" "calibrate_speed.py --particles 100 --events 60"; do \
 		echo "benchmarks/$$run"; $(BIN)/python benchmarks/$$run || failed=1; echo; \
 	done; exit $$failed
+
+reference: $(VENV)/.installed-plot
+	$(BIN)/python docs/make_configuration.py
 
 schema: $(VENV)/.installed-plot
 	schema=$$($(BIN)/stereophd config schema) && printf '%s\n' "$$schema" > configs/schema.json

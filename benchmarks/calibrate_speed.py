@@ -34,15 +34,16 @@ from numpy.typing import NDArray
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
 from stereophd.core.calibration import sequential
-from stereophd.core.calibration.batch import CHUNK, BatchState, FilterBatch
 from stereophd.core.calibration.likelihood import hypothesis_spaces
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.kernels import motion_noise, moving_trips, view_mask
+from stereophd.core.disparity.trips import motion_noise, moving_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.constant_velocity import POSITION_ALONE, POSITION_WITH_VELOCITY
+from stereophd.core.multi.batch import CHUNK, BatchState, FilterBatch
 from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.numerics.moment_kernels import cholesky, weighted_moments
+from stereophd.core.numerics.linear_algebra import cholesky
+from stereophd.core.numerics.moments import weighted_moments
 from stereophd.pipeline.calibration.inputs import phd_filter, read_problem
 
 Array = NDArray[np.float64]

@@ -38,12 +38,13 @@ from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.kernels import IN_VIEW, moving_trips, view_mask
 from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.disparity.trips import moving_trips, view_mask
 from stereophd.core.motion.models import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.numerics.moment_kernels import weighted_moments
+from stereophd.core.numerics.moments import weighted_moments
 from stereophd.pipeline.build import build_filter
 
 Array = NDArray[np.float64]
@@ -165,7 +166,7 @@ def _record(multi_filter: DisparityFilter, events: list[Event]) -> tuple[list[Wo
     workloads = []
     components = 0
     for event in events:
-        if len(state.mixture):
+        if state.mixture.size:
             workloads.append(_workload(multi_filter, state.mixture, event, state.n_events))
         state, info, _ = multi_filter.step(state, event)
         components += info.n_components

@@ -1,7 +1,15 @@
-"""``python -m stereophd``: the command line."""
+"""``python -m stereophd``, and the console script: signals are handled before anything slow is imported."""
 
-from __future__ import annotations
+from stereophd.cli import early
 
-from stereophd.cli.app import main
 
-main()
+def main() -> None:
+    """Run the command line, and exit with its code."""
+    early.handle()
+    from stereophd.cli.app import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -2,6 +2,9 @@
 
 Every error that a user can cause is an `InputError`: one sentence that names the file, the place in
 it, what was expected and what was found. The command line prints it and exits with its `exit_code`.
+
+A message names a parameter of the function that was called in backquotes (`force`, `force=True`), never an option of
+the command line: `stereophd.cli.flags` translates.
 """
 
 from __future__ import annotations

@@ -120,3 +120,16 @@ def test_public_classes_have_names_of_their_own() -> None:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     assert {name: files for name, files in homes.items() if len(files) > 1} == {}
+
+
+def test_nothing_below_the_command_line_names_an_option() -> None:
+    """Messages and docstrings name parameters; `stereophd.cli.flags` turns them into options."""
+    option = re.compile(r"(?<![-\w])--[a-z]")
+    found = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in (ROOT / "stereophd").rglob("*.py")
+        if "cli" not in path.relative_to(ROOT / "stereophd").parts
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if option.search(line)
+    ]
+    assert not found

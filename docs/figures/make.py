@@ -19,7 +19,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.moments import PARTLY_IN_VIEW, Moved, move
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens

@@ -7,15 +7,17 @@ Exit codes: 0 done; 1 ran, but a gate failed; 2 usage, configuration or input er
 from __future__ import annotations
 
 import errno
+import io
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import typer
 
 import stereophd
-from stereophd.cli import calibrate, config, evaluate, experiment, export, importing, interrupts, simulate, track
+from stereophd.cli import calibrate, config, evaluate, experiment, export, importing, info, interrupts, simulate, track
+from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
 
@@ -42,6 +44,7 @@ app.command("evaluate")(evaluate.evaluate_command)
 app.command("experiment")(experiment.experiment_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
+app.command("info")(info.info_command)
 app.add_typer(config.app, name="config")
 
 
@@ -105,7 +108,7 @@ def _interrupted(code: int = EXIT_INTERRUPTED) -> int:
 def _explain(error: Exception) -> int:
     """Print one clear message for an error, and return the exit code."""
     if isinstance(error, StereophdError):
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {with_flags(str(error))}", file=sys.stderr)
         return error.exit_code
     if isinstance(error, _ClickException):
         _explain_usage(error)
@@ -145,7 +148,46 @@ def _is_users(error: OSError) -> bool:
 def main() -> None:
     """Console script."""
     interrupts.install()
-    sys.exit(run())
+    try:
+        _prepare_streams()
+        _quieten_warnings()
+        code = run()
+    except KeyboardInterrupt:
+        code = _interrupted()
+    interrupts.late()
+    sys.exit(code)
+
+
+def _prepare_streams() -> None:
+    """Let names be printed that the encoding of the terminal does not have."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _quieten_warnings() -> None:
+    """Send warnings of libraries to the log (-vv shows them), and drop those of worker processes."""
+    import os
+    import warnings
+
+    if sys.warnoptions:
+        return
+    os.environ["PYTHONWARNINGS"] = "ignore"
+
+    warnings.showwarning = _log_warning
+
+
+def _log_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    import logging
+
+    logging.getLogger("stereophd").debug("%s:%d: %s: %s", filename, lineno, category.__name__, message)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+from typing import Annotated
+
 import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, load, print_data, to_json
 
 app = typer.Typer(help="Show or check a configuration, or print its JSON schema.", no_args_is_help=True)
+
+
+class Command(StrEnum):
+    """Commands that read a configuration, as `stereophd.commands.check_config.COMMANDS` names them."""
+
+    TRACK = "track"
+    CALIBRATE = "calibrate"
+    SIMULATE = "simulate"
+    EXPERIMENT = "experiment"
 
 
 @app.command("show")
@@ -39,17 +51,20 @@ def check_command(
     cameras: options.Cameras = None,
     overrides: options.Set = None,
     seed: options.Seed = None,
+    command: Annotated[
+        Command | None,
+        typer.Option("--for", help="Check also what this command needs.", show_default=False),
+    ] = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
     debug: options.Debug = False,
 ) -> None:
-    """Check a configuration: says ok, or every fault with its file, line and key."""
+    """Check a configuration, and print ok or every fault with its file, line and key."""
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
-    if loaded.config.experiment is not None:
-        from stereophd.experiments.engine.plan import check_experiment
+    from stereophd.commands.check_config import check_config
 
-        check_experiment(loaded)
+    check_config(loaded, None if command is None else command.value)
     if session.json:
         print_data(to_json({"ok": True, "cameras": list(loaded.cameras), "config_sha256": loaded.sha256}))
     elif not session.quiet:

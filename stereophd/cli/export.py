@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
+from stereophd.cli.flags import with_flags
 from stereophd.cli.terminal import begin, print_data, print_report
 
 
@@ -45,5 +46,5 @@ def export_command(
     if session.json:
         print_report(session, report)
     elif not session.quiet:
-        notes = [f"{note[:1].upper()}{note[1:]}." for note in report["notes"]]
+        notes = [with_flags(f"{note[:1].upper()}{note[1:]}.") for note in report["notes"]]
         print_data("\n".join([*notes, f"Written: {out} ({report['what']})"]))

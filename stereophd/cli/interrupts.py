@@ -1,25 +1,58 @@
 """Ctrl-C and the like end a run as exceptions, so that unfinished outputs are removed on the way out.
 
-An exception that a signal raises inside a callback from compiled code (the compiler of the kernels has
-such) is printed and lost by Python. So the signal is remembered, and `check` raises it again at the next
-step of the run.
+The first signal raises an exception. Python prints and drops an exception that a signal raises inside a destructor or
+inside a callback from compiled code (the compiler of the kernels has such): nothing is printed here, and the exception
+is raised again a moment later. Compiled code may also turn it into another; `check` raises it again at the next step of
+the run. Further signals do not disturb what the first one began; one that comes after `PATIENCE_S` ends the process at
+once, and the next run removes what is left behind.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
+import sys
+import time
+from collections.abc import Callable
 from types import FrameType
 
+from stereophd.cli.early import leave
+
+# How long the removal of unfinished outputs may take before another signal ends the process at once, s.
+PATIENCE_S = 5.0
+
+# After what time an exception that got lost is raised again, s.
+_AGAIN_S = 0.02
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 _received: int | None = None
+_since = 0.0
 
 
 def install() -> None:
     """Handle SIGINT, SIGTERM and SIGHUP, except where they are ignored on purpose (nohup, ``&``)."""
     global _received
     _received = None
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
-            signal.signal(number, _handle)
+    _replace((signal.SIG_DFL, signal.default_int_handler, leave), _handle)
+    if signal.getsignal(signal.SIGALRM) == signal.SIG_DFL:
+        signal.signal(signal.SIGALRM, lambda number, frame: check())
+    sys.unraisablehook = _unraisable
+
+
+def late() -> None:
+    """Ignore signals, now that the work is done: the interpreter is about to end.
+
+    A process whose run was interrupted ends at once, for nothing of it is needed any more.
+    """
+    code = exit_code()
+    if code is not None:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, full, or none
+                stream.flush()
+        os._exit(code)
+    _replace((_handle,), signal.SIG_IGN)
 
 
 def exit_code() -> int | None:
@@ -36,7 +69,24 @@ def check() -> None:
         raise SystemExit(code)
 
 
+def _replace(before: tuple[object, ...], after: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    for number in _SIGNALS:
+        if signal.getsignal(number) in before:
+            signal.signal(number, after)
+
+
 def _handle(number: int, frame: FrameType | None) -> None:
-    global _received
-    _received = number
-    check()
+    global _received, _since
+    if _received is None:
+        _received, _since = number, time.monotonic()
+        check()
+    elif time.monotonic() - _since > PATIENCE_S:
+        os._exit(128 + _received)
+
+
+def _unraisable(lost: sys.UnraisableHookArgs) -> None:
+    """Take note of an exception that Python cannot raise where it is; print it if it is not that of a signal."""
+    if _received is not None and issubclass(lost.exc_type, (KeyboardInterrupt, SystemExit)):
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+    else:
+        sys.__unraisablehook__(lost)

@@ -53,10 +53,19 @@ Cameras = Annotated[
         show_default=False,
     ),
 ]
+
+
+def _complete_set(incomplete: str) -> list[str]:
+    from stereophd.cli.completion import complete_set  # only here: completion alone reads the schema
+
+    return complete_set(incomplete)
+
+
 Set = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
+        autocompletion=_complete_set,
         metavar="KEY=VALUE",
         help="Change a value of the configuration, such as --set filter.birth.per_frame=0.2 (repeatable).",
         show_default=False,

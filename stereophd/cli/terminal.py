@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from stereophd.cli import interrupts
+from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 
 if TYPE_CHECKING:
@@ -33,7 +34,9 @@ def begin(context: typer.Context) -> Session:
     level = logging.ERROR if session.quiet else max(logging.WARNING - 10 * session.verbosity, logging.DEBUG)
     logger = logging.getLogger("stereophd")
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    formatter = logging.Formatter("%(levelname)s: %(message)s")
+    # as the messages of errors: parameters become options
+    handler.format = lambda record: with_flags(formatter.format(record))  # type: ignore[method-assign]
     # Replaced, not added: several calls may happen in one process.
     logger.handlers = [handler]
     logger.setLevel(level)
@@ -69,7 +72,7 @@ def to_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON; NaN and infinity become null, which JSON knows."""
     from stereophd.io.json_text import json_text
 
-    return json_text(report)
+    return json_text(report, ascii_only=not (sys.stdout.encoding or "utf-8").lower().startswith("utf"))
 
 
 def print_report(session: Session, report: Mapping[str, Any]) -> None:

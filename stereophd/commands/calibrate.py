@@ -97,7 +97,7 @@ def calibrate(
         Configuration, log, checkpoint or output folder are not usable.
     """
     if jobs == 0:
-        raise InputError("jobs: expected a number of processes (-1: all cores), found 0")
+        raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     from joblib import effective_n_jobs
 
     jobs = effective_n_jobs(jobs)
@@ -120,7 +120,7 @@ def calibrate(
             # whatever it is called: compiled code may turn the exception of a signal into one of its own
             if checkpoint.holds_anything:
                 checkpoint.save()
-                LOGGER.warning("stopped: continue with --resume from %s", checkpoint.path)
+                LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
             raise
         report = build_report(section, problem, outcome, loaded.config.units.length)
         record = provenance("calibrate", loaded.record, inputs={"detections": log_path})

@@ -142,7 +142,7 @@ def evaluate(
         with OutputFolder(out_dir, [REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES], force) as out:
             report = _run(inputs, options, fail_above or {}, out, draw)
     if cutoff is None and base == "euclidean" and report["length_unit"] not in (None, "cm"):
-        LOGGER.warning("no --cutoff given: OSPA and GOSPA use the default, %g %s", chosen, report["length_unit"])
+        LOGGER.warning("no `cutoff` given: OSPA and GOSPA use the default, %g %s", chosen, report["length_unit"])
     raise_if_above(fail_above or {}, report)
     return report
 
@@ -291,7 +291,9 @@ def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], optio
 
     why = ", ".join(f"{name} {count}" for name, count in scans.items() if count)
     limits = "".join(
-        f", {name} {value}" for name, value in (("--from", options.from_s), ("--to", options.to_s)) if value is not None
+        f", {name} {value}"
+        for name, value in (("`from_s`", options.from_s), ("`to_s`", options.to_s))
+        if value is not None
     )
     return f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}{limits}" + (
         f", not scored: {why}" if why else ""

@@ -103,7 +103,7 @@ def evaluate_calibration(
     for key in limits:
         if key.partition(".")[0] != "joint" or key.partition(".")[2] not in report["joint"]:
             known = ", ".join(f"joint.{name}" for name in report["joint"])
-            raise InputError(f"--fail-above: expected one of {known}, found {key}")
+            raise InputError(f"`fail_above`: expected one of {known}, found {key}")
     if out_dir is not None:
         inputs = {"cameras": cameras_path, "true_cameras": true_path}
         options = {"reference": report["reference"]}

@@ -84,7 +84,7 @@ def experiment(
     if settings is None:
         raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
     if jobs < 1:
-        raise InputError(f"jobs: expected at least 1, found {jobs}")
+        raise InputError(f"`jobs`: expected at least 1, found {jobs}")
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
     store = PartStore(out, loaded)
@@ -118,17 +118,19 @@ def _is_finished(store: PartStore, out: Path, loaded: LoadedConfig, resume: bool
     if (out / RUNS_FILE).exists() and not force:
         record = from_metadata(parquet_metadata(out / RUNS_FILE)) or {}
         if not resume:
-            raise InputError(f"output folder {out} already holds {RUNS_FILE}; use --force to replace it")
+            raise InputError(f"output folder {out} already holds {RUNS_FILE}; use `force=True` to replace it")
         if record.get("config_sha256") != loaded.sha256:
-            raise InputError(f"output folder {out} holds the results of another configuration; use --force")
+            raise InputError(f"output folder {out} holds the results of another configuration; use `force=True`")
         LOGGER.info("%s: the experiment is finished: nothing to resume", out)
         return True
     if not resume and not force and (store.exists() or store.others()):
-        raise InputError(f"output folder {out} holds runs of an unfinished experiment; use --resume or --force")
+        raise InputError(
+            f"output folder {out} holds runs of an unfinished experiment; use `resume=True` or `force=True`"
+        )
     if store.others() and not force:
         raise InputError(
             f"output folder {out} holds runs of another configuration ({store.others()[0].name}): nothing to resume; "
-            "use --force to remove them"
+            "use `force=True` to remove them"
         )
     store.remove(others_only=resume)
     return False
@@ -144,7 +146,7 @@ def _read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) -
     try:
         timing = json.loads((out / TIMING_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"{out / TIMING_FILE}: cannot be read ({error}); use --force to start anew") from error
+        raise InputError(f"{out / TIMING_FILE}: cannot be read ({error}); use `force=True` to start anew") from error
     return Results(experiment_name(loaded), settings, cells, timing)
 
 

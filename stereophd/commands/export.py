@@ -103,10 +103,10 @@ def _is_parquet(path: Path) -> bool:
 def _check_target(target: Path, force: bool, written: Format) -> None:
     if target.is_dir() and not (written.is_folder and (force or not any(target.iterdir()))):
         if written.is_folder:
-            raise InputError(f"{target}: expected a new or empty folder; use --force to replace its files")
+            raise InputError(f"{target}: expected a new or empty folder; use `force=True` to replace its files")
         raise InputError(f"{target}: expected a file to write, found a folder")
     if target.exists() and not target.is_dir() and not force:
-        raise InputError(f"{target} exists already; use --force to replace it")
+        raise InputError(f"{target} exists already; use `force=True` to replace it")
     if not target.parent.is_dir():
         raise InputError(f"{target.parent}: expected a folder, found none")
 

@@ -28,6 +28,7 @@ from stereophd.pipeline.simulation import build_scene
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+    from stereophd.config.simulate import SimulateConfig
 
 # Called with (done, total): frames of a single run, runs of several.
 
@@ -80,14 +81,11 @@ def simulate(
         No ``simulate`` section, no object fits into the view, a bad number of runs or jobs, or an
         output folder that cannot be used.
     """
-    config = loaded.config
-    if config.simulate is None:
-        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
-    loaded.build_cameras()  # before anything is written: there must be some
+    config, settings = loaded.config, check_simulation(loaded)
     if runs is not None and runs < 1:
         raise InputError(f"runs: expected at least 1, found {runs}")
     if jobs == 0:
-        raise InputError("jobs: expected a number of processes (-1: all cores), found 0")
+        raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     if runs is None:
         with OutputFolder(out_dir, FILES, force) as out:
             counts = [_simulate_run(loaded, 0, {name: out.path(name) for name in FILES}, progress)]
@@ -98,24 +96,48 @@ def simulate(
     return {
         "runs": runs or 1,
         "seed": config.seed,
-        "duration_s": config.simulate.duration_s,
+        "duration_s": settings.duration_s,
         "cameras": list(loaded.cameras),
         **{key: sum(count[key] for count in counts) for key in counts[0]},
     }
 
 
+def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
+    """Return the section ``simulate``, before anything is written.
+
+    Raises
+    ------
+    InputError
+        There is no such section, or no camera; or the section ``calibration`` does not fit the cameras.
+    """
+    settings = loaded.config.simulate
+    if settings is None:
+        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    loaded.build_cameras()
+    if loaded.config.calibration is not None:
+        from stereophd.pipeline.calibration.inputs import build_parameters  # only here, as in `_simulate_run`
+
+        build_parameters(loaded)
+    return settings
+
+
 def _simulate_runs(
     loaded: LoadedConfig, paths: list[dict[str, Path]], jobs: int, progress: Progress | None
 ) -> list[dict[str, int]]:
-    from joblib import Parallel, delayed  # only here: a single run starts without it
+    tasks = [(loaded, run, files) for run, files in enumerate(paths)]
+    # Only here: a single run starts without it.
+    from stereophd.pipeline.processes import on_processes
 
-    tasks = (delayed(_simulate_run)(loaded, run, files, None) for run, files in enumerate(paths))
     counts = []
-    for count in Parallel(n_jobs=jobs, return_as="generator")(tasks):
+    for count in map(_simulate_one, tasks) if jobs == 1 else on_processes(_simulate_one, tasks, jobs):
         counts.append(count)
         if progress is not None:
             progress(len(counts), len(paths))
     return counts
+
+
+def _simulate_one(task: tuple[LoadedConfig, int, dict[str, Path]]) -> dict[str, int]:
+    return _simulate_run(*task, None)
 
 
 def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None) -> dict[str, int]:

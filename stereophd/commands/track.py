@@ -10,7 +10,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereophd.core.disparity.move_kernels import carry_components
+from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.kernel_cache import is_kept
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.json_text import write_json

@@ -41,7 +41,7 @@ def _prior_field(quantity: Quantity) -> Any:
 
 
 class PriorBase(Model):
-    """Gaussian prior of what is unknown of one camera, about what the configuration or --cameras gives."""
+    """Gaussian prior of what is unknown of one camera, about what the configuration or a file of cameras gives."""
 
     @model_validator(mode="after")
     def _something_unknown(self) -> PriorBase:

@@ -102,9 +102,19 @@ class PoseConfig(Model):
 class DetectorConfig(Model):
     """What the detector of a camera does: noise, misses and false detections."""
 
-    sigma_px: tuple[Sigma, Sigma] = parameter("standard deviation of a detection along u and v", unit="px")
-    p_detect: PositiveFraction = parameter("probability that an object in view is detected")
-    clutter_per_frame: ClutterRate = parameter("mean number of false detections a frame, uniform in the image")
+    sigma_px: tuple[Sigma, Sigma] = parameter(
+        "standard deviation of a detection along u and v",
+        unit="px",
+        advice="the spread of detections of an object that stands still. Errors of lens and pose count as noise.",
+    )
+    p_detect: PositiveFraction = parameter(
+        "probability that an object in view is detected",
+        advice="the share of frames in which an object in view is detected.",
+    )
+    clutter_per_frame: ClutterRate = parameter(
+        "mean number of false detections a frame, uniform in the image",
+        advice="false detections divided by frames; do not write 0 unless there are none.",
+    )
     estimate: bool = parameter(
         "estimate these from the log, starting from the values given (track); see also detector", default=False
     )
@@ -188,13 +198,19 @@ class CameraConfig(Model):
         BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
     ] = parameter("what its detector does, or estimate: all of it is estimated from the log (track)")
     distortion: Distortion = parameter("of the lens", default_factory=NoDistortion)
-    frame_rate_hz: Rate | None = parameter("frames per second (simulate)", default=None, unit="Hz")
+    frame_rate_hz: Rate | None = parameter(
+        "frames per second (simulate)",
+        default=None,
+        unit="Hz",
+        advice="needed by simulate only; logs carry their times.",
+    )
     phase_s: Time = parameter("time of the first frame after the start (simulate)", default=0.0, unit="s")
     clock: ClockConfig = parameter("from the log's time to true time", default_factory=ClockConfig)
     readout_s: Readout = parameter(
         "rolling shutter: a detection in row v was made readout_s * v / height after the time of its frame, s; "
         "negative: read from the bottom up",
         default=0.0,
+        advice="0 for a global shutter; of a rolling shutter at most the time between two frames.",
     )
 
     @model_validator(mode="after")

@@ -88,6 +88,12 @@ def _of_this_kind(node: Mapping[str, Any], data: Any) -> bool:
 
 def known_keys(schema: Mapping[str, Any], path: KeyPath, data: Any = None) -> list[str]:
     """Return the keys that a JSON schema knows in the mapping `data` at a key path."""
+    nodes = [node for node in branches_at(schema, path) if _of_this_kind(node, data)]
+    return list(dict.fromkeys(key for node in nodes for key in node.get("properties", {})))
+
+
+def branches_at(schema: Mapping[str, Any], path: KeyPath) -> list[Mapping[str, Any]]:
+    """Return the alternatives of a JSON schema for the value at a key path; none for an unknown one."""
     nodes: list[Mapping[str, Any]] = list(_branches(schema, schema))
     for part in path:
         below: list[Mapping[str, Any]] = []
@@ -100,8 +106,7 @@ def known_keys(schema: Mapping[str, Any], path: KeyPath, data: Any = None) -> li
             if isinstance(child, Mapping):
                 below.extend(_branches(child, schema))
         nodes = below
-    nodes = [node for node in nodes if _of_this_kind(node, data)]
-    return list(dict.fromkeys(key for node in nodes for key in node.get("properties", {})))
+    return nodes
 
 
 def _split_location(location: tuple[str | int, ...], data: Any) -> tuple[KeyPath, KeyPath]:

@@ -16,7 +16,12 @@ from stereophd.core.single.settings import SingleSettings
 class DisparityConfig(Model):
     """Disparity space of every camera (paper eq. 3): d = f * baseline / z."""
 
-    baseline: PositiveLength = parameter("baseline of the abstract rectified companion", default=1.0, unit="length")
+    baseline: PositiveLength = parameter(
+        "baseline of the abstract rectified companion",
+        default=1.0,
+        unit="length",
+        advice="it scales disparities: the distance between neighbouring cameras is a natural choice.",
+    )
     rectification: Literal["horizontal", "vertical"] = parameter(
         "whether the companion is beside (f = fx) or below (f = fy) the camera", default="horizontal"
     )
@@ -25,9 +30,14 @@ class DisparityConfig(Model):
 class RegionConfig(Model):
     """Where objects can be: a box in the world, a range of depth before the cameras, or both."""
 
-    box: Range3 | None = parameter("in the world", default=None)
+    box: Range3 | None = parameter(
+        "in the world", default=None, advice="the room or the arena, with a margin of the position noise."
+    )
     depth: tuple[Length, PositiveLength] | None = parameter(
-        "nearest and farthest depth before the camera that saw the object last", default=None, unit="length"
+        "nearest and farthest depth before the camera that saw the object last",
+        default=None,
+        unit="length",
+        advice="from the nearest to somewhat beyond the farthest object.",
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Load a configuration: defaults < file < ``--set`` < ``--seed``, with errors that name the place."""
+"""Load a configuration: defaults < file < overrides < seed, with errors that name the place."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class LoadedConfig:
             The configuration names no cameras.
         """
         if not self.cameras:
-            raise InputError(f"{self.path}: cameras: expected cameras (here or by --cameras), found none")
+            raise InputError(f"{self.path}: cameras: expected cameras (here or by `cameras_path`), found none")
         return tuple(camera.build(name) for name, camera in self.cameras.items())
 
 
@@ -112,13 +112,13 @@ def load_config(
     inputs = {"config": hashlib.sha256(content).hexdigest()}
     _require_mapping(tree)
     changes = [_parse_override(text) for text in overrides]
-    # `--set cameras=FILE` decides which cameras are read; all other overrides may reach into them.
+    # An override `cameras=FILE` decides which cameras are read; all other overrides may reach into them.
     for key, change in changes:
         if key == ("cameras",):
             _apply(tree, key, change)
     if cameras_path is not None:
         if any(key == ("cameras",) for key, _ in changes):
-            raise InputError("expected one of --cameras and --set cameras=..., found both")
+            raise InputError("expected one of `cameras_path` and `overrides` cameras=..., found both")
         cameras_file: Path | None = Path(cameras_path)
     elif isinstance(tree.data.get("cameras"), str):
         cameras_file = source.parent / tree.data["cameras"]
@@ -131,7 +131,7 @@ def load_config(
         if key != ("cameras",):
             _apply(tree, key, change)
     if seed is not None:
-        _apply(tree, ("seed",), Tree(seed, {(): Place("--seed")}))
+        _apply(tree, ("seed",), Tree(seed, {(): Place("`seed`")}))
     config = _validate(Config, tree)
     _check_camera_of_reports(config, tree)
     if unit is not None and unit != config.units.length:
@@ -266,7 +266,7 @@ def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
 
 def _parse_override(text: str) -> tuple[KeyPath, Tree]:
     key, separator, value = text.partition("=")
-    source = f"--set {text}" if len(text) <= MAX_SHOWN_OVERRIDE else f"--set {text[:MAX_SHOWN_OVERRIDE]}..."
+    source = f"`overrides` {text}" if len(text) <= MAX_SHOWN_OVERRIDE else f"`overrides` {text[:MAX_SHOWN_OVERRIDE]}..."
     if not separator or not all(key.strip().split(".")):
         raise InputError(f"{source}: expected KEY.PATH=VALUE")
     return _key_path(key), parse_yaml(value, source, numbered=False)

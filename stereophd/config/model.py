@@ -27,8 +27,8 @@ from stereophd.core.numerics.samples import MomentsSettings
 class Config(Model):
     """A stereophd configuration."""
 
-    units: Units = Field(default_factory=Units, description="of all files of a run")
-    seed: Annotated[int, Interval(ge=0, le=2**63 - 1)] = Field(0, description="of all random numbers of a run")
+    units: Units = Field(default_factory=Units, description="units of all files of a run")
+    seed: Annotated[int, Interval(ge=0, le=2**63 - 1)] = Field(0, description="seed of all random numbers of a run")
     cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)] | str | None = Field(
         None, description="the cameras, or the path of a cameras.yaml beside this file"
     )

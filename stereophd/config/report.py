@@ -14,12 +14,13 @@ from stereophd.core.settings import Duration, Pixels, PositiveDuration, Positive
 
 
 class SmoothConfig(Model):
-    """Fixed-interval smoothing (``track --smooth``)."""
+    """Fixed-interval smoothing of every track."""
 
     max_gap_s: Duration = parameter(
         "tracks that end and begin within this time, and fit, are stitched into one, and detections of an object "
         "are looked for this long before its first known one",
         default=1.0,
+        advice="the longest time for which objects are hidden.",
     )
 
 
@@ -80,11 +81,13 @@ class ReportConfig(Model):
         "when estimates are written: events (after every event), camera NAME (after every frame of that camera) or "
         "grid DT (at the multiples of DT seconds, predicted from the last event before each)",
         default="events",
+        advice="grid for plots and comparisons, camera for one estimate a frame, events for everything.",
     )
     max_position_std: PositiveLength | None = parameter(
         "leave out estimates whose position is less certain (square root of the trace of its covariance): "
         "depth is not seen while one camera alone sees an object",
         default=None,
+        advice="the largest error that is of use to you; it hides tracks that one camera alone sees.",
     )
     smooth: SmoothConfig | None = parameter(
         "smooth every track over the whole log, which is then held in memory; default off", default=None
@@ -95,7 +98,9 @@ class InputConfig(Model):
     """How a detection log is read."""
 
     on_bad_row: Literal["error", "drop"] = parameter(
-        "error: the first bad row ends the run; drop: bad rows are dropped, counted and reported", default="error"
+        "error: the first bad row ends the run; drop: bad rows are dropped, counted and reported",
+        default="error",
+        advice="error, until you know why rows are bad.",
     )
     image_margin_px: Pixels = parameter(
         "a detection further than this outside the image is a bad row (noise may reach over the edge)",

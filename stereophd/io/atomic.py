@@ -129,7 +129,7 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
         raise InputError(f"output folder {folder}: no permission to write there")
     ours = [relative for relative in existing if not _is_temporary(relative)]
     if ours and not force:
-        raise InputError(f"output folder {folder} already holds {ours[0]}; use --force to replace it")
+        raise InputError(f"output folder {folder} already holds {ours[0]}; use `force=True` to replace it")
     return ours
 
 

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
+from typing import BinaryIO
 
 from stereophd.errors import InputError
 
@@ -30,6 +31,15 @@ USER_ERRNOS = frozenset(
 def write_error(error: OSError, path: Path) -> InputError:
     """Return the `InputError` that says which output could not be written and why."""
     return InputError(f"cannot write {path}: {error.strerror or error}")
+
+
+def for_arrow(path: Path) -> Path | BinaryIO:
+    """Return what pyarrow opens to read a file: its path, or the open file where the name is not text in UTF-8."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return open(path, "rb")
+    return path
 
 
 def sync(path: Path) -> None:

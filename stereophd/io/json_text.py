@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 
-def json_text(value: Any) -> str:
+def json_text(value: Any, ascii_only: bool = False) -> str:
     """Return a value as indented JSON; NaN and infinity become null, arrays become lists."""
-    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    return json.dumps(plain(value), indent=2, ensure_ascii=ascii_only, allow_nan=False)
 
 
 def write_json(path: Path | str, value: Any) -> None:

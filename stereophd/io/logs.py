@@ -7,6 +7,7 @@ memory does not depend on its length; what is wrong with a row is an error or a 
 from __future__ import annotations
 
 import heapq
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +30,7 @@ from stereophd.io.log_checks import (
     raise_first,
     time_fault,
 )
+from stereophd.io.log_order import is_by_camera
 from stereophd.io.log_rows import OPTIONAL, REQUIRED, Booleans, Floats, Integers, Rows, decode
 from stereophd.io.provenance import file_sha256
 from stereophd.io.tables import (
@@ -43,6 +45,8 @@ from stereophd.io.tables import (
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
+
+LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +80,9 @@ class Frame:
 class LogReader:
     """Iterate over the frames of a detection log in the order of true time, ties in camera order.
 
-    All rows of one (time, camera, frame) are one `Frame`, wherever they lie among the rows of that
-    time. A frame whose rows are all bad is dropped: it says nothing about what the camera saw.
+    All rows of one (time, camera, frame) are one `Frame`, wherever they lie among the rows of that time. Rows
+    in blocks of one camera each are merged, if each block is in order of time. A frame whose rows are all bad
+    is dropped: it says nothing about what the camera saw.
 
     Parameters
     ----------
@@ -136,6 +141,11 @@ class LogReader:
         return tuple(camera.name for k, camera in enumerate(self._cameras) if k not in self._seen)
 
     @cached_property
+    def is_by_camera(self) -> bool:
+        """Whether only the rows of each camera are in order of time, not those of all: they are merged on reading."""
+        return is_by_camera(self.path)
+
+    @cached_property
     def sha256(self) -> str:
         """SHA-256 of the file."""
         return file_sha256(self.path)
@@ -144,11 +154,14 @@ class LogReader:
         self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
         self.counts["cameras_without_frames"] = len(self._cameras)
         seen = self._seen = set()
-        if all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras):
+        exact = all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras)
+        if exact and not self.is_by_camera:
             frames = self._frames(None)
         else:
             # Each camera's clock is monotonic, so each camera's frames are in order by themselves: one
             # pass over the file for each camera keeps the memory bounded, however far the clocks differ.
+            if self.is_by_camera:
+                LOGGER.warning("%s: the rows are in order of time by camera only: the cameras are merged", self.path)
             passes = [self._frames(i) for i in range(len(self._cameras))]
             frames = heapq.merge(*passes, key=lambda f: (f.time_s, f.camera, f.frame))
         counts = self.counts
@@ -198,6 +211,9 @@ class LogReader:
             self.counts["rows"] += int(counted.sum())
             faults = list(point_faults(piece, self._sizes, self._margin))
             good = rows.take(self._accept(faults, rows, counted))
+            if only is not None and self.is_by_camera:
+                # what other cameras' rows lie between says nothing about the order of these
+                good = good.take(good.camera == only)
             late = time_fault(good, state)
             good = good.take(self._accept([late], good, None if only is None else good.camera == only))
             yield good

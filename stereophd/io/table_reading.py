@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from stereophd.errors import InputError
 from stereophd.io.commit import complete
+from stereophd.io.disk import for_arrow
 
 
 def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
@@ -45,7 +46,7 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
     if magic != b"PAR1":
         raise InputError(f"{file}: expected a {what} (Parquet file), found something that is not Parquet")
     try:
-        return pq.ParquetFile(file, memory_map=False)
+        return pq.ParquetFile(for_arrow(file), memory_map=False)
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"

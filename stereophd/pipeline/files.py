@@ -137,7 +137,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
 def _target(path: Path | str, force: bool) -> Path:
     target = Path(path)
     if target.exists() and not force:
-        raise InputError(f"{target}: the file exists; force=True replaces it")
+        raise InputError(f"{target}: the file exists; use `force=True` to replace it")
     return target
 
 

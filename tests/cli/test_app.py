@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +18,7 @@ import stereophd
 import stereophd.commands.simulate
 from stereophd.errors import GateError, InputError
 
-from .conftest import CONFIG, Outcome, start
+from .conftest import CONFIG, Outcome, start, write_config, write_log
 
 Call = Callable[..., Outcome]
 COMMANDS = [
@@ -205,3 +206,22 @@ def test_outputs_of_an_earlier_run_need_force(call: Call, config: Path, tmp_path
     assert call("simulate", config, "--out", out, "--seed", "9", "--force", "-q").code == 0
     assert {path.name for path in out.iterdir()} == set(before)
     assert (out / "truth.parquet").read_bytes() != before["truth.parquet"]
+
+
+@pytest.mark.parametrize("environment", [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {}])
+def test_names_outside_ascii(tmp_path: Path, environment: dict[str, str]) -> None:
+    name = tmp_path / "é\udcff"
+    name.mkdir()
+    config = write_config(name / "ü.yaml")
+    log = write_log(name / "log.parquet")
+    process = start("track", config, log, "--out", name / "aus", "--json", env={**os.environ, **environment})
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    assert json.loads(out)["report_version"] == 1
+    assert len(list((name / "aus").iterdir())) == 3
+
+
+def test_warnings_of_libraries_go_to_the_log(tmp_path: Path) -> None:
+    program = "import warnings; from stereophd.cli import app; app.run = lambda: warnings.warn('odd') or 0; app.main()"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")

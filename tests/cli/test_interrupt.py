@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,13 +65,47 @@ def test_ctrl_c_keeps_the_earlier_run(config: Path, log: Path, tmp_path: Path, m
 def installed() -> Iterator[None]:
     """The handlers of the console script, in this process."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.getsignal(number) for number in numbers]
+    before, hook = [signal.getsignal(number) for number in numbers], sys.unraisablehook
     interrupts.install()
     yield
     # Once more, for it forgets the signal that the test sent.
     interrupts.install()
     for number, handler in zip(numbers, before, strict=True):
         signal.signal(number, handler)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    sys.unraisablehook = hook
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_second_signal_does_not_disturb_what_the_first_began() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGTERM)
+    assert interrupts.exit_code() == 130
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_signal_in_a_destructor_is_raised_again(capsys: pytest.CaptureFixture[str]) -> None:
+    class Library:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+
+    def lose() -> None:
+        library = Library()
+        del library
+        time.sleep(10)
+
+    with pytest.raises(SystemExit) as caught:
+        lose()
+    assert caught.value.code == 143
+    assert capsys.readouterr().err == ""
+
+
+def test_a_signal_while_the_command_line_is_imported() -> None:
+    program = "import os, signal; from stereophd.cli import early; early.handle(); os.kill(os.getpid(), signal.SIGINT)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "")
 
 
 @pytest.mark.usefixtures("installed")

@@ -373,7 +373,7 @@ def test_limits_of_figures(run):
 def test_an_earlier_evaluation_is_kept_unless_forced(run):
     tracks, truth, folder = run
     evaluate(tracks, truth, folder / "out", plots=False)
-    with pytest.raises(InputError, match="--force"):
+    with pytest.raises(InputError, match="`force=True`"):
         evaluate(tracks, truth, folder / "out", plots=False)
     evaluate(tracks, truth, folder / "out", plots=False, force=True, cutoff=3.0)
     assert json.loads((folder / "out" / "report.json").read_text())["ospa"]["cutoff"] == 3.0
@@ -408,9 +408,9 @@ def test_plots_without_matplotlib(run, monkeypatch):
         ({"cutoff": float("nan")}, "cutoff"),
         ({"base": "manhattan"}, "base"),
         ({"at": "frames"}, "at"),
-        ({"from_s": 3.0, "to_s": 2.0}, "not after --to"),
+        ({"from_s": 3.0, "to_s": 2.0}, "not after `to_s`"),
         ({"max_gap_s": -1.0}, "max_gap_s"),
-        ({"ospa2_window": 0}, "ospa2-window"),
+        ({"ospa2_window": 0}, "ospa2_window"),
         ({"seen_by": 2}, "together"),
         ({"seen_by": 2, "within_s": 0.2}, "together"),
         ({"fail_above": {"ospa.mean": float("nan")}}, "expected a number"),

@@ -216,7 +216,7 @@ def test_bad_scenarios(
 
 def test_an_output_folder_is_replaced_only_with_force(scenario: LoadedConfig, tmp_path: Path) -> None:
     simulate(scenario, tmp_path / "out", runs=3)
-    with pytest.raises(InputError, match="--force"):
+    with pytest.raises(InputError, match="`force=True`"):
         simulate(scenario, tmp_path / "out", runs=2)
     simulate(scenario, tmp_path / "out", runs=2, force=True)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["run-0000", "run-0001"]

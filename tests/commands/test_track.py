@@ -295,7 +295,7 @@ def test_outputs_are_replaced_only_by_force(config_path: Path, tmp_path: Path) -
     log = folder / "detections.parquet"
     track(loaded, log, tmp_path / "out")
     before = digests(tmp_path / "out")
-    with pytest.raises(InputError, match="--force"):
+    with pytest.raises(InputError, match="`force=True`"):
         track(loaded, log, tmp_path / "out")
     track(loaded, log, tmp_path / "out", force=True)
     assert digests(tmp_path / "out") == before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from stereophd.config.loading import json_schema, load_config, schema_text
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+DOCS = CONFIGS.parent / "docs"
 FILES = sorted(CONFIGS.rglob("*.yaml"))
 
 
@@ -43,3 +45,14 @@ class TestEveryConfiguration:
 
     def test_loads_with_cameras(self, path: Path) -> None:
         assert load_config(path).build_cameras()
+
+
+def test_reference_page_is_up_to_date() -> None:
+    """`make reference` writes it from the declarations of the parameters."""
+    script = importlib.util.spec_from_file_location("make_configuration", DOCS / "make_configuration.py")
+    assert script is not None
+    module = importlib.util.module_from_spec(script)
+    script.loader.exec_module(module)  # type: ignore[union-attr]
+    text = (DOCS / "configuration.md").read_text(encoding="utf-8")
+    assert text == module.page(text), "docs/configuration.md is out of date: run `make reference`"
+    assert max(map(len, text.splitlines())) <= 120

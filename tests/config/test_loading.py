@@ -271,7 +271,8 @@ class TestErrors:
     def test_the_branch_of_a_union_is_not_a_key(self, path: Path) -> None:
         found = message(path, "motion.acceleration_std=fast")
         assert found == (
-            '--set motion.acceleration_std=fast: motion.acceleration_std: expected a number or a list, found "fast"'
+            "`overrides` motion.acceleration_std=fast: motion.acceleration_std: "
+            'expected a number or a list, found "fast"'
         )
 
     def test_known_keys_of_a_lens_are_those_of_its_model(self, path: Path) -> None:
@@ -300,14 +301,14 @@ class TestErrors:
         ],
     )
     def test_of_an_override_names_the_override(self, path: Path, override: str, expected: str) -> None:
-        assert message(path, override).startswith(f"--set {override}: {expected}")
+        assert message(path, override).startswith(f"`overrides` {override}: {expected}")
 
     @pytest.mark.parametrize("override", ["seed", "=3", "filter..birth=3"])
     def test_of_an_override_that_is_none(self, path: Path, override: str) -> None:
-        assert message(path, override) == f"--set {override}: expected KEY.PATH=VALUE"
+        assert message(path, override) == f"`overrides` {override}: expected KEY.PATH=VALUE"
 
     def test_of_the_seed_names_the_option(self, path: Path) -> None:
-        assert message(path, seed=-1) == "--seed: seed: expected a number >= 0, found -1"
+        assert message(path, seed=-1) == "`seed`: seed: expected a number >= 0, found -1"
 
     @pytest.mark.parametrize(
         ("text", "line", "expected"),
@@ -363,6 +364,6 @@ def test_a_mean_disparity_is_positive(path: Path) -> None:
 def test_a_misspelt_kind_is_named_where_it_stands(tmp_path: Path) -> None:
     quickstart = Path(__file__).resolve().parents[2] / "configs" / "quickstart.yaml"
     with pytest.raises(
-        InputError, match=r'^--set filter.kind=pbm: filter.kind: expected .*, found "pbm"; did you mean pmb'
+        InputError, match=r'^`overrides` filter.kind=pbm: filter.kind: expected .*, found "pbm"; did you mean pmb'
     ):
         load_config(quickstart, ["filter.kind=pbm"])

@@ -230,7 +230,7 @@ class TestResume:
             experiment(loaded, out, progress=interrupt)
         assert [p.name for p in out.iterdir()] == [f"partial-{experiment_hash(loaded)[:16]}"]
         assert finished_runs(loaded, out) == 5  # and the bounds of both cases
-        with pytest.raises(InputError, match="unfinished experiment; use --resume or --force"):
+        with pytest.raises(InputError, match="unfinished experiment; use `resume=True` or `force=True`"):
             experiment(loaded, out)
         before = len(fake.runs)
         experiment(loaded, out, resume=True)
@@ -258,7 +258,7 @@ class TestResume:
         loaded, out = load(), tmp_path / "out"
         first = experiment(loaded, out)
         fake.runs.clear()
-        with pytest.raises(InputError, match=r"already holds runs\.parquet; use --force"):
+        with pytest.raises(InputError, match=r"already holds runs\.parquet; use `force=True`"):
             experiment(loaded, out)
         with pytest.raises(InputError, match="results of another configuration"):
             experiment(load("seed=4"), out, resume=True)

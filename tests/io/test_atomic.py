@@ -104,7 +104,7 @@ def test_force_replaces_the_earlier_run_and_removes_its_other_files(tmp_path: Pa
 def test_an_earlier_run_is_refused_without_force(tmp_path: Path) -> None:
     (tmp_path / "tracks.parquet").write_text("old")
     with (
-        pytest.raises(InputError, match=r"already holds tracks\.parquet; use --force"),
+        pytest.raises(InputError, match=r"already holds tracks\.parquet; use `force=True`"),
         OutputFolder(tmp_path, NAMES),
     ):
         pass

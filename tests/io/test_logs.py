@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import defaultdict
 from collections.abc import Callable
@@ -222,6 +223,34 @@ class TestBadRow:
         clean = LogReader(write_rows(GOOD, name="clean.parquet"), cameras, "error")
         assert [plain(f) for f in reader] == [plain(f) for f in clean]
         assert reader.counts == {**clean.counts, "rows": clean.counts["rows"] + 1, kind: 1}
+
+
+@pytest.mark.parametrize("piece", [1, 3, 100])
+@pytest.mark.parametrize("offset", [0.0, 0.125])
+def test_rows_in_blocks_of_cameras_are_merged(
+    piece: int, offset: float, write_rows: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, caplog: Any
+) -> None:
+    """A table put together from one of each camera is read as the same rows in order of time, with a note."""
+    monkeypatch.setattr(logs, "ROW_GROUP_ROWS", piece)
+    monkeypatch.setattr("stereophd.io.log_order.PIECE_ROWS", piece)
+    monkeypatch.setattr(logging.getLogger("stereophd"), "propagate", True)
+    cameras = [make_camera("left"), make_camera("right", offset)]
+    blocks = sorted(GOOD, key=lambda r: str(r["camera"]), reverse=True)
+    in_order = LogReader(write_rows(GOOD, name="ordered.parquet"), cameras)
+    expected = [plain(f) for f in in_order]
+    assert not caplog.records
+    for mode in ("error", "drop"):
+        reader = LogReader(write_rows(blocks), cameras, mode)  # type: ignore[arg-type]
+        assert [plain(f) for f in reader] == expected
+        assert reader.counts == in_order.counts
+        assert "the cameras are merged" in caplog.text
+
+
+def test_a_block_that_is_not_in_order_is_an_error(write_rows: Callable[..., Path]) -> None:
+    blocks = [row(1.0, "right", 0, 1.0, 1.0), row(0.0, "left", 1, 1.0, 1.0), row(-1.0, "left", 2, 1.0, 1.0)]
+    reader = LogReader(write_rows(blocks), [make_camera("left"), make_camera("right")])
+    with pytest.raises(InputError, match="found 0 after 1"):
+        list(reader)
 
 
 @given(st.data())

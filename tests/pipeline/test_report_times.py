@@ -16,7 +16,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.motion.models import ConstantVelocity
-from stereophd.core.multi.intensity import Estimates
+from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.smoothing import Trajectory, smooth
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.loop import Attribution, grid_times

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.batch import FilterBatch
 from stereophd.core.calibration.parameters import ParameterSet, taken
 from stereophd.core.calibration.scale import ScaleMeasurement, predicted
 from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.layout import CENTER
+from stereophd.core.multi.batch import FilterBatch
 
 Array = NDArray[np.float64]
 

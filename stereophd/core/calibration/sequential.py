@@ -26,10 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.batch import BatchState, FilterBatch
 from stereophd.core.calibration.likelihood import hypothesis_spaces
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.disparity.events import Event
+from stereophd.core.multi.batch import BatchState, FilterBatch
 from stereophd.core.numerics.weights import (
     effective_sample_size,
     normalised,

@@ -10,22 +10,19 @@ space describes it badly. No covariance that leaves this module is rank-deficien
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity import kernels, linear_kernels
-from stereophd.core.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
-from stereophd.core.disparity.move_kernels import Look, allocate_moved, carry_components, noise_axes
-from stereophd.core.disparity.rule_kernels import rule_components
+from stereophd.core.disparity.linear_move import linear_components, world_components
+from stereophd.core.disparity.moved import Moved, allocate_moved
+from stereophd.core.disparity.rule_move import rule_components
+from stereophd.core.disparity.sample_move import Look, carry_components, noise_axes
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets, cubature_points
-
-__all__ = ["IN_VIEW", "OUT_OF_VIEW", "PARTLY_IN_VIEW", "Moved", "minimum_in_view", "move", "world_moments"]
 
 Array = NDArray[np.float64]
 
@@ -36,43 +33,6 @@ WIDEST_RULE = 0.5
 NO_REGION = np.empty(0)
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
-
-
-@dataclass(frozen=True)
-class Moved:
-    """Components carried into the disparity space of one camera at one time.
-
-    Attributes
-    ----------
-    means, covariances : arrays (n, d), (n, d, d)
-        The part in view, in the destination's space; only where `status` is not `OUT_OF_VIEW`.
-    fraction : array (n,)
-        Part of the component that is in view, 0 to 1.
-    status : array (n,) of int
-        `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`.
-    missed_means, missed_covariances : arrays (n, d), (n, d, d)
-        The part that was not detected, in the space and at the time of origin; only where `status` is
-        `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1 (of a component wholly in view the missed
-        part has the shape of the whole).
-    inside : array (n,)
-        Part of the component inside the region; what lies outside is left out of all of the above.
-    """
-
-    means: Array
-    covariances: Array
-    fraction: Array
-    status: NDArray[np.int64]
-    missed_means: Array
-    missed_covariances: Array
-    inside: Array
-
-    @property
-    def arrays(self) -> kernels.MovedArrays:
-        """The fields, in order: what compiled code takes."""
-        return (
-            self.means, self.covariances, self.fraction, self.status, self.missed_means, self.missed_covariances,
-            self.inside,
-        )  # fmt: skip
 
 
 def minimum_in_view(samples: int) -> int:
@@ -120,7 +80,7 @@ def move(
     threads : int
         Components are shared out over this many threads; the result does not depend on it.
     region : array (8,), optional
-        Where objects can be: see `stereophd.core.disparity.kernels.region_mask`.
+        Where objects can be: see `stereophd.core.disparity.trips.region_mask`.
 
     Returns
     -------
@@ -147,7 +107,7 @@ def move(
         run(slices[0])
     else:
         list(_pool(threads).map(run, slices))
-    return Moved(*moved)
+    return moved
 
 
 def world_moments(
@@ -162,9 +122,7 @@ def world_moments(
     """
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
-    linear_kernels.world_components(
-        means, covariances, homes, motion.arrays(dts), sets.turn(turn), out_means, out_covariances
-    )
+    world_components(means, covariances, homes, motion.arrays(dts), sets.turn(turn), out_means, out_covariances)
     return out_means, out_covariances
 
 
@@ -186,7 +144,7 @@ def _low_order(
     destination: Array,
     sets: SampleSets,
     region: Array,
-    moved: kernels.MovedArrays,
+    moved: Moved,
 ) -> NDArray[np.intp]:
     """Move by the unscented or the linear rule; return which components still need samples."""
     points = _rule_points(12 if means.shape[1] == 6 else 3)
@@ -197,7 +155,7 @@ def _low_order(
         WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf, moved,
     )  # fmt: skip
     if sets.method == "linear":
-        linear_kernels.linear_components(means, covariances, homes, motion, axes, destination, moved[0], moved[1])
+        linear_components(means, covariances, homes, motion, axes, destination, moved.means, moved.covariances)
     return todo
 
 

@@ -16,7 +16,7 @@ from stereophd.core.numerics.times import SAME_TIME_S
 
 BoolArray = NDArray[np.bool_]
 
-# Without --max-gap the truth may be interpolated over intervals a little longer than its usual step.
+# By default the truth may be interpolated over intervals a little longer than its usual step.
 DEFAULT_GAP_STEPS = 1.5
 
 

@@ -7,28 +7,28 @@ three in a row that an event takes. The filters differ in their update.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, move, world_moments
+from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.association import kalman_updates
 from stereophd.core.multi.birth import birth_moments
+from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import select_objects
-from stereophd.core.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info, empty_mixture
+from stereophd.core.multi.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.settings import BirthPrior, Hysteresis
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-# Components from this weight or existence on get more samples where only a corner of them is in view.
-IMPORTANT_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,16 @@ class DisparityFilter(ABC):
     @abstractmethod
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event."""
+
+    @property
+    @abstractmethod
+    def reduction(self) -> NamedTuple:
+        """Settings of the reduction, for compiled code."""
+
+    @property
+    @abstractmethod
+    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
+        """The compiled update and reduction of many camera hypotheses (`stereophd.core.multi.batch_kernels`)."""
 
     @property
     def state_size(self) -> int:
@@ -188,82 +198,21 @@ class DisparityFilter(ABC):
         _, estimates = self.extract(later)
         return replace(info, log_likelihood=0.0, cardinality_mean=info.cardinality_mean * faded), estimates
 
-    def births(self, event: Event, weights: Array, next_label: int) -> GaussianMixture:
-        """Return one new component a detection, with these weights and fresh labels."""
+    def event_arrays(self, event: Event) -> EventArrays:
+        """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
         space = self.rig.space(event.camera, event.time_s)
         means, covariances = birth_moments(event, space, self.birth, self.state_size)
-        count = len(weights)
-        return GaussianMixture(
-            weights,
-            means,
-            covariances,
-            np.full(count, event.camera),
-            np.full(count, event.time_s),
-            next_label + np.arange(count),
-            np.full(count, UNLABELLED),
-            np.zeros(count, dtype=bool),
+        return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
+
+    def event_numbers(self, event: Event, next_label: int) -> EventNumbers:
+        """Return the place of an event, the rates of its detector, and the first unused label, for compiled code."""
+        camera = self.rig.cameras[event.camera]
+        return EventNumbers(
+            camera=int(event.camera),
+            time_s=float(event.time_s),
+            next_label=next_label,
+            p_detect=float(camera.detector.p_detect),
+            clutter=float(camera.detector.clutter_per_frame),
+            births=float(self.birth.per_frame),
+            area=float(camera.width * camera.height),
         )
-
-
-@compiled
-def surviving_weights(
-    weights: Array, tracks: Integers, cameras: Integers, status: Integers, inside: Array, camera: int
-) -> Array:
-    """Weights (n,) of moved components without what is lost.
-
-    What lies outside the region is gone; what was never established (no identity, and light) and has left the view of
-    the only camera that may have seen it is forgotten, or clutter would fill the world around the view.
-    """
-    out = weights * inside
-    for k in range(len(weights)):
-        unknown = tracks[k] < 0 and weights[k] < IMPORTANT_WEIGHT
-        if unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera:
-            out[k] = 0.0
-    return out
-
-
-def missed_states(prediction: Prediction, event: Event) -> GaussianMixture:
-    """Components as they are if the event did not detect them, with the weights of the prediction.
-
-    Components wholly in view move to the event's space; others stay at home, where they are Gaussian.
-    """
-    mixture, moved = prediction.mixture, prediction.moved
-    whole = moved.status == IN_VIEW
-    partly = (moved.status == PARTLY_IN_VIEW) | ((moved.status == OUT_OF_VIEW) & (moved.inside < 1.0))
-    means, covariances = mixture.means.copy(), mixture.covariances.copy()
-    means[whole], covariances[whole] = moved.means[whole], moved.covariances[whole]
-    means[partly], covariances[partly] = moved.missed_means[partly], moved.missed_covariances[partly]
-    return GaussianMixture(
-        mixture.weights,
-        means,
-        covariances,
-        np.where(whole, event.camera, mixture.cameras),
-        np.where(whole, event.time_s, mixture.times),
-        mixture.labels,
-        mixture.tracks,
-        mixture.reported,
-    )
-
-
-def updated_components(
-    prediction: Prediction,
-    event: Event,
-    components: NDArray[np.int64],
-    detections: NDArray[np.int64],
-    weights: Array,
-) -> GaussianMixture:
-    """Components updated with detections, in the event's space."""
-    moved, mixture = prediction.moved, prediction.mixture
-    means, covariances = kalman_updates(
-        moved.means, moved.covariances, components, detections, event.points, event.covariances, event.delays
-    )
-    return GaussianMixture(
-        weights,
-        means,
-        covariances,
-        np.full(len(weights), event.camera),
-        np.full(len(weights), event.time_s),
-        mixture.labels[components],
-        mixture.tracks[components],
-        mixture.reported[components],
-    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.multi.intensity import UNLABELLED, GaussianMixture
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.settings import Hysteresis
 from stereophd.core.numerics.compilation import compiled
 

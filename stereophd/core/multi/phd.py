@@ -7,23 +7,29 @@ log-likelihood of an event is that of the conditional filter of VII-B.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import OUT_OF_VIEW
+from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.association import pair_likelihoods
 from stereophd.core.multi.attribution import detected_labels
-from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, missed_states, updated_components
-from stereophd.core.multi.intensity import Info, concatenate
+from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
+from stereophd.core.multi.batch_kernels import update_intensities
+from stereophd.core.multi.estimates import Info
+from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.kinds.phd import PhdSettings
-from stereophd.core.multi.reduce import reduce_mixture
+from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
+from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, init=False)
@@ -45,42 +51,38 @@ class PhdFilter(DisparityFilter):
         )
         object.__setattr__(self, "settings", settings)
 
+    @cached_property
+    def reduction(self) -> PhdReduction:
+        """Settings of the reduction, for compiled code."""
+        settings = self.settings
+        return PhdReduction(
+            float(settings.prune_weight), float(settings.merge_distance), int(settings.max_components),
+            settings.merge_rule == "mutual",
+        )  # fmt: skip
+
+    @property
+    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
+        """See `DisparityFilter`."""
+        return update_intensities
+
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event: eq. (5), then reduction."""
-        settings, mixture, moved = self.settings, prediction.mixture, prediction.moved
-        camera = self.rig.cameras[event.camera]
-        p_detect, clutter = camera.detector.p_detect, camera.detector.clutter_per_frame
-        per_area = 1.0 / (camera.width * camera.height)
-        detected = p_detect * moved.fraction * mixture.weights
-        components, detections, densities = pair_likelihoods(
-            moved.means,
-            moved.covariances,
-            moved.status != OUT_OF_VIEW,
-            event.points,
-            event.covariances,
-            event.areas,
-            event.delays,
-        )
-        # clutter, births and components compete for every detection
-        born = p_detect * settings.birth.per_frame
-        background = (clutter + born) * per_area
-        joint = detected[components] * densities
-        totals = background + np.bincount(detections, weights=joint, minlength=len(event.points))
-        log_likelihood = float(np.log(totals).sum() - clutter - born - detected.sum())
-        weights = joint / totals[detections]
-        kept = weights >= settings.prune_weight
-        missed = missed_states(prediction, event).with_weights(mixture.weights - detected)
-        updated = updated_components(prediction, event, components[kept], detections[kept], weights[kept])
-        births = self.births(event, np.asarray(born * per_area / totals), state.next_label)
-        parts = concatenate([missed, updated, births])
-        detected_now = detected_labels(parts.labels, parts.weights, len(missed))
-        reduced = reduce_mixture(
-            parts,
-            settings.prune_weight,
-            settings.merge_distance,
-            settings.max_components,
-            settings.merge_rule == "mutual",
-        )
-        info = Info(log_likelihood, float(reduced.weights.sum()), len(reduced), detected_now)
+        reduced, log_likelihood, detected = _update(
+            prediction.mixture, prediction.moved, self.event_arrays(event),
+            self.event_numbers(event, state.next_label), self.reduction,
+        )  # fmt: skip
         label = state.next_label + len(event.points)
-        return FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track), info
+        return (
+            FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track),
+            Info(log_likelihood, float(reduced.weights.sum()), reduced.size, detected),
+        )
+
+
+@compiled
+def _update(
+    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction
+) -> tuple[GaussianMixture, float, Integers]:
+    """`update_intensity`, which labels were detected, and `reduce_intensity`, in one call."""
+    updated, log_likelihood = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
+    detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
+    return reduce_intensity(updated, reduction), log_likelihood, detected

@@ -13,21 +13,25 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.kernels import MovedArrays
+from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
-from stereophd.core.multi.birth import birth_moments
-from stereophd.core.multi.intensity import GaussianMixture, Info, Parts
+from stereophd.core.multi.batch_kernels import update_track_sets
+from stereophd.core.multi.estimates import Info
+from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
 from stereophd.core.multi.kinds.pmb import PmbSettings
-from stereophd.core.multi.pmb_reduce import reduce_tracks
+from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.samples import SampleSets
@@ -61,68 +65,35 @@ class PmbFilter(DisparityFilter):
         )
         object.__setattr__(self, "settings", settings)
 
+    @cached_property
+    def reduction(self) -> PmbReduction:
+        """Settings of the reduction, for compiled code."""
+        return compiled_settings(PmbReduction, self.settings)
+
+    @property
+    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
+        """See `DisparityFilter`."""
+        return update_track_sets
+
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
-        mixture, settings = prediction.mixture, self.settings
-        camera = self.rig.cameras[event.camera]
-        detector = camera.detector
-        newborn_means, newborn_covariances = birth_moments(
-            event, self.rig.space(event.camera, event.time_s), self.birth, self.state_size
-        )
-        parts, log_likelihood, detected, expected = _update(
-            mixture.parts,
-            prediction.moved.arrays,
-            event.points,
-            event.covariances,
-            event.areas,
-            event.delays,
-            newborn_means,
-            newborn_covariances,
-            (event.camera, event.time_s, state.next_label),
-            (
-                float(detector.p_detect),
-                float(detector.clutter_per_frame),
-                float(self.birth.per_frame),
-                float(camera.width * camera.height),
-            ),
-            (
-                settings.recycle_below,
-                settings.prune_weight,
-                settings.merge_distance,
-                settings.max_components,
-                settings.hypothesis_distance,
-                settings.least_share,
-            ),
-        )
-        reduced = GaussianMixture(*parts)
+        reduced, log_likelihood, detected, expected = _update(
+            prediction.mixture, prediction.moved, self.event_arrays(event),
+            self.event_numbers(event, state.next_label), self.reduction,
+        )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track),
-            Info(log_likelihood, expected, len(reduced), detected),
+            Info(log_likelihood, expected, reduced.size, detected),
         )
 
 
 @compiled
 def _update(
-    parts: Parts,
-    moved: MovedArrays,
-    points: Array,
-    noises: Array,
-    areas: Array,
-    delays: Array | None,
-    newborn_means: Array,
-    newborn_covariances: Array,
-    place: tuple[int, float, int],
-    rates: tuple[float, float, float, float],
-    reduction: tuple[float, float, float, int, float, float],
-) -> tuple[Parts, float, Integers, float]:
-    """`update_tracks`, which labels were detected, and `reduce_tracks` (parameters: theirs), in one call."""
-    n_missed = len(parts[0])
-    parts, log_likelihood = update_tracks(
-        parts, moved, points, noises, areas, delays, newborn_means, newborn_covariances, place, rates, reduction[1]
-    )
-    detected = detected_labels(parts[5], parts[0], n_missed)
-    parts, expected = reduce_tracks(
-        parts, reduction[0], reduction[1], reduction[2], reduction[3], reduction[4], reduction[5]
-    )
-    return parts, log_likelihood, detected, expected
+    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PmbReduction
+) -> tuple[GaussianMixture, float, Integers, float]:
+    """`update_tracks`, which labels were detected, and `reduce_tracks`, in one call."""
+    updated, log_likelihood = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
+    detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
+    reduced, expected = reduce_tracks(updated, reduction)
+    return reduced, log_likelihood, detected, expected

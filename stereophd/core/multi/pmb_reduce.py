@@ -7,16 +7,23 @@ and improbable tracks are recycled into the intensity of undetected objects.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.multi.intensity import UNLABELLED, Parts
-from stereophd.core.multi.parts import allocate_parts, copy_gaussian, copy_parts, take_parts
+from stereophd.core.multi.mixture import (
+    UNLABELLED,
+    GaussianMixture,
+    allocate_mixture,
+    copy_components,
+    copy_gaussian,
+    take_components,
+)
 from stereophd.core.multi.pmb_update import group
 from stereophd.core.multi.reduce import merge_sorted, squared_distance
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.moment_kernels import cholesky
+from stereophd.core.numerics.linear_algebra import cholesky
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -25,42 +32,48 @@ Integers = NDArray[np.int64]
 MOST_EXISTENCE = 1.0 - 1e-9
 
 
+class PmbReduction(NamedTuple):
+    """Settings of the reduction: those of `stereophd.core.multi.kinds.pmb.PmbSettings` with the same names."""
+
+    recycle_below: float
+    prune_weight: float
+    merge_distance: float
+    max_components: int
+    hypothesis_distance: float
+    least_share: float
+
+
 @compiled
-def reduce_tracks(
-    parts: Parts,
-    recycle_below: float,
-    prune_weight: float,
-    merge_distance: float,
-    max_tracks: int,
-    hypothesis_distance: float,
-    least_share: float,
-) -> tuple[Parts, float]:
-    """Reduce a mixture (`GaussianMixture.parts`); settings as in `stereophd.core.multi.pmb.PmbSettings`.
+def reduce_tracks(mixture: GaussianMixture, settings: PmbReduction) -> tuple[GaussianMixture, float]:
+    """Reduce a mixture after an update.
 
     Returns
     -------
-    parts : tuple
+    mixture : GaussianMixture
         Tracks, ordered by label and then by falling weight, then the intensity of undetected objects.
     expected : float
         Sum of the existences of the tracks.
     """
-    weights, labels = parts[0], parts[5]
+    prune_weight, hypothesis_distance = settings.prune_weight, settings.hypothesis_distance
+    weights, labels = mixture.weights, mixture.labels
     member, n_groups = group(labels)
     existence = np.zeros(n_groups)
     names = np.empty(n_groups, dtype=np.int64)
     for k in range(len(weights)):
         names[member[k]] = labels[k]
         existence[member[k]] += weights[k]
-    _keep_most_probable(existence, names, max_tracks)
+    _keep_most_probable(existence, names, settings.max_components)
     hypotheses = _merge_hypotheses(
-        _drop_negligible(parts, member, existence, prune_weight, least_share), hypothesis_distance
+        _drop_negligible(mixture, member, existence, prune_weight, settings.least_share), hypothesis_distance
     )
-    undetected = take_parts(parts, np.flatnonzero((labels == UNLABELLED) & (weights >= prune_weight)))
-    held = existence[np.searchsorted(names, hypotheses[5])] >= recycle_below
-    tracks = _join_tracks(take_parts(hypotheses, np.flatnonzero(held)), merge_distance, hypothesis_distance)
-    recycled = take_parts(hypotheses, np.flatnonzero(~held & (hypotheses[0] >= prune_weight)))
-    recycled[5][:] = UNLABELLED
-    return _concatenate(tracks, undetected, recycled), tracks[0].sum()
+    undetected = take_components(mixture, np.flatnonzero((labels == UNLABELLED) & (weights >= prune_weight)))
+    held = existence[np.searchsorted(names, hypotheses.labels)] >= settings.recycle_below
+    tracks = _join_tracks(
+        take_components(hypotheses, np.flatnonzero(held)), settings.merge_distance, hypothesis_distance
+    )
+    recycled = take_components(hypotheses, np.flatnonzero(~held & (hypotheses.weights >= prune_weight)))
+    recycled.labels[:] = UNLABELLED
+    return _concatenate(tracks, undetected, recycled), tracks.weights.sum()
 
 
 @compiled
@@ -78,31 +91,33 @@ def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> N
 
 @compiled
 def _drop_negligible(
-    parts: Parts, member: Integers, existence: Array, prune_weight: float, least_share: float
-) -> Parts:
+    mixture: GaussianMixture, member: Integers, existence: Array, prune_weight: float, least_share: float
+) -> GaussianMixture:
     """Hypotheses worth keeping; what is dropped of a track goes to its other hypotheses: existence stays."""
+    weights, labels = mixture.weights, mixture.labels
     remains = np.zeros(len(existence))
     kept = np.zeros(len(member), dtype=np.bool_)
     for k in range(len(member)):
         whole = existence[member[k]]
-        if parts[5][k] != UNLABELLED and parts[0][k] >= least_share * whole and whole >= prune_weight:
+        if labels[k] != UNLABELLED and weights[k] >= least_share * whole and whole >= prune_weight:
             kept[k] = True
-            remains[member[k]] += parts[0][k]
+            remains[member[k]] += weights[k]
     index = np.flatnonzero(kept)
-    found = take_parts(parts, index)
+    found = take_components(mixture, index)
+    found_weights = found.weights
     for i in range(len(index)):
         g = member[index[i]]
-        found[0][i] *= min(existence[g], MOST_EXISTENCE) / remains[g]
+        found_weights[i] *= min(existence[g], MOST_EXISTENCE) / remains[g]
     return found
 
 
 @compiled
-def _merge_hypotheses(parts: Parts, distance: float) -> Parts:
+def _merge_hypotheses(mixture: GaussianMixture, distance: float) -> GaussianMixture:
     """Merge hypotheses of one label that agree; ordered by label, then by falling weight."""
-    order = np.argsort(-parts[0], kind="mergesort")
-    order = order[np.argsort(parts[5][order], kind="mergesort")]
-    found = take_parts(parts, order)
-    weights, means, covariances, cameras, times, labels = found[0], found[1], found[2], found[3], found[4], found[5]
+    order = np.argsort(-mixture.weights, kind="mergesort")
+    order = order[np.argsort(mixture.labels[order], kind="mergesort")]
+    found = take_components(mixture, order)
+    weights, means, covariances, cameras, times, labels, tracks, reported = found
     leaders = np.empty(len(weights), dtype=np.int64)
     merged, start = 0, 0
     while start < len(weights):
@@ -127,46 +142,46 @@ def _merge_hypotheses(parts: Parts, distance: float) -> Parts:
                 merged += 1
         start = end
     chosen = leaders[:merged]
-    return (
+    return GaussianMixture(
         weights[:merged], means[:merged], covariances[:merged], cameras[chosen], times[chosen], labels[chosen],
-        found[6][chosen], found[7][chosen],
+        tracks[chosen], reported[chosen],
     )  # fmt: skip
 
 
 @compiled
-def _join_tracks(tracks: Parts, distance: float, hypothesis_distance: float) -> Parts:
+def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance: float) -> GaussianMixture:
     """Give tracks whose heaviest hypotheses agree one label: of two identities the older."""
-    weights, labels = tracks[0], tracks[5]
+    weights, labels, tracks, reported = mixture.weights, mixture.labels, mixture.tracks, mixture.reported
     first = np.ones(len(labels), dtype=np.bool_)
     first[1:] = labels[1:] != labels[:-1]
     heads = np.flatnonzero(first)
     if len(heads) < 2 or distance <= 0.0:
-        return tracks
+        return mixture
     # an identity once reported counts more than existence, and of two the older keeps its name
     heads = heads[np.argsort(-weights[heads], kind="mergesort")]
-    seniority = np.where(tracks[6][heads] >= 0, tracks[6][heads], np.iinfo(np.int64).max)
+    seniority = np.where(tracks[heads] >= 0, tracks[heads], np.iinfo(np.int64).max)
     heads = heads[np.argsort(seniority, kind="mergesort")]
-    senior = _seniors(take_parts(tracks, heads), distance)
+    senior = _seniors(take_components(mixture, heads), distance)
     if (senior == np.arange(len(heads))).all():
-        return tracks
+        return mixture
     for h in range(len(heads)):
         if senior[h] != h:
             head = heads[senior[h]]
             moved = np.flatnonzero(labels == labels[heads[h]])
-            tracks[5][moved], tracks[6][moved], tracks[7][moved] = labels[head], tracks[6][head], tracks[7][head]
-    member, n_groups = group(tracks[5])
+            labels[moved], tracks[moved], reported[moved] = labels[head], tracks[head], reported[head]
+    member, n_groups = group(labels)
     existence = np.zeros(n_groups)
     for k in range(len(weights)):
         existence[member[k]] += weights[k]
     for k in range(len(weights)):
         weights[k] /= max(existence[member[k]], 1.0)
-    return _merge_hypotheses(tracks, hypothesis_distance)
+    return _merge_hypotheses(mixture, hypothesis_distance)
 
 
 @compiled
-def _seniors(heads: Parts, distance: float) -> Integers:
+def _seniors(heads: GaussianMixture, distance: float) -> Integers:
     """For Gaussians in order of seniority: the first senior one that each agrees with, or itself."""
-    means, covariances, cameras, times = heads[1], heads[2], heads[3], heads[4]
+    means, covariances, cameras, times = heads.means, heads.covariances, heads.cameras, heads.times
     senior = np.arange(len(means))
     pairs = [np.int64(0)]
     pairs.clear()
@@ -202,10 +217,10 @@ def _within(difference: Array, covariance: Array, distance: float) -> bool:
 
 
 @compiled
-def _concatenate(first: Parts, second: Parts, third: Parts) -> Parts:
-    a, b, c = len(first[0]), len(second[0]), len(third[0])
-    out = allocate_parts(a + b + c, first[1].shape[1])
-    copy_parts(first, np.arange(a), out, 0)
-    copy_parts(second, np.arange(b), out, a)
-    copy_parts(third, np.arange(c), out, a + b)
+def _concatenate(first: GaussianMixture, second: GaussianMixture, third: GaussianMixture) -> GaussianMixture:
+    a, b, c = len(first.weights), len(second.weights), len(third.weights)
+    out = allocate_mixture(a + b + c, first.means.shape[1])
+    copy_components(first, np.arange(a), out, 0)
+    copy_components(second, np.arange(b), out, a)
+    copy_components(third, np.arange(c), out, a + b)
     return out

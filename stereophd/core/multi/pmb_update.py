@@ -17,11 +17,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.kernels import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, MovedArrays
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
 from stereophd.core.multi.belief import association_marginals
-from stereophd.core.multi.intensity import UNLABELLED, Parts
-from stereophd.core.multi.parts import allocate_parts, copy_gaussian
+from stereophd.core.multi.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.outcomes import allocate_outcomes, fill_missed
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -49,51 +50,34 @@ def group(keys: Integers) -> tuple[Integers, int]:
 
 @compiled
 def update_tracks(
-    parts: Parts,
-    moved: MovedArrays,
-    points: Array,
-    noises: Array,
-    areas: Array,
-    delays: Array | None,
-    newborn_means: Array,
-    newborn_covariances: Array,
-    place: tuple[int, float, int],
-    rates: tuple[float, float, float, float],
-    prune_weight: float,
-) -> tuple[Parts, float]:
+    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, prune_weight: float
+) -> tuple[GaussianMixture, float]:
     """Update tracks and the intensity of undetected objects; no reduction.
 
     Parameters
     ----------
-    parts : tuple
-        The predicted mixture, at home (`GaussianMixture.parts`).
-    moved : tuple
-        The same components in the event's space (`stereophd.core.disparity.moments.Moved`).
-    points, noises, areas, delays : arrays (m, 2), (m, 2, 2), (m,), (m,) or None
-        Detections, as in `Event`.
-    newborn_means, newborn_covariances : arrays (m, d), (m, d, d)
-        Objects born with each detection.
-    place : tuple
-        Camera and time of the event, and the first unused label.
-    rates : tuple
-        Probability of detection, clutter and births a frame, area of the image (px^2).
+    mixture : GaussianMixture
+        As predicted, each component at home.
+    moved : Moved
+        The same components in the event's space.
+    event, numbers : EventArrays, EventNumbers
     prune_weight : float
         Hypotheses far below this weight are not made.
 
     Returns
     -------
-    parts : tuple
+    mixture : GaussianMixture
         Missed components, detected ones, and one new track a detection, in this order.
     log_likelihood : float
         Of the event's detections, per distorted pixel: the Bethe value of the association problem.
     """
-    weights, labels = parts[0], parts[5]
-    camera, time_s, next_label = place
-    p_detect, clutter, births, area = rates
-    status, fraction = moved[3], moved[2]
+    weights, labels = mixture.weights, mixture.labels
+    points, noises, areas, delays, _, _ = event
+    p_detect, clutter, births, area = numbers.p_detect, numbers.clutter, numbers.births, numbers.area
+    status, fraction = moved.status, moved.fraction
     count, n_detections = len(weights), len(points)
     components, detections, densities = pair_likelihoods(
-        moved[0], moved[1], status != OUT_OF_VIEW, points, noises, areas, delays
+        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, delays
     )
     detected = p_detect * fraction * weights
     joint = detected[components] * densities
@@ -139,73 +123,30 @@ def update_tracks(
         taken[i] = share[pair[i]] * joint[p] / claim[pair[i]] if claim[pair[i]] > 0.0 else 0.0
     kept = np.flatnonzero(taken >= LEAST_SHARE * prune_weight)
     chosen = claiming[kept]
-    out = _allocate(parts, components[chosen], n_detections)
-    _fill_missed(parts, moved, detected, untouched / missed, member, camera, time_s, out)
+    out = allocate_outcomes(mixture, components[chosen], numbers, n_detections)
+    still = untouched / missed
+    remaining = weights - detected
+    for k in range(count):
+        if labels[k] != UNLABELLED:
+            remaining[k] *= still[member[k]]
+    fill_missed(mixture, moved, remaining, numbers, out)
     means, covariances = kalman_updates(
-        moved[0], moved[1], components[chosen], detections[chosen], points, noises, delays
+        moved.means, moved.covariances, components[chosen], detections[chosen], points, noises, delays
     )
     existence = unclaimed * first / background
     new_means, new_covariances = _first_detections(
-        moved, points, noises, delays, existence, birth / first, components, detections, joint, claims, first,
-        newborn_means, newborn_covariances, prune_weight,
-    )  # fmt: skip
+        moved, event, existence, birth / first, components, detections, joint, claims, first, prune_weight
+    )
     end = count + len(chosen)
-    out[0][count:end], out[1][count:end], out[2][count:end] = taken[kept], means, covariances
-    out[0][end:], out[1][end:], out[2][end:] = existence, new_means, new_covariances
-    out[3][count:], out[4][count:] = camera, time_s
-    out[5][end:] = next_label + np.arange(n_detections)
+    out.weights[count:end], out.means[count:end], out.covariances[count:end] = taken[kept], means, covariances
+    out.weights[end:], out.means[end:], out.covariances[end:] = existence, new_means, new_covariances
     return out, log_likelihood + log_bethe
 
 
 @compiled
-def _allocate(parts: Parts, updated: Integers, n_new: int) -> Parts:
-    """Room for all components missed, those `updated` and new ones, with labels and identities filled in."""
-    known_labels, known_tracks, known_reported = parts[5], parts[6], parts[7]
-    count, size = parts[1].shape
-    out = allocate_parts(count + len(updated) + n_new, size)
-    labels, tracks, reported = out[5], out[6], out[7]
-    for k in range(count + len(updated)):
-        origin = k if k < count else updated[k - count]
-        labels[k], tracks[k], reported[k] = known_labels[origin], known_tracks[origin], known_reported[origin]
-    return out
-
-
-@compiled
-def _fill_missed(
-    parts: Parts,
-    moved: MovedArrays,
-    detected: Array,
-    still: Array,
-    member: Integers,
-    camera: int,
-    time_s: float,
-    out: Parts,
-) -> None:
-    """Components as the event left them undetected (see `stereophd.core.multi.base.missed_states`)."""
-    weights, means, covariances, cameras, times, labels = parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]
-    moved_means, moved_covariances, status, missed_means, missed_covariances, inside = (
-        moved[0], moved[1], moved[3], moved[4], moved[5], moved[6],
-    )  # fmt: skip
-    to_weights, to_means, to_covariances, to_cameras, to_times = out[0], out[1], out[2], out[3], out[4]
-    for k in range(len(weights)):
-        factor = still[member[k]] if labels[k] != UNLABELLED else 1.0
-        to_weights[k] = (weights[k] - detected[k]) * factor
-        to_cameras[k] = camera if status[k] == IN_VIEW else cameras[k]
-        to_times[k] = time_s if status[k] == IN_VIEW else times[k]
-        if status[k] == IN_VIEW:
-            copy_gaussian(moved_means, moved_covariances, k, to_means, to_covariances, k)
-        elif status[k] == PARTLY_IN_VIEW or inside[k] < 1.0:
-            copy_gaussian(missed_means, missed_covariances, k, to_means, to_covariances, k)
-        else:
-            copy_gaussian(means, covariances, k, to_means, to_covariances, k)
-
-
-@compiled
 def _first_detections(
-    moved: MovedArrays,
-    points: Array,
-    noises: Array,
-    delays: Array | None,
+    moved: Moved,
+    event: EventArrays,
     existence: Array,
     born: Array,
     components: Integers,
@@ -213,8 +154,6 @@ def _first_detections(
     joint: Array,
     claims: NDArray[np.bool_],
     first: Array,
-    newborn_means: Array,
-    newborn_covariances: Array,
     prune_weight: float,
 ) -> tuple[Array, Array]:
     """Gaussians (m) of objects detected for the first time: born now, or recycled before (moment matching)."""
@@ -226,12 +165,14 @@ def _first_detections(
             chosen[count] = p
             count += 1
     if count == 0:
-        return newborn_means, newborn_covariances
+        return event.birth_means, event.birth_covariances
     chosen = chosen[:count]
     groups = detections[chosen]
-    means, covariances = kalman_updates(moved[0], moved[1], components[chosen], groups, points, noises, delays)
+    means, covariances = kalman_updates(
+        moved.means, moved.covariances, components[chosen], groups, event.points, event.noises, event.delays
+    )
     return mix_gaussians(
-        groups, joint[chosen] / first[groups], means, covariances, born, newborn_means, newborn_covariances
+        groups, joint[chosen] / first[groups], means, covariances, born, event.birth_means, event.birth_covariances
     )
 
 

@@ -5,67 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.multi.intensity import GaussianMixture
+from stereophd.core.multi.mixture import GaussianMixture, take_components
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.moment_kernels import cholesky
+from stereophd.core.numerics.linear_algebra import cholesky
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-def reduce_mixture(
-    mixture: GaussianMixture,
-    prune_weight: float,
-    merge_distance: float,
-    max_components: int,
-    mutual: bool = True,
-) -> GaussianMixture:
-    """Drop light components, merge near ones, and keep the heaviest.
-
-    Parameters
-    ----------
-    mixture : GaussianMixture
-        Components are compared only with those at home in the same camera at the same time.
-    prune_weight : float
-        Components below this weight are dropped.
-    merge_distance : float
-        Squared Mahalanobis distance, in the covariance of the lighter component, below which a
-        component is merged into a heavier one.
-    max_components : int
-        The heaviest are kept.
-    mutual : bool
-        Require the distance in the covariance of the heavier component as well. Without it, as in the
-        textbook, a component whose depth is known swallows every light one that knows nothing of
-        depth, and knows as little itself from then on.
-
-    Returns
-    -------
-    GaussianMixture
-        In order of falling weight of the heaviest part; a merged component keeps the identity of its
-        heaviest part.
-    """
-    heavy = np.flatnonzero(mixture.weights >= prune_weight)
-    order = heavy[np.argsort(-mixture.weights[heavy], kind="stable")]
-    mixture = mixture.take(order)
-    if merge_distance > 0.0 and len(mixture) > 1:
-        weights, means, covariances, leaders = merge_sorted(
-            mixture.weights,
-            mixture.means,
-            mixture.covariances,
-            mixture.cameras,
-            mixture.times,
-            merge_distance,
-            mutual,
-        )
-        merged = mixture.take(leaders)
-        mixture = GaussianMixture(
-            weights, means, covariances, merged.cameras, merged.times, merged.labels, merged.tracks,
-            merged.reported,
-        )  # fmt: skip
-    if len(mixture) > max_components:
-        keep = np.sort(np.argsort(-mixture.weights, kind="stable")[:max_components])
-        mixture = mixture.take(keep)
-    return mixture
 
 
 @compiled
@@ -91,7 +36,7 @@ def merge_sorted(
     distance: float,
     mutual: bool,
 ) -> tuple[Array, Array, Array, Integers]:
-    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `mutual` as above.
+    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `mutual` as below.
 
     Returns the merged weights, means and covariances, and the index of the heaviest part of each.
     """
@@ -161,3 +106,52 @@ def merge_sorted(
         leaders[merged] = leader
         merged += 1
     return out_weights[:merged], out_means[:merged], out_covariances[:merged], leaders[:merged]
+
+
+@compiled
+def reduce_mixture(
+    mixture: GaussianMixture,
+    prune_weight: float,
+    merge_distance: float,
+    max_components: int,
+    mutual: bool = True,
+) -> GaussianMixture:
+    """Drop light components, merge near ones, and keep the heaviest.
+
+    Parameters
+    ----------
+    mixture : GaussianMixture
+        Components are compared only with those at home in the same camera at the same time.
+    prune_weight : float
+        Components below this weight are dropped.
+    merge_distance : float
+        Squared Mahalanobis distance, in the covariance of the lighter component, below which a
+        component is merged into a heavier one.
+    max_components : int
+        The heaviest are kept.
+    mutual : bool
+        Require the distance in the covariance of the heavier component as well. Without it, as in the
+        textbook, a component whose depth is known swallows every light one that knows nothing of
+        depth, and knows as little itself from then on.
+
+    Returns
+    -------
+    GaussianMixture
+        In order of falling weight of the heaviest part; a merged component keeps the identity of its
+        heaviest part.
+    """
+    heavy = np.flatnonzero(mixture.weights >= prune_weight)
+    found = take_components(mixture, heavy[np.argsort(-mixture.weights[heavy], kind="mergesort")])
+    if merge_distance > 0.0 and len(found.weights) > 1:
+        weights, means, covariances, leaders = merge_sorted(
+            found.weights, found.means, found.covariances, found.cameras, found.times, merge_distance, mutual
+        )
+        found = GaussianMixture(
+            weights, means, covariances, found.cameras[leaders], found.times[leaders], found.labels[leaders],
+            found.tracks[leaders], found.reported[leaders],
+        )  # fmt: skip
+    if len(found.weights) > max_components:
+        kept = np.zeros(len(found.weights), dtype=np.bool_)
+        kept[np.argsort(-found.weights, kind="mergesort")[:max_components]] = True
+        found = take_components(found, np.flatnonzero(kept))
+    return found

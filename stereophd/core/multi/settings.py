@@ -35,12 +35,29 @@ WeightThreshold = Annotated[float, Interval(ge=1e-30, le=1e3), FINITE]
 class BirthPrior:
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
-    per_frame: BirthRate = parameter("expected number of new objects a frame, uniform over the image", default=0.1)
-    disparity: DisparityPrior | None = parameter("prior of the disparity, px at the baseline", default=None)
-    depth_range: DepthRange | None = parameter(
-        "near and far depth: two standard deviations either side in disparity", unit="length", default=None
+    per_frame: BirthRate = parameter(
+        "expected number of new objects a frame, uniform over the image",
+        default=0.1,
+        advice="new objects per second, divided by the frames of all cameras per second. Larger: "
+        "tracks start earlier, and more of them are false.",
     )
-    velocity_std: PositiveLength = parameter("standard deviation of each component of velocity", unit="length/s")
+    disparity: DisparityPrior | None = parameter(
+        "prior of the disparity, px at the baseline",
+        default=None,
+        advice="for the paper's scenes; depth_range says the same in plain lengths.",
+    )
+    depth_range: DepthRange | None = parameter(
+        "near and far depth: two standard deviations either side in disparity",
+        unit="length",
+        default=None,
+        advice="the nearest and the farthest depth at which objects appear, seen from the cameras; a narrow range "
+        "settles new tracks sooner, a range that leaves out objects loses them.",
+    )
+    velocity_std: PositiveLength = parameter(
+        "standard deviation of each component of velocity",
+        unit="length/s",
+        advice="the typical speed divided by 1.7 (three components make up a speed); rather too large than too small.",
+    )
 
     def __post_init__(self) -> None:
         check_depth(self.disparity, self.depth_range)
@@ -54,7 +71,9 @@ class BirthPrior:
 class Hysteresis:
     """Which components are reported as objects: thresholds with hysteresis."""
 
-    confirm: WeightThreshold = parameter("reported from this weight or existence on", default=0.8)
+    confirm: WeightThreshold = parameter(
+        "reported from this weight or existence on", default=0.8, advice="higher: fewer false tracks, later starts."
+    )
     release: WeightThreshold = parameter(
         "a reported object stays reported until its weight or existence falls below this", default=0.001
     )
@@ -68,9 +87,15 @@ class Hysteresis:
 class ExistenceHysteresis(Hysteresis):
     """Thresholds of existence between which a track is reported."""
 
-    confirm: PositiveFraction = parameter("reported from this existence on", default=0.98)
+    confirm: PositiveFraction = parameter(
+        "reported from this existence on",
+        default=0.98,
+        advice="higher: fewer false tracks, later starts.",
+    )
     release: PositiveFraction = parameter(
-        "a reported track stays reported until its existence falls below this", default=0.01
+        "a reported track stays reported until its existence falls below this",
+        default=0.01,
+        advice="lower: a track survives longer without detections.",
     )
 
 

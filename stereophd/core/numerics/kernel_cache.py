@@ -6,24 +6,42 @@ hash of these contents in its name: a changed kernel finds no folder and is comp
 and checkouts with the same kernels share one folder. (numba's own cache looks at the file of the kernel alone, and
 goes on using a caller of a changed kernel.)
 
-Kept kernels that cannot be read (damaged, cut off) are compiled anew; where nothing can be written, nothing is kept.
+Kept kernels that cannot be read (damaged, cut off) are compiled anew. They are looked for in several folders, so that
+those of a package that is read-only count too, and a new one is kept in the first folder that takes it; where none does
+(read-only, full), nothing is kept, and a note says so once. Importing reads nothing and writes nothing.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import logging
 import os
 import re
+import shutil
+import stat
 import tempfile
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 
 # The folder that holds the package.
 _ROOT = Path(__file__).resolve().parents[3]
+FOLDER_NAME = "stereophd-kernels"
+# Kernels of sources that nobody has used for so long are removed, when another one is kept.
+UNUSED_DAYS = 30
+
+_DAY_S = 86400.0
+_DIGEST_LENGTH = 20
+_KERNEL_NAME = re.compile(rf"[\w.]+-[0-9a-f]{{{_DIGEST_LENGTH}}}")
+_HAS_USERS = hasattr(os, "getuid")
+
+LOGGER = logging.getLogger("stereophd")
+
 _IMPORT = re.compile(r"^\s*from (stereophd(?:\.\w+)*) import ([^\n#]+)", re.MULTILINE)
 
 
@@ -55,56 +73,92 @@ def source_digest(file: Path) -> str:
     return digest.hexdigest()
 
 
-@cache
-def cache_folder() -> Path | None:
-    """Return the folder of kept kernels, or None where no folder can be written.
+def _candidates() -> list[Path]:
+    """Return the folders in which kernels may be kept, in the order in which they are tried.
 
-    The first of these that can be written: that of the environment variable ``NUMBA_CACHE_DIR``, ``__pycache__`` of
-    the package, the user's cache folder, and a folder of this user alone in the temporary folder (it holds code).
+    That of the environment variable ``NUMBA_CACHE_DIR``, ``__pycache__`` of the package, the user's cache folder, and
+    a folder in the temporary folder that is this user's alone, for it holds code.
     """
     stated = os.environ.get("NUMBA_CACHE_DIR")
-    candidates = [Path(stated)] if stated else []
-    candidates.append(_ROOT / "stereophd" / "__pycache__")
-    if "XDG_CACHE_HOME" in os.environ:
-        candidates.append(Path(os.environ["XDG_CACHE_HOME"]))
-    elif "HOME" in os.environ:
-        candidates.append(Path(os.environ["HOME"]) / ".cache")
-    for candidate in candidates:
-        if _can_be_written(candidate / "stereophd-kernels"):
-            return candidate / "stereophd-kernels"
-    own = Path(tempfile.gettempdir()) / f"stereophd-kernels-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-    return own if _can_be_written(own) and _is_private(own) else None
+    parents = [Path(stated)] if stated else []
+    parents.append(_ROOT / "stereophd" / "__pycache__")
+    user, home = os.environ.get("XDG_CACHE_HOME"), os.environ.get("HOME")
+    if user:
+        parents.append(Path(user))
+    elif home and Path(home).is_dir():
+        parents.append(Path(home) / ".cache")
+    return [*(parent / FOLDER_NAME for parent in parents), *_temporary_folder()]
 
 
-def _can_be_written(folder: Path) -> bool:
+def _temporary_folder() -> list[Path]:
+    """Return the folder in the temporary folder, or nothing where there is no temporary folder."""
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return True
+        return [Path(tempfile.gettempdir()) / f"{FOLDER_NAME}-{os.getuid() if _HAS_USERS else 'user'}"]
     except OSError:
-        return False
+        return []
+
+
+@cache
+def kernel_folders() -> tuple[Path, ...]:
+    """Return the folders in which kept kernels are looked for, in order; new ones are kept in the first possible."""
+    return tuple(folder for folder in _candidates() if folder not in _temporary_folder() or _is_private(folder))
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether a folder is this user's, and nobody else may write to it."""
-    found = folder.lstat()
-    return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and found.st_mode & 0o077 == 0)
+    """Whether a folder is this user's and nobody else may enter it, or is not there yet."""
+    try:
+        found = folder.lstat()
+    except OSError:
+        return True
+    return not _HAS_USERS or (found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) == 0o700)
+
+
+# Folders that a kernel could not be written to in this process.
+_FAILED: set[Path] = set()
+
+
+@cache
+def _note_nothing_kept() -> None:
+    """Say, once, that kernels are compiled and cannot be kept; worker processes (without handlers) say nothing."""
+    if LOGGER.hasHandlers():
+        LOGGER.warning(
+            "compiled kernels cannot be kept, so every run compiles them, for about a minute: none of these folders "
+            "can be written to: %s; set NUMBA_CACHE_DIR to one that can",
+            ", ".join(map(str, kernel_folders())),
+        )
+
+
+@cache
+def _mark_used(folder: Path) -> None:
+    """Give the folder of a kernel the time of its last use, if that is not of today."""
+    with contextlib.suppress(OSError):
+        if time.time() - folder.stat().st_mtime > _DAY_S:
+            os.utime(folder)
+
+
+@cache
+def _prune(folder: Path) -> None:
+    """Remove kernels that nobody has used for `UNUSED_DAYS`; called when a kernel is kept, once a process."""
+    oldest = time.time() - UNUSED_DAYS * _DAY_S
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if _KERNEL_NAME.fullmatch(path.name) and path.stat().st_mtime < oldest:
+                shutil.rmtree(path, ignore_errors=True)
 
 
 class _Locator(_CacheLocator):  # type: ignore[misc]
-    """Folder and validity of one kernel."""
+    """Name and validity of one kernel's folder."""
 
     def __init__(self, function: Callable[..., object], file: str) -> None:
         self._file = Path(file).resolve()
         self._line = function.__code__.co_firstlineno
         self._digest = source_digest(self._file)
-        # The error for a folder that cannot be written is raised when a kernel is kept, and means: keep nothing.
-        self._folder = cache_folder() or Path(os.devnull)
         self._py_file = str(self._file)
 
     def get_cache_path(self) -> str:
+        """Return the name of the folder; where it lies is decided by `KernelCache`."""
         name = ".".join(self._file.relative_to(_ROOT).with_suffix("").parts[1:])
-        return str(self._folder / f"{name}-{self._digest[:20]}")
+        return f"{name}-{self._digest[:_DIGEST_LENGTH]}"
 
     def get_source_stamp(self) -> str:
         return self._digest
@@ -126,24 +180,64 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     _impl_class = _Implementation
 
+    def folder_in(self, folder: Path) -> Path:
+        """Return where this kernel is kept in one of the `kernel_folders`."""
+        return folder / str(self._impl.locator.get_cache_path())
+
+    def _file_in(self, folder: Path) -> IndexDataCacheFile:
+        stamp = self._impl.locator.get_source_stamp()
+        return IndexDataCacheFile(str(self.folder_in(folder)), self._impl.filename_base, stamp)
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return a kept form, or None: none is kept, or it cannot be read (whatever is wrong with it)."""
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception:  # a damaged file may raise anything
-            return None
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        for folder in kernel_folders():
+            try:
+                data = self._file_in(folder).load(key)
+                if data is not None:
+                    form = self._impl.rebuild(target_context, data)
+                    _mark_used(self.folder_in(folder))
+                    return form
+            except Exception:  # a damaged file may raise anything
+                continue
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a form, where there is a place for it."""
-        try:
-            super().save_overload(sig, data)
-        except OSError:
+        """Keep a form in the first folder that takes it."""
+        if not self._impl.check_cachable(data):
             return
-        except Exception:  # a damaged index: start anew
-            self.flush()
-            super().save_overload(sig, data)
+        key = self._index_key(sig, data.codegen)
+        reduced = self._impl.reduce(data)
+        for folder in kernel_folders():
+            if folder not in _FAILED and self._save(folder, key, reduced):
+                _prune(folder)
+                return
+        _note_nothing_kept()
+
+    def _save(self, folder: Path, key: Any, reduced: Any) -> bool:
+        """Keep a form in a folder, or return False: it cannot be written to, or the disk is full."""
+        file = self._file_in(folder)
+        try:
+            if folder in _temporary_folder():
+                folder.mkdir(mode=0o700, exist_ok=True)
+                if not _is_private(folder):
+                    return False
+            self.folder_in(folder).mkdir(parents=True, exist_ok=True)
+            try:
+                file.save(key, reduced)
+            except OSError:
+                raise
+            except Exception:  # a damaged index: start anew
+                file.flush()
+                file.save(key, reduced)
+        except OSError:
+            _FAILED.add(folder)
+            return False
+        return True
 
 
 def is_kept(kernel: Any) -> bool:
     """Whether compiled forms of a kernel (as decorated by `compiled`) are kept from an earlier run."""
-    return any(Path(kernel._cache.cache_path).glob(f"{kernel.py_func.__name__}-*"))
+    name = f"{kernel.py_func.__name__}-*"
+    return any(any(kernel._cache.folder_in(folder).glob(name)) for folder in kernel_folders())

@@ -19,7 +19,7 @@ from stereophd.core.settings import Positive, parameter, settings
 Array = NDArray[np.float64]
 Method = Literal["adaptive", "qmc", "particle", "unscented", "linear"]
 
-# Non-linearity (`stereophd.core.disparity.rule_kernels`) up to which a component is moved by the low-order rule.
+# Non-linearity (`stereophd.core.disparity.rule_move`) up to which a component is moved by the low-order rule.
 MAX_NONLINEARITY = 0.03
 
 FEWEST_QMC_SAMPLES = 64
@@ -34,9 +34,12 @@ class MomentsSettings:
         "rule for each component over which the map is nearly linear, Sobol points for the others; unscented, linear: "
         "low-order rules throughout",
         default="qmc",
+        advice="qmc; adaptive is faster with many objects; the others reproduce the paper.",
     )
     samples: Annotated[int, Interval(ge=16, le=65536)] = parameter(
-        "samples per Gaussian (qmc, adaptive: a power of two, at least 64)", default=64
+        "samples per Gaussian (qmc, adaptive: a power of two, at least 64)",
+        default=64,
+        advice="64 for tracking; the paper uses 100 and 250 pseudo-random ones.",
     )
     max_nonlinearity: Positive = parameter(
         "adaptive: components are sampled above this curvature of one standard deviation, in standard "

@@ -17,7 +17,7 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.motion.base import Motion
-from stereophd.core.numerics.moment_kernels import condition
+from stereophd.core.numerics.linear_algebra import condition
 from stereophd.core.numerics.samples import cubature_points
 from stereophd.core.single.base import (
     SingleEstimate,

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import OUT_OF_VIEW, move, world_moments
+from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.kernels import disparity_scale
 from stereophd.core.disparity.prior import InitialPrior
+from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 
 Array = NDArray[np.float64]

@@ -122,7 +122,7 @@ def _work(ledger: _Ledger, store: PartStore, workers: Workers, count: int, progr
             if fruitless == ATTEMPTS:
                 raise StereophdError(
                     f"workers died {ATTEMPTS} times without finishing a run: {error}; finished runs are in "
-                    f"{store.folder}, --resume goes on"
+                    f"{store.folder}, `resume=True` goes on"
                 ) from error
             LOGGER.warning("a worker died; the %d runs that are left go to new ones (%s)", ledger.left, error)
 
@@ -148,6 +148,6 @@ def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
         if count == ATTEMPTS:
             raise StereophdError(
                 f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.folder}, "
-                "--resume goes on"
+                "`resume=True` goes on"
             )
         LOGGER.warning("%s: failed, will be tried again: %s", name, outcome.error)

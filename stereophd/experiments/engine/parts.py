@@ -27,6 +27,7 @@ from stereophd.experiments.engine.tables import columns_of, pieces
 from stereophd.experiments.engine.work import BOUND_RUN, Chunk, RunOutcome
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
 from stereophd.io.commit import files_below
+from stereophd.io.disk import for_arrow
 from stereophd.io.provenance import sha256_of
 from stereophd.io.table_reading import damaged_is_input_error, open_parquet
 from stereophd.io.tables import RUNS, TableWriter
@@ -168,7 +169,7 @@ def _is_leftover(path: Path) -> bool:
 def is_part(path: Path) -> bool:
     """Whether a file carries the mark of a part of an experiment."""
     try:
-        return ABOUT_KEY in (pq.read_schema(path).metadata or {})
+        return ABOUT_KEY in (pq.read_schema(for_arrow(path)).metadata or {})
     except (OSError, ValueError):  # ValueError: damaged, or another kind of file
         return False
 
@@ -176,4 +177,4 @@ def is_part(path: Path) -> bool:
 def parquet_metadata(path: Path) -> dict[bytes, bytes]:
     """Return the key-value metadata of a Parquet file, empty if it has none."""
     with damaged_is_input_error(path):
-        return dict(pq.read_schema(path).metadata or {})
+        return dict(pq.read_schema(for_arrow(path)).metadata or {})

@@ -5,14 +5,12 @@ All three yield results in any order; what they hold does not depend on where th
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 
 from stereophd.errors import InputError
 from stereophd.experiments.engine.work import Chunk, ChunkResult, run_chunk
+from stereophd.pipeline.processes import on_processes
 
 # Does chunks, and yields results until all are done or workers are lost.
 Workers = Callable[[Sequence[Chunk]], Iterator[ChunkResult]]
@@ -30,36 +28,12 @@ def in_this_process(chunks: Sequence[Chunk]) -> Iterator[ChunkResult]:
     return map(run_chunk, chunks)
 
 
-@contextmanager
-def without_interrupts() -> Iterator[None]:
-    """Ignore SIGINT: so do, for good, the processes that are started here.
-
-    A terminal sends Ctrl-C to all processes of a command. Workers are ended by the one that started them; one that
-    is interrupted by itself prints where it was. (A blocked signal would not do: joblib unblocks it.)
-    """
-    handler = signal.getsignal(signal.SIGINT)
-    if handler is None or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-
-
 def on_cores(jobs: int) -> Workers:
     """Return workers on `jobs` processes of this machine."""
 
     def work(chunks: Sequence[Chunk]) -> Iterator[ChunkResult]:
-        from joblib import Parallel, delayed
-
-        with without_interrupts():
-            results = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(
-                delayed(run_chunk)(chunk) for chunk in chunks
-            )
         try:
-            yield from results
+            yield from on_processes(run_chunk, chunks, jobs, ordered=False)
         except BrokenProcessPool as error:
             raise WorkersLostError(str(error).split("\n")[0]) from error
 
@@ -84,11 +58,11 @@ class DaskWorkers:
         try:
             from distributed import Client
         except ImportError:
-            raise InputError("--dask needs Dask, which is not installed: pip install 'stereophd[dask]'") from None
+            raise InputError("`dask` needs Dask, which is not installed: pip install 'stereophd[dask]'") from None
         try:
             self._client = Client(address, timeout=CONNECT_S)
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"--dask {address}: expected the address of a Dask scheduler, found no answer") from error
+            raise InputError(f"`dask` {address}: expected the address of a Dask scheduler, found no answer") from error
 
     @property
     def count(self) -> int:

@@ -1,7 +1,7 @@
 """Cameras calibrated from moving objects: errors over time (paper VIII-D, Figure 13).
 
-Run k is the scene of run k of ``simulate --runs``; the calibration begins with cameras about which the true ones
-are a draw from its prior, those of ``guess.yaml``. Errors are those of the estimate given the data up to a time.
+Run k is the scene of run k of several runs of ``simulate``; the calibration begins with cameras about which the true
+ones are a draw from its prior, those of ``guess.yaml``. Errors are those of the estimate given the data up to a time.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Many objects: a simulated scene, tracked, scored by OSPA over time (paper VIII-C, Figure 12).
 
-Run k is the scene of run k of ``simulate --runs``, tracked as ``track`` does and scored as ``evaluate`` does,
+Run k is the scene of run k of several runs of ``simulate``, tracked as ``track`` does and scored as ``evaluate`` does,
 without the files between.
 """
 
@@ -29,7 +29,7 @@ from stereophd.pipeline.tracking.run import reported_records
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.core.multi.intensity import Estimates
+    from stereophd.core.multi.estimates import Estimates
     from stereophd.io.logs import Frame
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.moments import OUT_OF_VIEW, move
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SETS_IN_TURN, Method, MomentsSettings

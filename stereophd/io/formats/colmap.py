@@ -4,7 +4,7 @@ Each registered image is a camera, named as its file without the ending; fixed c
 
 Conventions: the centre of the top-left pixel is (0.5, 0.5), so the principal point is shifted by half a pixel. Camera
 axes are the native ones; ``x_camera = R(q) x_world + t``, q = (w, x, y, z). A reconstruction has no unit of length;
-the option for it names one. Models: PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV,
+`length_unit` names one. Models: PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV,
 OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE.
 """
 

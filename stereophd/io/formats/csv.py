@@ -2,7 +2,7 @@
 
 Detections: one row a detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
 native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``score``,
-``object_id``) or of usual other names are found by themselves; any others by the option for columns. A row without u
+``object_id``) or of usual other names are found by themselves; any others by `columns`. A row without u
 and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file. Pixels are
 native (pixel (0, 0) is the centre of the top-left pixel) unless the options say otherwise.
 
@@ -97,8 +97,8 @@ def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> 
     if missing or not {"time_s", "frame"} & columns.keys():
         wanted = ", ".join(missing or ["time_s or frame"])
         raise InputError(
-            f"{path}: expected columns for {wanted}, found {', '.join(header)}; state which they are, such as "
-            f"{(missing or ['frame'])[0]}={header[-1]}"
+            f"{path}: expected columns for {wanted}, found {', '.join(header)}; state which they are by `columns`, "
+            f"such as {(missing or ['frame'])[0]}={header[-1]}"
         )
     return {name: columns[name] for name in USUAL_NAMES if name in columns}
 

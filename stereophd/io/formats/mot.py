@@ -40,7 +40,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
         files[camera] = path
         _read_sequence_info(path, camera, recording)
         if camera not in recording.rates and options.rates.get(camera) is None:
-            raise InputError(f"{path}: expected a seqinfo.ini or a rate in frames per second, found neither")
+            raise InputError(f"{path}: expected a seqinfo.ini or `rates` (frames per second), found neither")
     recording.files = [*files.values(), *recording.files]
     recording.assumed.append(f"the detection is the {options.box_point} of its box")
     recording.pieces = _pieces(files, options, recording)

@@ -33,7 +33,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     for path in sources:
         if path.suffix.lower() == ".slp":
             raise InputError(
-                f"{path}: expected an analysis file (sleap-convert --format analysis), found a project (.slp)"
+                f"{path}: expected an analysis file (sleap-convert, format analysis), found a project (.slp)"
             )
     recording.pieces = _pieces(sources, options, recording)
     return recording

@@ -18,7 +18,9 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
     found = trajectories(tracks, options)
     if len(found) != 1:
         listed = ", ".join(map(str, list(found)[:20]))
-        raise InputError(f"{tracks}: expected one track for this format, found {len(found)}; choose one of {listed}")
+        raise InputError(
+            f"{tracks}: expected one track for this format, found {len(found)}; choose one by `tracks`: {listed}"
+        )
     ((times, states),) = found.values()
     with open(target, "w", encoding="utf-8", newline="\n") as stream:
         stream.write("# timestamp tx ty tz qx qy qz qw\n")

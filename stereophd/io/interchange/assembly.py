@@ -171,7 +171,7 @@ class _Camera:
             return rows
         if not has_times:
             raise InputError(
-                f"camera {self._name}: expected times, or a rate in frames per second, found frame numbers only"
+                f"camera {self._name}: expected times or `rates` (frames per second), found frame numbers only"
             )
         starts = np.flatnonzero(np.concatenate([[True], np.diff(rows[:, FRAME]) != 0]))
         lengths = np.diff(np.append(starts, len(rows)))

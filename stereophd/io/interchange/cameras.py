@@ -172,8 +172,7 @@ def image_size(name: str, stated: tuple[int, int] | None, options: ImportOptions
     size = options.image_sizes.get(name) or stated
     if size is None:
         raise InputError(
-            f"{where}: {name}: expected the size of the images, found none in the file; state it with the option for "
-            "image sizes"
+            f"{where}: {name}: expected the size of the images, found none in the file; state it by `image_sizes`"
         )
     return size
 
@@ -183,5 +182,5 @@ def unit(options: ImportOptions, recording: ForeignRecording, of: str) -> str:
     if options.length_unit is not None:
         return options.length_unit
     recording.unit_is_assumed = True
-    recording.assumed.append(f"{of}: lengths are in metres, for neither the file nor an option names a unit")
+    recording.assumed.append(f"{of}: lengths are in metres: neither the file nor `length_unit` names a unit")
     return "m"

@@ -44,7 +44,7 @@ def native_pixels(
     if size is None:
         raise InputError(
             f"camera {camera}: expected the size of the images, for rows count from the bottom; found none; state it "
-            "with the option for image sizes"
+            "by `image_sizes`"
         )
     result = pixels - shift
     result[:, 1] = size[1] - 1 - result[:, 1]

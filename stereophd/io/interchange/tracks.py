@@ -131,8 +131,8 @@ def _regular(every: Floats, path: Path) -> tuple[float, Floats]:
         if np.abs(steps - count * period).max() <= REGULAR * period:
             return 1.0 / period, every[0] + np.arange(int(count.sum()) + 1) * period
     raise InputError(
-        f"{path}: expected reports at a fixed rate for this format, found irregular times; state a rate to resample "
-        "to, or track with report.times: {grid: SECONDS}"
+        f"{path}: expected reports at a fixed rate for this format, found irregular times; state `rate_hz` to "
+        "resample to, or track with report.times: {grid: SECONDS}"
     )
 
 

@@ -34,6 +34,7 @@ from stereophd.pipeline.calibration.outcome import (
     Outcome,
 )
 from stereophd.pipeline.calibration.samplers import smc_outcome
+from stereophd.pipeline.processes import on_processes
 from stereophd.pipeline.progress import Progress
 
 if TYPE_CHECKING:
@@ -119,19 +120,13 @@ def _run_starts(
         for number in numbers:
             yield run_start(task, number, values[number], seeds[number])
         return
-    import warnings
+    # No more ahead than there are workers: starts that are not needed are not begun.
+    arguments = ((task, number, values[number], seeds[number]) for number in numbers)
+    yield from on_processes(_run_start, arguments, jobs)
 
-    from joblib import Parallel, delayed
 
-    # that starts are given up once enough agree is meant
-    warnings.filterwarnings("ignore", message=".*tasks which were still being processed", category=UserWarning)
-    # no more ahead than there are workers: starts that are not needed are not begun
-    pool = Parallel(n_jobs=jobs, return_as="generator", pre_dispatch="n_jobs")
-    outcomes = pool(delayed(run_start)(task, number, values[number], seeds[number]) for number in numbers)
-    try:
-        yield from outcomes
-    finally:
-        outcomes.close()
+def _run_start(arguments: tuple[Task, int, Array, np.random.SeedSequence]) -> Start:
+    return run_start(*arguments)
 
 
 def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> tuple[Task, Fit]:

@@ -9,12 +9,12 @@ import numpy as np
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.core.calibration import sequential, tempered
 from stereophd.core.calibration.annealed import RIVAL_DISTANCE, disagreement, explained
-from stereophd.core.calibration.batch import FilterBatch
 from stereophd.core.calibration.fits import fit_from
 from stereophd.core.calibration.likelihood import Evidence
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.task import Fit
+from stereophd.core.multi.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.checkpoint import Checkpoint

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.moments import IN_VIEW
+from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.multi.association import pair_likelihoods
 from stereophd.core.multi.base import Prediction

@@ -29,24 +29,24 @@ class Options:
 def check_options(options: Options, log_path: Path | str | None) -> None:
     """Raise InputError for options out of range or that do not go together."""
     if not (math.isfinite(options.cutoff) and options.cutoff > 0.0):
-        raise InputError(f"--cutoff: expected a finite number above 0, found {options.cutoff}")
+        raise InputError(f"`cutoff`: expected a finite number above 0, found {options.cutoff}")
     for name, low in (("order", 1.0), ("max_gap_s", 0.0), ("within_s", 0.0)):
         value = getattr(options, name)
         if value is not None and not (math.isfinite(value) and value >= low):
-            raise InputError(f"{name}: expected a finite number of at least {low:g}, found {value}")
+            raise InputError(f"`{name}`: expected a finite number of at least {low:g}, found {value}")
     for name, choices in (("base", ("euclidean", "mahalanobis")), ("at", ("times", "events"))):
         if getattr(options, name) not in choices:
-            raise InputError(f"{name}: expected {' or '.join(choices)}, found {getattr(options, name)}")
+            raise InputError(f"`{name}`: expected {' or '.join(choices)}, found {getattr(options, name)}")
     for name in ("from_s", "to_s"):
         value = getattr(options, name)
         if value is not None and not math.isfinite(value):
-            raise InputError(f"{name}: expected a finite time in seconds, found {value}")
+            raise InputError(f"`{name}`: expected a finite time in seconds, found {value}")
     if options.from_s is not None and options.to_s is not None and options.from_s > options.to_s:
-        raise InputError(f"--from: expected a time not after --to, found {options.from_s} > {options.to_s}")
+        raise InputError(f"`from_s`: expected a time not after `to_s`, found {options.from_s} > {options.to_s}")
     together = (options.seen_by, options.within_s, log_path)
     if any(value is None for value in together) and (options.seen_by, options.within_s) != (None, None):
-        raise InputError("--seen-by: expected --seen-by, --within and --log together, found only some of them")
+        raise InputError("`seen_by`: expected `seen_by`, `within_s` and `log_path` together, found only some of them")
     if options.seen_by is not None and options.seen_by < 1:
-        raise InputError(f"--seen-by: expected at least one camera, found {options.seen_by}")
+        raise InputError(f"`seen_by`: expected at least one camera, found {options.seen_by}")
     if options.ospa2_window < 1:
-        raise InputError(f"--ospa2-window: expected at least one scan, found {options.ospa2_window}")
+        raise InputError(f"`ospa2_window`: expected at least one scan, found {options.ospa2_window}")

@@ -96,9 +96,9 @@ def check_limits(limits: Mapping[str, float], scored: Scored) -> None:
     for key, limit in limits.items():
         if key not in known:
             near = get_close_matches(key, known, n=1, cutoff=0.0)[0]
-            raise InputError(f"--fail-above: {key}: no such figure in the report; did you mean {near}?")
+            raise InputError(f"`fail_above`: {key}: no such figure in the report; did you mean {near}?")
         if math.isnan(limit):
-            raise InputError(f"--fail-above: {key}: expected a number, found {limit}")
+            raise InputError(f"`fail_above`: {key}: expected a number, found {limit}")
 
 
 def raise_if_above(limits: Mapping[str, float], report: Mapping[str, Any]) -> None:

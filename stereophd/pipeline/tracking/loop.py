@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.multi.intensity import Estimates, Info
+from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 
 # Events between two clearances of what is known of dead tracks.

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration import sequential
-from stereophd.core.calibration.batch import FilterBatch
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.sequential import SequentialInfo, SequentialSettings, SequentialState
 from stereophd.core.disparity.events import Event, make_rig
+from stereophd.core.multi.batch import FilterBatch
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.numerics.weights import step_generator, systematic_resample
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes

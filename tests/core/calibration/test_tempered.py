@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration import tempered
-from stereophd.core.calibration.batch import FilterBatch
 from stereophd.core.calibration.likelihood import Evidence
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.tempered import Modes, TemperedInfo, TemperedSampler, TemperedSettings, TemperedState
+from stereophd.core.multi.batch import FilterBatch
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
 
 SEED = np.random.SeedSequence(21)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.disparity.moments import Moved, move
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import Moved
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
 from stereophd.core.numerics.samples import SampleSets, draw_sample_sets

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.disparity import kernels, linear_kernels, move_kernels
+from stereophd.core.disparity import linear_move, sample_move, trips
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import ConstantVelocity
-from stereophd.core.numerics import moment_kernels
+from stereophd.core.numerics.linear_algebra import cholesky, condition
+from stereophd.core.numerics.moments import weighted_moments
 from tests.core.disparity.cases import (
     LENSES,
     limit_speed,
@@ -53,7 +54,7 @@ def test_moving_trips(kind: str, dt: float, max_speed: float) -> None:
     noise = destination.camera.pose.rotation @ sampled_noise(samples, motion, dt).T.reshape(2, 3, -1)
     out = np.full((7, 300), np.nan)
     flow = motion.flow(np.array([dt]))
-    kernels.moving_trips(
+    trips.moving_trips(
         mean, np.linalg.cholesky(covariance), samples, noise.reshape(6, -1), 1.0, 1.0, source.packed(),
         destination.packed(), flow.reach[0], flow.keep[0], flow.drift[0], max_speed, out,
     )  # fmt: skip
@@ -73,7 +74,7 @@ def test_speed_limit_holds_for_every_sample() -> None:
     # disparities from near to beyond infinity, and velocities that mean anything there
     factor = np.diag([5.0, 5.0, 3.0 * mean[2], 10.0, 10.0, 5.0])
     out = np.empty((7, 500))
-    kernels.moving_trips(
+    trips.moving_trips(
         mean, factor, samples, np.zeros((6, 500)), 0.0, 1.0, source.packed(), destination.packed(), 0.5, 1.0,
         np.zeros(6), 4.0, out,
     )  # fmt: skip
@@ -90,7 +91,7 @@ def test_trips_are_continuous_through_infinity() -> None:
     mean = np.array([380.0, 290.0, 0.0, 0.5, -0.5, 0.0])
     out = np.empty((7, 5))
     factor = np.diag([1.0, 1.0, 1e-6, 1.0, 1.0, 1.0])
-    kernels.moving_trips(
+    trips.moving_trips(
         mean, factor, samples, np.ones((6, 5)), 1.0, 1.0, source.packed(), destination.packed(), 0.5, 1.0,
         np.zeros(6), 5.0, out,
     )  # fmt: skip
@@ -98,7 +99,7 @@ def test_trips_are_continuous_through_infinity() -> None:
     # velocities are capped at max_speed * rho: within 1e-6 px of disparity everything moves by micropixels
     assert np.abs(np.diff(out[:3], axis=1)).max() < 1e-4
     static = np.empty((4, 5))
-    kernels.static_trips(mean[:3], factor[:3, :3], samples, source.packed(), destination.packed(), static)
+    trips.static_trips(mean[:3], factor[:3, :3], samples, source.packed(), destination.packed(), static)
     np.testing.assert_allclose(static[:3, 2], out[:3, 2], rtol=1e-12, atol=1e-12)
     # on a straight line: the map is smooth
     assert np.abs(np.diff(static[:3], n=2, axis=1)).max() < 1e-9
@@ -113,7 +114,7 @@ def test_static_trips(kind: str) -> None:
     samples = rng.standard_normal((3, 300))
     states = mean + samples.T @ np.linalg.cholesky(covariance).T
     out = np.empty((4, 300))
-    kernels.static_trips(mean, np.linalg.cholesky(covariance), samples, source.packed(), destination.packed(), out)
+    trips.static_trips(mean, np.linalg.cholesky(covariance), samples, source.packed(), destination.packed(), out)
     np.testing.assert_allclose(out[:3].T, destination.from_world(source.to_world(states)), rtol=1e-9, atol=1e-9)
     depth = destination.camera.pose.to_camera(source.to_world(states))[:, 2]
     scale = source.disparity_focal * source.baseline
@@ -138,7 +139,7 @@ def test_view_mask(lens: str, size: int) -> None:
     points[:2] = space.from_world(world)[:, :2].T
     points[size] = depth
     mask = np.full(4000, np.nan)
-    count = kernels.view_mask(points, space.packed(), mask)
+    count = trips.view_mask(points, space.packed(), mask)
     np.testing.assert_array_equal(mask, seen.astype(float))
     assert count == seen.sum()
 
@@ -154,7 +155,7 @@ def test_view_mask_at_the_edges_of_the_image() -> None:
     points[:2, -3:] = 300.0
     points[3, -3:] = [0.0, -1.0, np.nan]
     mask = np.empty(points.shape[1])
-    assert kernels.view_mask(points, space.packed(), mask) == len(inside)
+    assert trips.view_mask(points, space.packed(), mask) == len(inside)
     assert mask.tolist() == [1.0] * len(inside) + [0.0] * (len(outside) + 3)
 
 
@@ -170,7 +171,7 @@ def test_weighted_moments(size: int, count: int) -> None:
     mean, covariance = weighted(points[:size, kept].T, weights[kept])
     points[:, lost] = np.resize([np.nan, np.inf, -np.inf], len(lost))
     found_mean, found_covariance = np.empty(size), np.empty((size, size))
-    moment_kernels.weighted_moments(points, weights, weights.sum(), found_mean, found_covariance)
+    weighted_moments(points, weights, weights.sum(), found_mean, found_covariance)
     np.testing.assert_allclose(found_mean, mean, rtol=1e-13)
     np.testing.assert_allclose(found_covariance, covariance, rtol=1e-10, atol=1e-10)
     assert np.array_equal(found_covariance, found_covariance.T)
@@ -187,7 +188,7 @@ def test_missed_moments(p_detect: float, own_weights: bool) -> None:
     sample_weights = rng.uniform(0.2, 3.0, 400) if own_weights else np.ones(400)
     expected = weighted(mean + samples[:6].T @ factor.T, sample_weights * (1.0 - p_detect * mask))
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
-    move_kernels.missed_moments(mean, factor, samples, sample_weights, mask, p_detect, 50, found_mean, found_covariance)
+    sample_move.missed_moments(mean, factor, samples, sample_weights, mask, p_detect, 50, found_mean, found_covariance)
     np.testing.assert_allclose(found_mean, expected[0], rtol=1e-12)
     np.testing.assert_allclose(found_covariance, expected[1], rtol=1e-10, atol=1e-10)
 
@@ -201,7 +202,7 @@ def test_missed_moments_of_too_few_samples_keep_the_whole(seen: int, kept: bool)
     mask = (np.arange(400) < seen).astype(float)
     found_mean, found_covariance = np.empty(6), np.empty((6, 6))
     factor = np.linalg.cholesky(covariance)
-    move_kernels.missed_moments(mean, factor, samples, np.ones(400), mask, 1.0, 24, found_mean, found_covariance)
+    sample_move.missed_moments(mean, factor, samples, np.ones(400), mask, 1.0, 24, found_mean, found_covariance)
     whole = bool(np.allclose(found_mean, mean, rtol=0, atol=1e-12))
     assert whole == kept
     if kept:
@@ -214,14 +215,14 @@ def test_cholesky(seed: int, size: int, exponent: float) -> None:
     rng = np.random.default_rng(seed)
     matrix = random_covariance(rng, 10.0**exponent * 10.0 ** rng.uniform(-3.0, 3.0, size))
     factor = np.full((size, size), np.nan)
-    assert moment_kernels.cholesky(matrix, factor)
+    assert cholesky(matrix, factor)
     expected = np.linalg.cholesky(matrix)
     error = np.abs(factor - expected) / np.sqrt(np.diag(matrix))[:, None]
     # the factor's error grows with the condition of the correlation matrix
     correlation = matrix / np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
     assert error.max() <= 1e-14 * np.linalg.cond(correlation)
     before = matrix.copy()
-    assert moment_kernels.condition(matrix, factor)
+    assert condition(matrix, factor)
     np.testing.assert_array_equal(matrix, before)  # what has full rank is left alone
 
 
@@ -230,7 +231,7 @@ def test_cholesky(seed: int, size: int, exponent: float) -> None:
     [np.zeros((3, 3)), np.ones((3, 3)), np.diag([1.0, 0.0, 1.0]), np.diag([1.0, -1.0, 1.0]), np.full((3, 3), np.nan)],
 )
 def test_cholesky_refuses_what_has_no_full_rank(matrix: np.ndarray) -> None:
-    assert not moment_kernels.cholesky(matrix, np.empty((3, 3)))
+    assert not cholesky(matrix, np.empty((3, 3)))
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -240,7 +241,7 @@ def test_condition_gives_full_rank(seed: int, rank: int) -> None:
     root = rng.standard_normal((6, rank)) * 10.0 ** rng.uniform(-4.0, 4.0, (6, 1))
     matrix = root @ root.T
     before = matrix.copy()
-    assert moment_kernels.condition(matrix, np.empty((6, 6)))
+    assert condition(matrix, np.empty((6, 6)))
     np.linalg.cholesky(matrix)
     off = ~np.eye(6, dtype=bool)
     np.testing.assert_array_equal(matrix[off], before[off])
@@ -261,7 +262,7 @@ def test_condition_of_nearly_dependent_coordinates() -> None:
         root[rng.integers(1, 6)] = root[0] + 10.0 ** rng.uniform(-6.0, -1.0) * rng.standard_normal(rank)
         root *= 10.0 ** rng.uniform(-4.0, 4.0, (6, 1))
         matrix = root @ root.T
-        assert moment_kernels.condition(matrix, np.empty((6, 6)))
+        assert condition(matrix, np.empty((6, 6)))
         np.linalg.cholesky(matrix)
 
 
@@ -270,18 +271,18 @@ def test_condition_of_nearly_dependent_coordinates() -> None:
     [np.full((2, 2), np.nan), np.diag([1.0, 0.0]), np.diag([1.0, np.inf]), np.array([[1.0, 2.0], [2.0, 1.0]])],
 )
 def test_condition_says_what_it_cannot_help(matrix: np.ndarray) -> None:
-    assert not moment_kernels.condition(matrix, np.empty((2, 2)))
+    assert not condition(matrix, np.empty((2, 2)))
 
 
 def test_relative_pose_and_disparity_scale() -> None:
     source, destination = pair("mixed")
-    pose = np.array(kernels.relative_pose(source.packed(), destination.packed()))
+    pose = np.array(trips.relative_pose(source.packed(), destination.packed()))
     rotation, translation = pose[:9].reshape(3, 3), pose[9:]
     points = np.random.default_rng(8).standard_normal((10, 3)) * 50.0
     expected = destination.camera.pose.to_camera(source.camera.pose.to_world(points))
     np.testing.assert_allclose(points @ rotation.T + translation, expected, rtol=1e-12, atol=1e-12)
-    assert kernels.disparity_scale(source.packed()) == 880.0 * 1.5
-    assert kernels.disparity_scale(destination.packed()) == 700.0 * 0.7
+    assert trips.disparity_scale(source.packed()) == 880.0 * 1.5
+    assert trips.disparity_scale(destination.packed()) == 700.0 * 0.7
 
 
 @pytest.mark.parametrize("kind", ["horizontal", "vertical", "mixed"])
@@ -309,7 +310,7 @@ def test_linear_move_is_the_jacobian_of_the_trip(kind: str, dt: float, max_speed
 
     found_mean, found = np.empty(6), np.empty((6, 6))
     axes = destination.camera.pose.rotation * ACCELERATION
-    linear_kernels.linear_move(
+    linear_move.linear_move(
         mean, np.linalg.cholesky(covariance), axes, source.packed(), destination.packed(),
         motion.arrays(np.array([dt])), 0, found_mean, found,
     )  # fmt: skip

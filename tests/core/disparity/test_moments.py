@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.disparity.moments import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, move
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
 from tests.core.disparity.cases import (
     LENSES,

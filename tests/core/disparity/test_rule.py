@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.disparity.moments import IN_VIEW, PARTLY_IN_VIEW, move
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import IN_VIEW, PARTLY_IN_VIEW
 from stereophd.core.numerics.samples import SampleSets, cubature_points
 from tests.core.disparity.moves import Case, figure_7, nearly_linear, sample_sets
 
 
 def nonlinearity(case: Case) -> float:
-    """The measure of `stereophd.core.disparity.rule_kernels` in plain NumPy."""
+    """The measure of `stereophd.core.disparity.rule_move` in plain NumPy."""
     rows = 12 if len(case.mean) == 6 else 3
     points, _ = case.trip(np.concatenate([cubature_points(rows), np.zeros((rows, 1))], axis=1))
     images, center = points[:-1], points[-1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity import moments
-from stereophd.core.disparity.moments import OUT_OF_VIEW, PARTLY_IN_VIEW
+from stereophd.core.disparity.moved import OUT_OF_VIEW, PARTLY_IN_VIEW
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
 from tests.core.disparity.cases import (
     converging,

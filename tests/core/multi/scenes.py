@@ -9,8 +9,8 @@ from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion
-from stereophd.core.multi.intensity import GaussianMixture
 from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets

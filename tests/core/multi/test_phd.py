@@ -14,7 +14,8 @@ from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.models import ConstantVelocity, Static
 from stereophd.core.multi.base import FilterState
-from stereophd.core.multi.intensity import Estimates, GaussianMixture, Info
+from stereophd.core.multi.estimates import Estimates, Info
+from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from tests.core.disparity.cases import LENSES, make_camera, state_in
@@ -84,7 +85,7 @@ def test_eq_5_by_hand(size: int) -> None:
     born, false = 0.9 * 0.2 / AREA, 10.0 / AREA
     total = false + born + joint
     expected = {"missed": 0.1 * 0.7, "detected": joint / total, "born": born / total}
-    assert len(new.mixture) == 3
+    assert new.mixture.size == 3
     order = np.argsort(-new.mixture.weights)
     assert new.mixture.weights[order].tolist() == pytest.approx(sorted(expected.values(), reverse=True), rel=1e-12)
     assert info.log_likelihood == pytest.approx(np.log(total) - 10.0 - 0.9 * 0.2 - 0.9 * 0.7, rel=1e-12)

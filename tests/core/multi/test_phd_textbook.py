@@ -14,7 +14,7 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
-from stereophd.core.multi.intensity import GaussianMixture
+from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.settings import BirthPrior
 from tests.core.multi.scenes import make_filter
@@ -123,7 +123,7 @@ def detections(rng: np.random.Generator, speed: float) -> list[np.ndarray]:
 
 def assert_same(found: GaussianMixture, expected: list[tuple[float, np.ndarray, np.ndarray]]) -> None:
     """Every component agrees: its weight relatively, its mean and covariance in its standard deviations."""
-    assert len(found) == len(expected)
+    assert found.size == len(expected)
     weights = np.array([w for w, _, _ in expected])
     means = np.array([m for _, m, _ in expected])
     covariances = np.array([p for _, _, p in expected])

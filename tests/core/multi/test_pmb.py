@@ -17,8 +17,9 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
 from stereophd.core.multi.base import FilterState
-from stereophd.core.multi.intensity import UNLABELLED, Estimates, GaussianMixture, Info
+from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.pmb_update import mix_gaussians
 from stereophd.core.multi.settings import BirthPrior, Hysteresis
@@ -175,11 +176,11 @@ def test_one_track_and_two_detections_by_hand() -> None:
     # the other newborn would be z unclaimed: improbable, so it joins the undetected or is dropped
     left = not_detected / total * born / other
     assert left < 1e-3
-    rest = np.setdiff1d(np.arange(len(new.mixture)), [old, newborn])
+    rest = np.setdiff1d(np.arange(new.mixture.size), [old, newborn])
     assert (new.mixture.labels[rest] == UNLABELLED).all()
     np.testing.assert_allclose(new.mixture.weights[rest], [left] if left >= 1e-4 else [], rtol=1e-9)
     assert info.cardinality_mean == pytest.approx(new.mixture.weights[[old, newborn]].sum(), rel=1e-12)
-    assert info.n_components == len(new.mixture)
+    assert info.n_components == new.mixture.size
     assert new.next_label == 102
 
 
@@ -196,7 +197,7 @@ def test_an_undetected_object_by_hand(place: float) -> None:
     """The Poisson intensity: its detection starts a track that knows what the intensity knew."""
     multi_filter, state = by_hand()
     weight = 5e-3
-    state = replace(state, mixture=replace(state.mixture, weights=np.array([weight]), labels=np.array([UNLABELLED])))
+    state = replace(state, mixture=state.mixture._replace(weights=np.array([weight]), labels=np.array([UNLABELLED])))
     mean, covariance = state.mixture.means[0], state.mixture.covariances[0]
     noise = np.diag(np.square(multi_filter.rig.cameras[0].detector.sigma))
     z = mean[:2] + [1.0 + place, 1.0]
@@ -237,7 +238,7 @@ def test_certain_detection_and_no_clutter_stay_finite(clutter: float) -> None:
 
 def assert_same(found: GaussianMixture, expected: list[Component], margin: float) -> None:
     """Every component agrees: weight relatively, mean and covariance in standard deviations."""
-    assert len(found) == len(expected)
+    assert found.size == len(expected)
     if not expected:
         return
     weights = np.array([w for w, _, _ in expected])
@@ -388,7 +389,7 @@ def test_recycled_and_back() -> None:
     odds = np.array(existence) / (1.0 - np.array(existence))
     np.testing.assert_allclose(odds[1:] / odds[:-1], 0.05, rtol=1e-9)
     assert 3 <= len(existence) <= 6
-    assert len(state.mixture) == 1
+    assert state.mixture.size == 1
     assert state.mixture.labels[0] == UNLABELLED
     assert 1e-4 <= state.mixture.weights[0] < 1e-3
     assert len(estimates.track_ids) == 0
@@ -406,7 +407,7 @@ def test_recycled_and_back() -> None:
     assert new.mixture.tracks[track] in (-1, 50)
     for _ in range(6):
         state, _, _ = multi_filter.step(state, make_event(camera, 0, 0.0, NO_DETECTIONS))
-    assert len(state.mixture) == 0
+    assert state.mixture.size == 0
 
 
 @pytest.mark.parametrize(
@@ -436,7 +437,7 @@ def test_duplicate_tracks_become_one_and_keep_the_older_identity(
     assert new.mixture.weights[labelled[0]] <= 1.0
     np.linalg.cholesky(new.mixture.covariances)
     # far apart in the disparity, or at home elsewhere, they stay two
-    apart = replace(mixture, means=np.stack([mean, mean + [0.0, 0.0, 2.0]]))
+    apart = mixture._replace(means=np.stack([mean, mean + [0.0, 0.0, 2.0]]))
     new, _ = update(multi_filter, state_of(apart), make_event(multi_filter.rig.cameras[0], 0, 0.0, NO_DETECTIONS))
     assert sorted(new.mixture.labels[new.mixture.labels != UNLABELLED]) == [10, 11]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.multi.intensity import GaussianMixture, concatenate
+from stereophd.core.multi.mixture import GaussianMixture, concatenate
 from stereophd.core.multi.reduce import reduce_mixture
 from tests.core.multi.scenes import make_mixture, random_mixture
 from tests.core.multi.textbook import reduce
@@ -13,7 +13,7 @@ from tests.core.multi.textbook import reduce
 
 def by_chart(mixture: GaussianMixture) -> dict[tuple[int, float], list]:
     charts: dict[tuple[int, float], list] = {}
-    for k in range(len(mixture)):
+    for k in range(mixture.size):
         component = (mixture.weights[k], mixture.means[k], mixture.covariances[k])
         charts.setdefault((int(mixture.cameras[k]), float(mixture.times[k])), []).append(component)
     return charts
@@ -25,7 +25,7 @@ def by_chart(mixture: GaussianMixture) -> dict[tuple[int, float], list]:
 def test_against_the_naive_version_chart_by_chart(seed: int, size: int, mutual: bool) -> None:
     mixture = random_mixture(np.random.default_rng(seed), 80, size, spread=1.2)
     found = reduce_mixture(mixture, 1e-3, 7.0, 1000, mutual)
-    assert 10 < len(found) < (mixture.weights >= 1e-3).sum()
+    assert 10 < found.size < (mixture.weights >= 1e-3).sum()
     found_charts = by_chart(found)
     for chart, components in by_chart(mixture).items():
         expected = reduce(components, 1e-3, 7.0, 1000, mutual)
@@ -40,8 +40,8 @@ def test_the_rules_of_merging_differ() -> None:
     """A known place near a vague one: the textbook merges them, the mutual rule keeps them apart."""
     covariances = [np.eye(3) * 0.01, np.eye(3) * 4.0]
     mixture = make_mixture([0.9, 0.1], [[0.0, 0, 0], [1.0, 0, 0]], covariances, size=3)
-    assert len(reduce_mixture(mixture, 1e-6, 7.0, 10, mutual=False)) == 1
-    assert len(reduce_mixture(mixture, 1e-6, 7.0, 10, mutual=True)) == 2
+    assert reduce_mixture(mixture, 1e-6, 7.0, 10, mutual=False).size == 1
+    assert reduce_mixture(mixture, 1e-6, 7.0, 10, mutual=True).size == 2
 
 
 @pytest.mark.parametrize("mutual", [False, True])
@@ -57,7 +57,7 @@ def test_merging_keeps_mass_and_moments() -> None:
     mixture = random_mixture(np.random.default_rng(9), 40, charts=1, spread=0.5)
     mixture = make_mixture(mixture.weights, mixture.means, mixture.covariances)
     found = reduce_mixture(mixture, 0.0, 1e6, 1000, False)
-    assert len(found) == 1
+    assert found.size == 1
     assert found.weights[0] == pytest.approx(mixture.weights.sum(), rel=1e-12)
     share = mixture.weights / mixture.weights.sum()
     mean = share @ mixture.means
@@ -93,7 +93,7 @@ def test_the_cap_keeps_the_heaviest() -> None:
 
 def test_no_merging_at_distance_zero() -> None:
     found = reduce_mixture(make_mixture([0.5, 0.5, 0.5]), 1e-6, 0.0, 10)
-    assert len(found) == 3
+    assert found.size == 3
 
 
 @pytest.mark.parametrize("weights", [[], [1e-9, 0.0]])
@@ -101,5 +101,5 @@ def test_nothing_left(weights: list[float]) -> None:
     mixture = concatenate([make_mixture([0.1]).take(np.empty(0, dtype=np.intp)), make_mixture([0.1, 0.1])])
     mixture = mixture.take(np.arange(len(weights))).with_weights(np.array(weights))
     found = reduce_mixture(mixture, 1e-6, 7.0, 10)
-    assert len(found) == 0
+    assert found.size == 0
     assert found.means.shape == (0, 6)

@@ -46,7 +46,7 @@ def test_sequences_of_motchallenge(tmp_path: Path, imported: Import) -> None:
     assert log_rows(out / "detections.parquet")[2] == (0.2, "north", 3, None, None)
     bare = tmp_path / "bare.txt"
     bare.write_text("1,-1,1,1,1,1,1\n")
-    with pytest.raises(InputError, match=r"expected a seqinfo.ini or a rate"):
+    with pytest.raises(InputError, match=r"expected a seqinfo.ini or `rates`"):
         imported("mot", bare)
 
 

@@ -104,7 +104,7 @@ def test_a_large_unsorted_table_is_merged_in_order(
     [
         ("a,b\n1,2\n", {}, "expected columns for u_px, v_px, found a, b"),
         ("u,v\n1,2\n", {}, "expected columns for time_s or frame"),
-        ("frame,u,v\n1,2,3\n", {}, "expected times, or a rate"),
+        ("frame,u,v\n1,2,3\n", {}, "expected times or `rates`"),
         ("frame,u,v\n1.5,2,3\n", {"rates": 1.0}, "expected whole frame numbers, found 1.5"),
         ("frame,u,v\n1,2,x\n", {"rates": 1.0}, "invalid value 'x'"),
         ("frame,u,v\n0,1,1\n1,1,1\n1000000000000,1,1\n", {"rates": 1.0}, "expected frame numbers that count frames"),

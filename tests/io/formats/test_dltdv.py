@@ -133,7 +133,7 @@ def test_what_is_missing_is_named(tmp_path: Path, imported: Import) -> None:
     points, coefficients = write_points(tmp_path / "p.csv", pixels), write_coefficients(tmp_path / "c.csv", projections)
     with pytest.raises(InputError, match="expected the size of the images"):
         imported("dltdv", points, coefficients, rates=100.0)
-    with pytest.raises(InputError, match="expected times, or a rate"):
+    with pytest.raises(InputError, match="expected times or `rates`"):
         imported("dltdv", points, coefficients, image_sizes=STATED["image_sizes"])
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="expected points"):

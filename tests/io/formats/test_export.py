@@ -58,7 +58,7 @@ def test_csv_is_exact(tracks: Path, tmp_path: Path) -> None:
 
 
 def test_tum_holds_one_track(tracks: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="expected one track for this format, found 2; choose one of 3, 8"):
+    with pytest.raises(InputError, match="expected one track for this format, found 2; choose one by `tracks`: 3, 8"):
         export("tum", tracks, tmp_path / "out.tum")
     assert not (tmp_path / "out.tum").exists()
     export("tum", tracks, tmp_path / "out.tum", ExportOptions([8]))

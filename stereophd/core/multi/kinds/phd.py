@@ -19,15 +19,33 @@ class PhdSettings:
     """Gaussian-mixture PHD filter (paper VI, Table III)."""
 
     kind: Literal["phd"] = parameter("the filter", default="phd")
-    survival_per_s: PositiveFraction = parameter("probability that an object survives one second", default=0.99)
+    survival_per_s: PositiveFraction = parameter(
+        "probability that an object survives one second",
+        default=0.99,
+        advice="exp(-1 / mean time in view, in s): 0.95 for objects that stay for 20 s.",
+    )
     birth: BirthPrior = parameter("prior of new objects")
-    prune_weight: Positive = parameter("components below this weight are dropped", default=1e-6)
-    merge_distance: NonNegative = parameter("squared Mahalanobis distance below which components merge", default=7.0)
+    prune_weight: Positive = parameter(
+        "components below this weight are dropped",
+        default=1e-6,
+        advice="lower keeps more alternatives and takes more time.",
+    )
+    merge_distance: NonNegative = parameter(
+        "squared Mahalanobis distance below which components merge",
+        default=7.0,
+        advice="larger merges more: faster, and objects close together become one.",
+    )
     merge_rule: Literal["mutual", "vo_ma"] = parameter(
         "mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)", default="mutual"
     )
-    max_components: Count = parameter("the heaviest components are kept", default=1000)
-    missed: Missed = parameter(MISSED, default="split")
+    max_components: Count = parameter(
+        "the heaviest components are kept",
+        default=1000,
+        advice="several times the number of objects; it bounds time and memory.",
+    )
+    missed: Missed = parameter(
+        MISSED, default="split", advice="split for objects that are never hidden, keep where they hide behind others."
+    )
     extraction: Hysteresis = parameter("what is reported as an object", default_factory=Hysteresis)
 
     def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> PhdFilter:

@@ -30,25 +30,40 @@ class PmbSettings:
     """Poisson multi-Bernoulli filter (Williams 2015): labelled tracks."""
 
     kind: Literal["pmb"] = parameter("the filter", default="pmb")
-    survival_per_s: PositiveFraction = parameter("probability that an object survives one second", default=0.99)
+    survival_per_s: PositiveFraction = parameter(
+        "probability that an object survives one second",
+        default=0.99,
+        advice="exp(-1 / mean time in view, in s): 0.95 for objects that stay for 20 s.",
+    )
     birth: BirthPrior = parameter("prior of new objects")
     recycle_below: Positive = parameter(
-        "tracks of a smaller existence join the intensity of undetected objects", default=1e-3
+        "tracks of a smaller existence join the intensity of undetected objects", default=1e-3, advice="rarely changed."
     )
-    prune_weight: Positive = parameter("components of that intensity below this weight are dropped", default=1e-4)
+    prune_weight: Positive = parameter(
+        "components of that intensity below this weight are dropped",
+        default=1e-4,
+        advice="below the existence of a new track, per_frame * p_detect / clutter_per_frame.",
+    )
     merge_distance: NonNegative = parameter(
         "squared Mahalanobis distance, in both covariances, below which two tracks are one", default=4.0
     )
-    max_components: Count = parameter("the most probable tracks are kept", default=1000)
+    max_components: Count = parameter(
+        "the most probable tracks are kept",
+        default=1000,
+        advice="several times the number of objects; it bounds time and memory.",
+    )
     hypothesis_distance: Annotated[float, Interval(ge=0), NOT_NAN] = parameter(
         "squared Mahalanobis distance, in both covariances, below which two hypotheses of one track merge; "
         ".inf: one Gaussian a track",
         default=4.0,
+        advice="smaller keeps more hypotheses of a track apart: better where objects cross, slower.",
     )
     least_share: Annotated[float, Interval(ge=0, lt=1), FINITE] = parameter(
         "hypotheses of a smaller share of their track are dropped", default=1e-3
     )
-    missed: Missed = parameter(MISSED, default="keep")
+    missed: Missed = parameter(
+        MISSED, default="keep", advice="split for objects that are never hidden, keep where they hide behind others."
+    )
     extraction: ExistenceHysteresis = parameter("which tracks are reported", default_factory=ExistenceHysteresis)
 
     def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> PmbFilter:

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.batch import BatchState, FilterBatch
 from stereophd.core.calibration.likelihood import Evidence, at_nominal_scale, hypothesis_spaces
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.disparity.events import make_rig
-from stereophd.core.disparity.moments import OUT_OF_VIEW
+from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.models import ConstantVelocity, Motion, Static
 from stereophd.core.multi.base import FilterState
+from stereophd.core.multi.batch import BatchState, FilterBatch
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
 from tests.core.calibration.problems import Array, make_events, make_parameters, make_template

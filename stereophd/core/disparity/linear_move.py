@@ -1,7 +1,7 @@
 """Compiled first-order moves between disparity spaces, and moments in the world.
 
 The first-order move is the extended Kalman filter's: the Jacobian of the trip of
-`stereophd.core.disparity.kernels.moving_trips`, carried column by column (forward differentiation).
+`stereophd.core.disparity.trips.moving_trips`, carried column by column (forward differentiation).
 """
 
 from __future__ import annotations
@@ -11,15 +11,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.kernels import (
-    disparity_scale,
-    motion_noise,
-    relative_pose,
-)
+from stereophd.core.disparity.trips import disparity_scale, motion_noise, relative_pose
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
+from stereophd.core.numerics.linear_algebra import cholesky, condition
+from stereophd.core.numerics.moments import weighted_moments
 
 Array = NDArray[np.float64]
 

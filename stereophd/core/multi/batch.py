@@ -14,17 +14,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.batch_arrays import EventArrays, SampleArrays, Step
-from stereophd.core.calibration.batch_kernels import phd_update, pmb_update, predict
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moments import FEWEST_SAMPLES, NO_REGION, minimum_in_view
-from stereophd.core.disparity.move_kernels import Look
-from stereophd.core.multi.base import IMPORTANT_WEIGHT
-from stereophd.core.multi.birth import birth_moments
-from stereophd.core.multi.intensity import GaussianMixture, Parts, empty_mixture
-from stereophd.core.multi.kinds.pmb import PmbSettings
-from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.multi.pmb import PmbFilter
+from stereophd.core.disparity.sample_move import Look
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.batch_kernels import Looks, PredictionNumbers, predict
+from stereophd.core.multi.mixture import GaussianMixture, concatenate, empty_mixture
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -89,7 +84,7 @@ class FilterBatch:
 
     Attributes
     ----------
-    template : PhdFilter or PmbFilter
+    template : DisparityFilter
         At the nominal cameras. Hypotheses share its intrinsics, lenses and detectors: only poses differ.
     threads : int
         Hypotheses are shared out over this many threads; results do not depend on it.
@@ -100,7 +95,7 @@ class FilterBatch:
         Cameras move.
     """
 
-    template: PhdFilter | PmbFilter
+    template: DisparityFilter
     threads: int = 1
 
     def __post_init__(self) -> None:
@@ -132,59 +127,41 @@ class FilterBatch:
         log_likelihoods : array (k,)
             Of the event's detections.
         """
-        detections, sets, step = self._detections(event), self._samples(state), self._step(state, event)
-        region = NO_REGION if self.template.rig.region is None else self.template.rig.region
-        parts = state.mixture.parts
-        motion = self.template.motion.arrays(event.time_s - state.mixture.times)
-        update = pmb_update if isinstance(self.template, PmbFilter) else phd_update
+        template, mixture = self.template, state.mixture
+        arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label)
+        looks, prediction = self._looks(state), self._prediction_numbers(state, event)
+        motion = template.motion.arrays(event.time_s - mixture.times)
+        region = NO_REGION if template.rig.region is None else template.rig.region
 
-        def run(first: int) -> tuple[Integers, Parts, Array]:
+        def run(first: int) -> tuple[Integers, GaussianMixture, Array]:
             part = slice(first, first + CHUNK)
             begins, ends = state.begins[part], state.ends[part]
-            weights, moved = predict(begins, ends, parts, spaces[part], sets, motion, step, region)
-            return update(begins, ends, parts, weights, moved, detections, step)
+            weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, prediction, region)
+            return template.update_hypotheses(
+                begins, ends, mixture, weights, moved, arrays, numbers, template.reduction
+            )
 
         starts = range(0, state.size, CHUNK)
         results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))
         ends = np.cumsum(np.concatenate([counts for counts, _, _ in results]))
         begins = np.concatenate([[0], ends[:-1]])
-        mixture = GaussianMixture(*(np.concatenate(values) for values in zip(*(r[1] for r in results), strict=True)))
         label = state.next_label + len(event.points)
-        after = BatchState(begins, ends, mixture, event.time_s, state.n_events + 1, label)
+        components = concatenate([components for _, components, _ in results])
+        after = BatchState(begins, ends, components, event.time_s, state.n_events + 1, label)
         return after, np.concatenate([values for _, _, values in results])
 
-    def _samples(self, state: BatchState) -> SampleArrays:
+    def _looks(self, state: BatchState) -> Looks:
         sets = self.template.sets
         samples = sets.turn(state.n_events)
         first = Look(samples, np.ones(samples.shape[1]), minimum_in_view(samples.shape[1]))
-        return SampleArrays(first, Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES))
+        return Looks(first, Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES))
 
-    def _detections(self, event: Event) -> EventArrays:
+    def _prediction_numbers(self, state: BatchState, event: Event) -> PredictionNumbers:
         template = self.template
-        space = template.rig.space(event.camera, event.time_s)
-        means, covariances = birth_moments(event, space, template.birth, template.state_size)
-        return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
-
-    def _step(self, state: BatchState, event: Event) -> Step:
-        template, settings = self.template, self.template.settings
-        camera = template.rig.cameras[event.camera]
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
-        return Step(
+        p_detect = template.rig.cameras[event.camera].detector.p_detect
+        return PredictionNumbers(
             camera=int(event.camera),
-            time_s=float(event.time_s),
-            survival=float(settings.survival_per_s**elapsed),
-            next_label=state.next_label,
-            p_detect=float(camera.detector.p_detect),
-            shape_p_detect=float(camera.detector.p_detect) if template.split_missed else 0.0,
-            clutter=float(camera.detector.clutter_per_frame),
-            births=float(settings.birth.per_frame),
-            area=float(camera.width * camera.height),
-            important=IMPORTANT_WEIGHT,
-            prune_weight=float(settings.prune_weight),
-            merge_distance=float(settings.merge_distance),
-            max_components=int(settings.max_components),
-            mutual=True if isinstance(settings, PmbSettings) else settings.merge_rule == "mutual",
-            recycle_below=float(settings.recycle_below) if isinstance(settings, PmbSettings) else 0.0,
-            hypothesis_distance=float(settings.hypothesis_distance) if isinstance(settings, PmbSettings) else 0.0,
-            least_share=float(settings.least_share) if isinstance(settings, PmbSettings) else 0.0,
+            survival=float(template.survival_per_s**elapsed),
+            shape_p_detect=float(p_detect) if template.split_missed else 0.0,
         )

@@ -1,6 +1,6 @@
 """Compiled move of Gaussians into the disparity space of a camera (paper IV-B a-f, V-B, VI-C).
 
-Made of the trips of `stereophd.core.disparity.kernels`: samples, trips, field of view, moments, and a second look, with
+Made of the trips of `stereophd.core.disparity.trips`: samples, trips, field of view, moments, and a second look, with
 more samples, at components of which only a corner is in view.
 """
 
@@ -11,21 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.kernels import (
-    IN_VIEW,
-    OUT_OF_VIEW,
-    PARTLY_IN_VIEW,
-    MovedArrays,
-    motion_noise,
-    moving_trips,
-    region_mask,
-    static_trips,
-    view_mask,
-)
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
+from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
+from stereophd.core.numerics.linear_algebra import cholesky, condition
+from stereophd.core.numerics.moments import weighted_moments
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -53,15 +45,6 @@ class Look(NamedTuple):
 
 
 @compiled
-def allocate_moved(count: int, size: int) -> MovedArrays:
-    """Return the fields of `stereophd.core.disparity.moments.Moved`, nothing in view."""
-    return (
-        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
-        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
-    )  # fmt: skip
-
-
-@compiled
 def carry_components(
     which: Integers,
     means: Array,
@@ -74,17 +57,16 @@ def carry_components(
     destination: Array,
     p_detect: float,
     region: Array,
-    moved: MovedArrays,
+    moved: Moved,
 ) -> None:
     """Move the components `which` into the destination's space, with a second look at corners of what is important.
 
     Component by component, with no state shared between them: results do not depend on how the
     components are shared out over threads. Parameters as in `stereophd.core.disparity.moments.move`;
-    `region` is packed as for `region_mask`, or empty; `moved` is the tuple (means, covariances, fraction,
-    status, missed_means, missed_covariances, inside), filled in place.
+    `region` is packed as for `region_mask`, or empty; `moved` is filled in place.
     """
     move_components(which, means, covariances, homes, motion, first, destination, p_detect, region, moved)
-    fraction, status = moved[2], moved[3]
+    fraction, status = moved.fraction, moved.status
     corners = np.empty(len(which), dtype=np.int64)
     found = 0
     for k in which:
@@ -122,7 +104,7 @@ def move_components(
     destination: Array,
     p_detect: float,
     region: Array,
-    moved: MovedArrays,
+    moved: Moved,
 ) -> None:
     """Move the components `which` into the destination's space and split them by the field of view.
 

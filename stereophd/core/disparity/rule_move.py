@@ -20,19 +20,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.kernels import (
-    IN_VIEW,
-    OUT_OF_VIEW,
-    MovedArrays,
-    motion_noise,
-    moving_trips,
-    region_mask,
-    static_trips,
-    view_mask,
-)
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, Moved
+from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.moment_kernels import cholesky, condition, weighted_moments
+from stereophd.core.numerics.linear_algebra import cholesky, condition
+from stereophd.core.numerics.moments import weighted_moments
 
 Array = NDArray[np.float64]
 
@@ -52,7 +45,7 @@ def rule_components(
     region: Array,
     widest: float,
     max_nonlinearity: float,
-    moved: MovedArrays,
+    moved: Moved,
 ) -> NDArray[np.intp]:
     """Move components by the rule; return those (in order) that need samples instead.
 
@@ -70,11 +63,11 @@ def rule_components(
     max_nonlinearity : float
         Limit of N; infinity for none.
     moved : tuple
-        As `stereophd.core.disparity.move_kernels.carry_components` fills it; filled where the rule does.
+        As `stereophd.core.disparity.sample_move.carry_components` fills it; filled where the rule does.
 
     Other parameters as there.
     """
-    out_means, out_covariances, fraction, status, inside = moved[0], moved[1], moved[2], moved[3], moved[6]
+    out_means, out_covariances, fraction, status, _, _, inside = moved
     size = means.shape[1]
     count = points.shape[1]
     images = np.empty((size + 1, count))

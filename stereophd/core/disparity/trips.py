@@ -30,10 +30,6 @@ from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
 
-MovedArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
-
-
-OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 
 # A component of which this share is inside the region counts as inside.
 REGION_SLACK = 0.8

@@ -1,0 +1,56 @@
+"""Options in messages: the package names parameters of its functions, the command line its options.
+
+A message from below names a parameter in backquotes, such as ``use `force=True` to replace it``. Whoever calls the
+function from Python reads it as it stands; here it becomes ``use --force to replace it``.
+"""
+
+from __future__ import annotations
+
+import re
+
+# Parameter -> option; other words in backquotes, such as sections of a configuration, stay.
+FLAGS = {
+    "at": "--at",
+    "base": "--base",
+    "box_point": "--box-point",
+    "cameras_path": "--cameras",
+    "columns": "--column",
+    "cutoff": "--cutoff",
+    "dask": "--dask",
+    "fail_above": "--fail-above",
+    "force": "--force",
+    "frames": "--frames",
+    "from_s": "--from",
+    "image_sizes": "--image-size",
+    "jobs": "--jobs",
+    "least_score": "--least-score",
+    "length_unit": "--length-unit",
+    "log_path": "--log",
+    "max_gap_s": "--max-gap",
+    "offsets": "--offset",
+    "order": "--order",
+    "ospa2_window": "--ospa2-window",
+    "out_dir": "--out",
+    "overrides": "--set",
+    "pixel_origin": "--pixel-origin",
+    "plots": "--plots",
+    "rate_hz": "--rate",
+    "rates": "--fps",
+    "rename": "--rename",
+    "resume": "--resume",
+    "rows_from": "--rows-from",
+    "seed": "--seed",
+    "seen_by": "--seen-by",
+    "time_unit": "--time-unit",
+    "to_s": "--to",
+    "tracks": "--track",
+    "true_path": "--true-cameras",
+    "undistorted": "--undistorted",
+    "within_s": "--within",
+}
+_PARAMETER = re.compile(r"(?<!`)`([a-z][a-z0-9_]*)(?:=True)?`(?!`)")
+
+
+def with_flags(message: str) -> str:
+    """Return a message with the options of the command line in place of parameters in backquotes."""
+    return _PARAMETER.sub(lambda found: FLAGS.get(found[1], found[0]), message)

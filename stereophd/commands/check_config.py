@@ -1,0 +1,71 @@
+"""`config check --for COMMAND`: whether a configuration holds what a command needs, before there is a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from stereophd.errors import InputError
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+
+def check_config(loaded: LoadedConfig, command: str | None = None) -> None:
+    """Check a configuration for a command.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+    command : str, optional
+        One of `COMMANDS`; None checks only the section ``experiment``, if there is one.
+
+    Raises
+    ------
+    InputError
+        Something that the command needs is missing, or does not fit the rest of the configuration.
+    """
+    if command is not None:
+        COMMANDS[command](loaded)
+    elif loaded.config.experiment is not None:
+        _check_experiment(loaded)
+
+
+def _check_track(loaded: LoadedConfig) -> None:
+    from stereophd.pipeline.tracking.run import build_tracking
+
+    build_tracking(loaded)
+
+
+def _check_calibrate(loaded: LoadedConfig) -> None:
+    from stereophd.pipeline.calibration import inputs
+
+    parameters, _ = inputs.build_parameters(loaded)
+    inputs.build_scale(loaded, parameters)
+    inputs.pmb_filter(loaded, parameters.cameras)
+
+
+def _check_simulate(loaded: LoadedConfig) -> None:
+    from stereophd.commands.simulate import check_simulation
+    from stereophd.core.numerics.random_streams import RUN_OBJECTS
+    from stereophd.pipeline.simulation import build_scene
+
+    check_simulation(loaded)
+    build_scene(loaded.config, loaded.build_cameras(), RUN_OBJECTS.seed(loaded.config.seed, 0))
+
+
+def _check_experiment(loaded: LoadedConfig) -> None:
+    from stereophd.experiments.engine.plan import check_experiment
+
+    if loaded.config.experiment is None:
+        raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
+    check_experiment(loaded)
+
+
+# What each command needs. The commands themselves check the same, and then the log.
+COMMANDS: Mapping[str, Callable[[LoadedConfig], None]] = {
+    "track": _check_track,
+    "calibrate": _check_calibrate,
+    "simulate": _check_simulate,
+    "experiment": _check_experiment,
+}

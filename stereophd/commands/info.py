@@ -1,0 +1,121 @@
+"""What a file or an output folder holds, and where it comes from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from stereophd.errors import InputError
+from stereophd.io.interchange.camera_files import read_cameras
+from stereophd.pipeline.inspection.cameras import summarise_cameras
+from stereophd.pipeline.inspection.log import summarise_log
+from stereophd.pipeline.inspection.tables import kind_of, provenance_of, summarise_objects, summarise_table
+
+
+def info(path: Path | str) -> dict[str, Any]:
+    """Describe a log, a table, a file of cameras, a configuration, a report, or an output folder.
+
+    Returns
+    -------
+    dict
+        ``path``, ``kind`` (``detections``, ``tracks``, ``truth``, ``cameras``, ``configuration``, ``report``,
+        ``folder``, or another kind of table), ``origin`` (command, version, seed, hashes; null if unknown), and what
+        the kind has. Of a folder, ``files`` has the same of each file, and ``origin`` is that of its report.
+
+    Raises
+    ------
+    InputError
+        No such file, or one that is of no known kind.
+    """
+    source = Path(path)
+    if not source.exists():
+        raise InputError(f"{source}: there is no such file or folder")
+    if source.is_dir():
+        return _folder(source)
+    if _begins_with(source, b"PAR1"):
+        return _table(source)
+    if source.suffix.lower() == ".json" and (report := _report(source)) is not None:
+        return report
+    return _text(source)
+
+
+def _begins_with(path: Path, magic: bytes) -> bool:
+    try:
+        with open(path, "rb") as stream:
+            return stream.read(len(magic)) == magic
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _origin(record: dict[str, Any] | None) -> dict[str, Any] | None:
+    if record is None:
+        return None
+    return {key: record.get(key) for key in ("command", "version", "seed", "config_sha256", "inputs")}
+
+
+def _table(path: Path) -> dict[str, Any]:
+    kind = kind_of(path)
+    head = {"path": str(path), "kind": kind, "origin": _origin(provenance_of(path))}
+    if kind == "detections":
+        return {**head, **summarise_log(path)}
+    if kind in ("tracks", "truth"):
+        return {**head, **summarise_objects(path, "track_id" if kind == "tracks" else "object_id")}
+    return {**head, **summarise_table(path)}
+
+
+def _report(path: Path) -> dict[str, Any] | None:
+    """Describe a ``report.json``; None if the file is no report."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(document, dict) or "provenance" not in document:
+        return None
+    values = {k: v for k, v in document.items() if isinstance(v, (str, int, float)) and k != "report_version"}
+    return {"path": str(path), "kind": "report", "origin": _origin(document["provenance"]), "values": values}
+
+
+def _text(path: Path) -> dict[str, Any]:
+    """Describe a configuration or a file of cameras."""
+    from stereophd.config.loading import load_config
+    from stereophd.config.yaml import read_yaml
+
+    keys: set[str] = set()
+    try:
+        data = read_yaml(path)[0].data
+        keys = set(data) if isinstance(data, dict) else set()
+    except InputError:
+        pass
+    if keys & {"filter", "motion", "simulate", "experiment", "calibration", "moments"}:
+        loaded = load_config(path)
+        result = {"path": str(path), "kind": "configuration", "origin": None, "sections": sorted(keys)}
+        if loaded.cameras:
+            result |= summarise_cameras(loaded.cameras, loaded.config.units.length)
+        return {**result, "config_sha256": loaded.sha256, "seed": loaded.config.seed}
+    cameras, unit, assumed = read_cameras(path)
+    head = {"path": str(path), "kind": "cameras", "origin": None, "assumed": assumed}
+    return {**head, **summarise_cameras(cameras, unit)}
+
+
+def _folder(path: Path) -> dict[str, Any]:
+    """Describe every file of an output folder, and the folder by its report or by its tables."""
+    from stereophd.io.interchange.registry import recognise_cameras
+
+    if recognise_cameras(path) is not None:
+        return _text(path)
+    files: list[dict[str, Any]] = []
+    for file in sorted(path.iterdir()):
+        if file.name.startswith("."):
+            continue
+        if file.is_dir():
+            files.append({"path": str(file), "kind": "folder"})
+            continue
+        try:
+            files.append(info(file))
+        except InputError as error:
+            files.append({"path": str(file), "kind": "other", "reason": str(error).splitlines()[0]})
+    if not files:
+        raise InputError(f"{path}: expected an output folder, found an empty one")
+    origins = [file["origin"] for file in files if file.get("origin")]
+    return {"path": str(path), "kind": "folder", "origin": origins[0] if origins else None, "files": files}

@@ -1,0 +1,60 @@
+"""Gaussians carried into the disparity space of a camera: one named tuple, the same in Python and in compiled code."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.numerics.compilation import compiled
+
+Array = NDArray[np.float64]
+
+OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
+
+
+class Moved(NamedTuple):
+    """Components carried into the disparity space of one camera at one time.
+
+    Attributes
+    ----------
+    means, covariances : arrays (n, d), (n, d, d)
+        The part in view, in the destination's space; only where `status` is not `OUT_OF_VIEW`.
+    fraction : array (n,)
+        Part of the component that is in view, 0 to 1.
+    status : array (n,) of int
+        `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`.
+    missed_means, missed_covariances : arrays (n, d), (n, d, d)
+        The part that was not detected, in the space and at the time of origin; only where `status` is
+        `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1 (of a component wholly in view the missed
+        part has the shape of the whole).
+    inside : array (n,)
+        Part of the component inside the region; what lies outside is left out of all of the above.
+    """
+
+    means: Array
+    covariances: Array
+    fraction: Array
+    status: NDArray[np.int64]
+    missed_means: Array
+    missed_covariances: Array
+    inside: Array
+
+
+@compiled
+def allocate_moved(count: int, size: int) -> Moved:
+    """Room for components: all inside the region, none in view."""
+    return Moved(
+        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
+        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
+    )  # fmt: skip
+
+
+@compiled
+def slice_moved(moved: Moved, first: int, last: int) -> Moved:
+    """Return views of consecutive components."""
+    return Moved(
+        moved.means[first:last], moved.covariances[first:last], moved.fraction[first:last], moved.status[first:last],
+        moved.missed_means[first:last], moved.missed_covariances[first:last], moved.inside[first:last],
+    )  # fmt: skip

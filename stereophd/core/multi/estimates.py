@@ -1,0 +1,72 @@
+"""What filters return beside their state: the objects reported, and diagnostics of an event."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Objects reported after an event, in the world.
+
+    Attributes
+    ----------
+    track_ids : array (k,) of int
+    states : array (k, 6)
+        (x, y, z, vx, vy, vz), length and length/s.
+    covariances : array (k, 6, 6)
+        By moments.
+    existence : array (k,)
+        Weight (PHD) or probability of existence.
+    labels : array (k,) of int
+        Labels of the components behind them.
+    """
+
+    track_ids: Integers
+    states: Array
+    covariances: Array
+    existence: Array
+    labels: Integers
+
+    def certain(self, max_position_std: float) -> Estimates:
+        """Return the estimates whose position has at most this standard deviation (root of the trace)."""
+        variance = np.trace(self.covariances[:, :3, :3], axis1=1, axis2=2)
+        return self.take(variance <= max_position_std**2)
+
+    def take(self, kept: NDArray[np.bool_]) -> Estimates:
+        """Return some of the estimates, by a mask (k,)."""
+        return Estimates(
+            self.track_ids[kept],
+            self.states[kept],
+            self.covariances[kept],
+            self.existence[kept],
+            self.labels[kept],
+        )
+
+
+@dataclass(frozen=True)
+class Info:
+    """Diagnostics of an event.
+
+    Attributes
+    ----------
+    log_likelihood : float
+        Multi-object log-likelihood of the event's detections (paper VII-B), over distorted pixels.
+    cardinality_mean : float
+        Expected number of objects after the event.
+    n_components : int
+        Components after reduction.
+    detected : array of int
+        Labels that the event detected (`stereophd.core.multi.attribution.detected_labels`).
+    """
+
+    log_likelihood: float
+    cardinality_mean: float
+    n_components: int
+    detected: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64), compare=False)

@@ -1,0 +1,67 @@
+"""What the compiled filters take of an event: its detections and its numbers, as named tuples."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+Kind = TypeVar("Kind")
+
+
+class EventArrays(NamedTuple):
+    """Detections of an event, and the objects that they may have given birth to.
+
+    Attributes
+    ----------
+    points, noises, areas, delays : arrays (m, 2), (m, 2, 2), (m,), (m,) or None
+        As in `stereophd.core.disparity.events.Event`, where `noises` are its covariances.
+    birth_means, birth_covariances : arrays (m, d), (m, d, d)
+        Gaussian of the object born with each detection, in the event's space.
+    """
+
+    points: Array
+    noises: Array
+    areas: Array
+    delays: Array | None
+    birth_means: Array
+    birth_covariances: Array
+
+
+class EventNumbers(NamedTuple):
+    """Place of an event, and rates of its detector.
+
+    Attributes
+    ----------
+    camera : int
+        Index of the camera in the rig.
+    time_s : float
+        Time, s.
+    next_label : int
+        First unused label.
+    p_detect : float
+        Probability of detection inside the image.
+    clutter, births : float
+        Expected number of false detections and of new objects a frame.
+    area : float
+        Area of the image, px^2.
+    """
+
+    camera: int
+    time_s: float
+    next_label: int
+    p_detect: float
+    clutter: float
+    births: float
+    area: float
+
+
+def compiled_settings(kind: type[Kind], settings: object) -> Kind:
+    """Return the settings that have the names of a named tuple's fields, as the types of the fields.
+
+    A kernel is compiled once for each type of its arguments: an integer where a float is expected compiles another.
+    """
+    return kind(*(convert(getattr(settings, name)) for name, convert in get_type_hints(kind).items()))

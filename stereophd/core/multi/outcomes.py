@@ -1,0 +1,59 @@
+"""Components after an event, compiled: room for the missed, the detected and the newborn, and those missed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.moved import IN_VIEW, PARTLY_IN_VIEW, Moved
+from stereophd.core.multi.inputs import EventNumbers
+from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy_gaussian
+from stereophd.core.numerics.compilation import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@compiled
+def allocate_outcomes(
+    mixture: GaussianMixture, updated: Integers, numbers: EventNumbers, n_new: int
+) -> GaussianMixture:
+    """Room for all components missed, those `updated` by a detection each, and one new label a detection.
+
+    Labels and identities are filled in, and the home of all that were detected: the event's camera at its time.
+    """
+    known_labels, known_tracks, known_reported = mixture.labels, mixture.tracks, mixture.reported
+    count, size = mixture.means.shape
+    end = count + len(updated)
+    out = allocate_mixture(end + n_new, size)
+    labels, tracks, reported = out.labels, out.tracks, out.reported
+    for k in range(end):
+        origin = k if k < count else updated[k - count]
+        labels[k], tracks[k], reported[k] = known_labels[origin], known_tracks[origin], known_reported[origin]
+    labels[end:] = numbers.next_label + np.arange(n_new)
+    out.cameras[count:], out.times[count:] = numbers.camera, numbers.time_s
+    return out
+
+
+@compiled
+def fill_missed(
+    mixture: GaussianMixture, moved: Moved, weights: Array, numbers: EventNumbers, out: GaussianMixture
+) -> None:
+    """Components as they are if the event did not detect them, with these weights (n,).
+
+    Components wholly in view move to the event's space; others stay at home, where they are Gaussian.
+    """
+    _, means, covariances, cameras, times, _, _, _ = mixture
+    moved_means, moved_covariances, _, status, missed_means, missed_covariances, inside = moved
+    to_weights, to_means, to_covariances, to_cameras, to_times, _, _, _ = out
+    camera, time_s = numbers.camera, numbers.time_s
+    for k in range(len(weights)):
+        to_weights[k] = weights[k]
+        to_cameras[k] = camera if status[k] == IN_VIEW else cameras[k]
+        to_times[k] = time_s if status[k] == IN_VIEW else times[k]
+        if status[k] == IN_VIEW:
+            copy_gaussian(moved_means, moved_covariances, k, to_means, to_covariances, k)
+        elif status[k] == PARTLY_IN_VIEW or inside[k] < 1.0:
+            copy_gaussian(missed_means, missed_covariances, k, to_means, to_covariances, k)
+        else:
+            copy_gaussian(means, covariances, k, to_means, to_covariances, k)

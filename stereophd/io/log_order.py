@@ -1,0 +1,67 @@
+"""Whether the rows of a detection log are in order of time, or only those of each camera by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from stereophd.io.log_rows import Floats
+from stereophd.io.tables import FLOAT, STRING, damaged_is_input_error, open_parquet
+
+# Two narrow columns: larger pieces than a reader of all columns takes.
+PIECE_ROWS = 131_072
+
+
+def is_by_camera(path: Path) -> bool:
+    """Whether the rows are not in order of time, but each camera's are: in blocks, as in tables put together.
+
+    Rows without a finite time or a camera are ignored here.
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
+    return not _is_ordered(path) and _is_ordered_within_cameras(path)
+
+
+def _is_ordered(path: Path) -> bool:
+    latest = -np.inf
+    for batch in _pieces(path, ["time_s"]):
+        times = _times(batch)
+        times = times[np.isfinite(times)]
+        if not len(times):
+            continue
+        if times[0] < latest or (np.diff(times) < 0).any():
+            return False
+        latest = float(times[-1])
+    return True
+
+
+def _is_ordered_within_cameras(path: Path) -> bool:
+    latest: dict[str, float] = {}
+    for batch in _pieces(path, ["time_s", "camera"]):
+        times = _times(batch)
+        cameras = batch.column("camera").cast(STRING).dictionary_encode()
+        codes = cameras.indices.fill_null(-1).to_numpy(zero_copy_only=False)
+        for code, name in enumerate(cameras.dictionary.to_pylist()):
+            mine = times[(codes == code) & np.isfinite(times)]
+            if not len(mine):
+                continue
+            if mine[0] < latest.get(name, -np.inf) or (np.diff(mine) < 0).any():
+                return False
+            latest[name] = float(mine[-1])
+    return True
+
+
+def _times(batch: pa.RecordBatch) -> Floats:
+    times: Floats = batch.column("time_s").cast(FLOAT).to_numpy(zero_copy_only=False)
+    return times
+
+
+def _pieces(path: Path, columns: list[str]) -> Iterator[pa.RecordBatch]:
+    with open_parquet(path, "detection log") as parquet, damaged_is_input_error(path):
+        yield from parquet.iter_batches(batch_size=PIECE_ROWS, columns=columns, use_threads=False)

@@ -1,0 +1,1 @@
+"""What a file holds: summaries of logs, tables and cameras as JSON-able dictionaries."""

@@ -1,0 +1,132 @@
+"""Summary of cameras: what each is and sees, and how they stand to each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.cameras import CameraConfig
+
+Floats = NDArray[np.float64]
+
+# Optical axes whose directions all lie this close together have no point that they look at, condition number.
+PARALLEL = 1e4
+
+
+def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> dict[str, Any]:
+    """Return a row for each camera, the distances between them, and the point that they look at."""
+    rows = {name: _row(name, config) for name, config in cameras.items()}
+    centers = np.array([row["center"] for row in rows.values()])
+    axes = np.array([row["looks_along"] for row in rows.values()])
+    distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)[np.triu_indices(len(centers), 1)]
+    target = meeting_point(centers, axes)
+    return {
+        "length_unit": length_unit,
+        "distances": {"nearest": float(distances.min()), "farthest": float(distances.max())}
+        if len(distances)
+        else None,
+        "axes_meet_near": None if target is None else target.tolist(),
+        "axes_distance_rms": None if target is None else _distance_rms(centers, axes, target),
+        "axes_meet_behind": [] if target is None else _behind(rows, target),
+        "cameras": rows,
+    }
+
+
+def _behind(rows: Mapping[str, Mapping[str, Any]], point: Floats) -> list[str]:
+    """Return the cameras that a point lies behind."""
+    offsets = {name: point - np.array(row["center"]) for name, row in rows.items()}
+    return [name for name, offset in offsets.items() if float(offset @ np.array(rows[name]["looks_along"])) < 0]
+
+
+def _row(name: str, config: CameraConfig) -> dict[str, Any]:
+    camera = config.build(name)
+    return {
+        "image_size_px": [camera.width, camera.height],
+        "focal_px": [camera.fx, camera.fy],
+        "principal_point_px": [camera.cx, camera.cy],
+        "field_of_view_deg": [
+            math.degrees(2 * math.atan(camera.width / 2 / camera.fx)),
+            math.degrees(2 * math.atan(camera.height / 2 / camera.fy)),
+        ],
+        "lens": camera.lens.model,
+        "center": camera.pose.center.tolist(),
+        "looks_along": camera.pose.rotation[2].tolist(),
+        "moves": not camera.pose.is_static,
+        "sigma_px": list(config.detector.sigma_px),
+        "p_detect": config.detector.p_detect,
+        "clutter_per_frame": config.detector.clutter_per_frame,
+        "detector_is_estimated": config.detector.estimate,
+        "frame_rate_hz": config.frame_rate_hz,
+        "clock": config.clock.model_dump(),
+        "readout_s": config.readout_s,
+    }
+
+
+def meeting_point(centers: Floats, axes: Floats) -> Floats | None:
+    """Return the point nearest to all optical axes, or None where they are parallel."""
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(axis=0)
+    if len(centers) < 2 or np.linalg.cond(total) > PARALLEL:
+        return None
+    return np.asarray(np.linalg.solve(total, np.einsum("kij,kj->i", across, centers)), dtype=np.float64)
+
+
+def _distance_rms(centers: Floats, axes: Floats, point: Floats) -> float:
+    offset = point - centers
+    along = np.einsum("ki,ki->k", offset, axes)[:, None] * axes
+    return float(np.sqrt(np.mean(np.sum((offset - along) ** 2, axis=1))))
+
+
+def sketch(summary: Mapping[str, Any], width: int = 60, height: int = 18) -> list[str]:
+    """Draw the layout of cameras in text: each as a letter, with dots along the direction in which it looks.
+
+    The two world axes along which the cameras (and what they look at) spread most are drawn; ``+`` is where the optical
+    axes meet.
+    """
+    rows = list(summary["cameras"].values())
+    centers = np.array([row["center"] for row in rows])
+    axes = np.array([row["looks_along"] for row in rows])
+    target = summary["axes_meet_near"]
+    reach = _reach(centers, target)
+    points = np.concatenate([centers, centers + reach * axes, *([] if target is None else [np.array([target])])])
+    spread = np.ptp(points, axis=0)
+    across, up = sorted(np.argsort(spread)[-2:].tolist())
+    low, extent = points.min(axis=0), np.maximum(spread, 1e-9)
+    # a letter is about twice as high as it is wide: one scale for both directions
+    scale = max(extent[across] / (width - 1), extent[up] / (height - 1) / 2)
+    lines = [[" "] * width for _ in range(height)]
+
+    def put(point: Floats, letter: str) -> None:
+        column = round((point[across] - low[across]) / scale)
+        row = height - 1 - round((point[up] - low[up]) / scale / 2)
+        if 0 <= column < width and 0 <= row < height and (letter.isalnum() or lines[row][column] == " "):
+            lines[row][column] = letter
+
+    for center, axis in zip(centers, axes, strict=True):
+        for share in np.linspace(0.08, 1.0, 14):
+            put(center + share * reach * axis, ".")
+    if target is not None:
+        put(np.array(target), "+")
+    for index, center in enumerate(centers):
+        put(center, "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[index % 26])
+    names = ", ".join(f"{'ABCDEFGHIJKLMNOPQRSTUVWXYZ'[k % 26]} {name}" for k, name in enumerate(summary["cameras"]))
+    drawn = ["".join(line).rstrip() for line in lines]
+    used = [k for k, line in enumerate(drawn) if line]
+    direction = "xyz"[across], "xyz"[up]
+    note = (
+        f"{direction[0]} to the right, {direction[1]} upwards, {scale:.3g} {summary['length_unit']} a column: {names}"
+    )
+    return [*drawn[used[0] : used[-1] + 1], note]
+
+
+def _reach(centers: Floats, target: Any) -> float:
+    """Return how far the direction of a camera is drawn: half-way to what it looks at."""
+    if target is not None:
+        return float(np.median(np.linalg.norm(centers - np.array(target), axis=1))) / 2
+    steps = [float(np.linalg.norm(b - a)) for a, b in pairwise(centers)]
+    return max(steps, default=1.0) or 1.0

@@ -1,0 +1,199 @@
+"""What `stereophd.commands.info` found, as text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from stereophd.pipeline.inspection.cameras import sketch
+
+# Tracks and files listed one by one.
+ROWS_SHOWN = 12
+
+
+def info_text(found: Mapping[str, Any]) -> str:
+    """Return the text of what a file or folder holds."""
+    lines = [f"{found['path']}: {found['kind']}", *_origin(found.get("origin"))]
+    describe: dict[str, Callable[[Mapping[str, Any]], Iterator[str]]] = {
+        "detections": _log,
+        "tracks": _objects,
+        "truth": _objects,
+        "cameras": _cameras,
+        "configuration": _configuration,
+        "report": _report,
+        "folder": _folder,
+    }
+    return "\n".join([*lines, *describe.get(found["kind"], _table)(found)])
+
+
+def _origin(origin: Mapping[str, Any] | None) -> Iterator[str]:
+    if origin is None:
+        return
+    seed = "" if origin["seed"] is None else f", seed {origin['seed']}"
+    yield f"made by stereophd {origin['version']} {origin['command']}{seed}, config {origin['config_sha256'][:12]}"
+    for role, digest in (origin.get("inputs") or {}).items():
+        yield f"  from {role} {digest[:12]}"
+
+
+def _log(found: Mapping[str, Any]) -> Iterator[str]:
+    yield (
+        f"{found['rows']} rows, {found['first_s']:.6g} to {found['last_s']:.6g} s, all cameras at once for "
+        f"{found['overlap_s']:.6g} s"
+    )
+    yield f"columns: {', '.join(found['columns'])}"
+    rows = [
+        (
+            "camera",
+            "frames",
+            "empty",
+            "detections",
+            "a frame",
+            "most",
+            "rate Hz",
+            "gaps",
+            "longest s",
+            "first s",
+            "last s",
+        ),
+        *(
+            (
+                name,
+                str(c["frames"]),
+                str(c["empty_frames"]),
+                str(c["detections"]),
+                _number(c["detections_per_frame"], 3),
+                str(c["most_detections_in_a_frame"]),
+                _number(c["rate_hz"], 5),
+                str(c["gaps"]),
+                _number(c["longest_interval_s"], 3),
+                _number(c["first_s"], 6),
+                _number(c["last_s"], 6),
+            )
+            for name, c in found["cameras"].items()
+        ),
+    ]
+    yield from table(rows)
+    if found["times_backwards"]:
+        yield f"times go backwards in {found['times_backwards']} places: rows are not in order of time"
+    for name, c in found["cameras"].items():
+        if c["missing_frame_numbers"]:
+            missing, first, last = c["missing_frame_numbers"], c["first_frame"], c["last_frame"]
+            yield f"{name}: {missing} frame numbers between {first} and {last} are missing"
+        if c["frames_backwards"]:
+            yield f"{name}: frame numbers go backwards in {c['frames_backwards']} places"
+
+
+def _objects(found: Mapping[str, Any]) -> Iterator[str]:
+    unit = found["length_unit"] or "length"
+    what = "tracks" if found["kind"] == "tracks" else "objects"
+    yield f"{found['objects']} {what}, {found['rows']} rows"
+    if not found["objects"]:
+        return
+    duration = found["duration_s"]
+    yield (
+        f"{found['first_s']:.6g} to {found['last_s']:.6g} s; {what} last {duration['shortest']:.4g} to "
+        f"{duration['longest']:.4g} s, median {duration['median']:.4g} s"
+    )
+    spans = zip("xyz", found["lowest"], found["highest"], strict=True)
+    yield ", ".join(f"{axis} {low:.4g} to {high:.4g} {unit}" for axis, low, high in spans)
+    if "mean_existence" in found:
+        yield f"mean existence {found['mean_existence']:.3f}"
+    rows = [("id", "first s", "last s", "rows")]
+    shown = found["rows_by_object"][:ROWS_SHOWN]
+    rows += [(str(r["id"]), _number(r["first_s"], 6), _number(r["last_s"], 6), str(r["rows"])) for r in shown]
+    yield from table(rows)
+    if found["objects"] > len(shown):
+        yield f"... and {found['objects'] - len(shown)} shorter ones"
+
+
+def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
+    yield from (f"{sentence}" for sentence in found.get("assumed", ()))
+    unit = found["length_unit"]
+    rows = [
+        ("camera", "image px", "focal px", "view deg", "lens", f"center {unit}", "looks along", "rate Hz", "detector")
+    ]
+    for name, c in found["cameras"].items():
+        detector = "estimated" if c["detector_is_estimated"] else ""
+        noise = " x ".join(f"{s:g}" for s in dict.fromkeys(c["sigma_px"]))
+        rows.append(
+            (
+                name,
+                "x".join(map(str, c["image_size_px"])),
+                f"{c['focal_px'][0]:.5g}",
+                "x".join(f"{a:.0f}" for a in c["field_of_view_deg"]),
+                c["lens"],
+                _vector(c["center"], 4),
+                _vector(c["looks_along"], 2),
+                _number(c["frame_rate_hz"], 5),
+                detector or f"{noise} px, pD {c['p_detect']:g}, clutter {c['clutter_per_frame']:g}",
+            )
+        )
+    yield from table(rows)
+    if found["distances"] is not None:
+        near, far = found["distances"]["nearest"], found["distances"]["farthest"]
+        yield f"distances between cameras: {near:.4g} to {far:.4g} {unit}"
+    if found["axes_meet_near"] is not None:
+        meet = _vector(found["axes_meet_near"], 4)
+        yield f"the optical axes meet near {meet}, to within {found['axes_distance_rms']:.3g} {unit}"
+        if found["axes_meet_behind"]:
+            yield f"that point is behind {', '.join(found['axes_meet_behind'])}: do the cameras look apart?"
+    if len(found["cameras"]) > 1:
+        yield ""
+        yield from sketch(found)
+
+
+def _configuration(found: Mapping[str, Any]) -> Iterator[str]:
+    yield f"sections: {', '.join(found['sections'])}; seed {found['seed']}, sha256 {found['config_sha256'][:12]}"
+    if "cameras" in found:
+        yield from _cameras(found)
+
+
+def _report(found: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in found["values"].items():
+        yield f"{key}: {value:.6g}" if isinstance(value, float) else f"{key}: {value}"
+
+
+def _folder(found: Mapping[str, Any]) -> Iterator[str]:
+    rows = [("file", "kind", "what")]
+    rows += [(Path(file["path"]).name, file["kind"], _brief(file)) for file in found["files"][:ROWS_SHOWN]]
+    yield from table(rows)
+    if len(found["files"]) > ROWS_SHOWN:
+        yield f"... and {len(found['files']) - ROWS_SHOWN} more"
+
+
+def _brief(file: Mapping[str, Any]) -> str:
+    if file["kind"] in ("cameras", "configuration"):
+        return ", ".join(file.get("cameras", ())) or "no cameras"
+    if file["kind"] == "detections":
+        return f"{file['rows']} rows of {', '.join(file['cameras'])}, {file['first_s']:.6g} to {file['last_s']:.6g} s"
+    if file["kind"] in ("tracks", "truth"):
+        return f"{file['objects']} objects, {file['rows']} rows"
+    return f"{file['rows']} rows" if "rows" in file else ""
+
+
+def _table(found: Mapping[str, Any]) -> Iterator[str]:
+    if "rows" in found:
+        yield f"{found['rows']} rows"
+    if "first_s" in found:
+        yield f"{found['first_s']:.6g} to {found['last_s']:.6g} s"
+    for name, kind in found.get("columns", {}).items():
+        yield f"  {name}  {kind}"
+
+
+def table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines with aligned columns: the first to the left, the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        words = [row[0].ljust(widths[0]), *(word.rjust(width) for word, width in zip(row[1:], widths[1:], strict=True))]
+        lines.append("  ".join(words).rstrip())
+    return lines
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _vector(values: Sequence[float], digits: int) -> str:
+    return "(" + ", ".join(f"{value + 0.0:.{digits}g}" for value in values) + ")"

@@ -1,0 +1,132 @@
+"""What `info` finds in logs, tables, cameras and folders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from stereophd.cli.app import run
+from stereophd.commands.info import info
+from stereophd.errors import InputError
+from stereophd.io.logs import LogWriter
+from stereophd.report.inspection import info_text
+
+CAMERAS = """units: {length: cm}
+cameras:
+  left:
+    image_size_px: [640, 480]
+    intrinsics: {fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0}
+    pose: {center: [-5.0, 0.0, 0.0], rotation_vector_deg: [0, -10, 0]}
+    detector: {sigma_px: [1.0, 1.0], p_detect: 0.9, clutter_per_frame: 2.0}
+  right:
+    image_size_px: [640, 480]
+    intrinsics: {fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0}
+    pose: {center: [5.0, 0.0, 0.0], rotation_vector_deg: [0, 10, 0]}
+    detector: estimate
+"""
+
+
+def write_log(path: Path) -> Path:
+    """Two cameras: 10 Hz with a gap, and 5 Hz that begins later."""
+    events = [(0.1 * k, "a", k, k % 3) for k in range(100) if not 40 <= k < 45]
+    events += [(4.05 + 0.2 * k, "b", 2 * k, 2) for k in range(50)]
+    with LogWriter(path) as writer:
+        for time, camera, frame, count in sorted(events):
+            writer.write(time, camera, frame, np.arange(2.0 * count).reshape(count, 2) + 1.5)
+    return path
+
+
+@pytest.mark.parametrize("piece", [7, 16384])
+def test_a_log(tmp_path: Path, piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stereophd.pipeline.inspection.log.ROW_GROUP_ROWS", piece)
+    found = info(write_log(tmp_path / "log.parquet"))
+    assert found["kind"] == "detections"
+    assert (found["first_s"], found["last_s"]) == (0.0, pytest.approx(13.85))
+    assert found["overlap_s"] == pytest.approx(9.9 - 4.05)
+    a, b = found["cameras"]["a"], found["cameras"]["b"]
+    frames = [k for k in range(100) if not 40 <= k < 45]
+    assert (a["frames"], a["empty_frames"]) == (95, sum(k % 3 == 0 for k in frames))
+    assert a["detections"] == sum(k % 3 for k in frames)
+    assert (a["most_detections_in_a_frame"], a["gaps"], a["missing_frame_numbers"]) == (2, 1, 5)
+    assert a["rate_hz"] == pytest.approx(10)
+    assert a["longest_interval_s"] == pytest.approx(0.6)
+    assert (b["frames"], b["detections"], b["missing_frame_numbers"]) == (50, 100, 49)
+    assert b["rate_hz"] == pytest.approx(5)
+    assert (a["lowest_px"], a["highest_px"]) == ([1.5, 2.5], [3.5, 4.5])
+    assert found["times_backwards"] == 0
+    text = info_text(found)
+    assert "all cameras at once for 5.85 s" in text
+    assert "a: 5 frame numbers between 0 and 99 are missing" in text
+
+
+def test_a_log_in_blocks_of_cameras(tmp_path: Path) -> None:
+    table = pq.read_table(write_log(tmp_path / "log.parquet"))
+    pq.write_table(table.sort_by([("camera", "ascending"), ("time_s", "ascending")]), tmp_path / "blocks.parquet")
+    found = info(tmp_path / "blocks.parquet")
+    assert found["times_backwards"] == 1
+    assert found["cameras"]["b"]["frames"] == 50
+
+
+def test_cameras_and_their_layout(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.yaml"
+    path.write_text(CAMERAS)
+    found = info(path)
+    assert found["kind"] == "cameras"
+    # axes of 10 degrees from 5 to either side meet at 5 / tan 10 degrees
+    np.testing.assert_allclose(found["axes_meet_near"], [0, 0, 5 / np.tan(np.deg2rad(10))], atol=1e-9)
+    assert found["axes_distance_rms"] == pytest.approx(0, abs=1e-9)
+    assert found["axes_meet_behind"] == []
+    assert found["distances"] == {"nearest": 10.0, "farthest": 10.0}
+    assert found["cameras"]["right"]["detector_is_estimated"]
+    lines = info_text(found).splitlines()
+    assert lines[-1].startswith("x to the right, z upwards")
+    base = next(line for line in lines if line.startswith("A"))
+    assert base.rstrip().endswith("B")
+    assert any(line.strip() == "+" for line in lines)
+    path.write_text(
+        CAMERAS.replace("[0, -10, 0]", "[0, 10, 0]").replace(
+            "[0, 10, 0]}\n    detector: e", "[0, -10, 0]}\n    detector: e"
+        )
+    )
+    assert "that point is behind left, right" in info_text(info(path))
+
+
+def test_tracks_truth_and_a_folder(tmp_path: Path) -> None:
+    rows = {"time_s": [0.0, 1.0, 1.0, 2.0], "x": [0.0, 1, 2, 3], "y": [0.0] * 4, "z": [1.0] * 4}
+    pq.write_table(pa.table({**rows, "object_id": [1, 1, 2, 1]}), tmp_path / "truth.parquet")
+    pq.write_table(pa.table({**rows, "track_id": [1, 1, 2, 1]}), tmp_path / "tracks.parquet")
+    found = info(tmp_path / "tracks.parquet")
+    assert (found["kind"], found["objects"], found["duration_s"]["longest"]) == ("tracks", 2, 2.0)
+    assert found["rows_by_object"][0] == {"id": 1, "first_s": 0.0, "last_s": 2.0, "rows": 3}
+    (tmp_path / "notes.txt").write_text("hello")
+    origin = {"command": "track", "version": "9", "seed": 3, "config_sha256": "ab" * 32, "inputs": {"log": "cd" * 32}}
+    (tmp_path / "report.json").write_text(json.dumps({"events": 5, "provenance": origin}))
+    folder = info(tmp_path)
+    kinds = {Path(file["path"]).name: file["kind"] for file in folder["files"]}
+    assert kinds == {
+        "notes.txt": "other",
+        "report.json": "report",
+        "tracks.parquet": "tracks",
+        "truth.parquet": "truth",
+    }
+    text = info_text(folder)
+    assert "made by stereophd 9 track, seed 3, config abababababab" in text
+    assert "  from log cdcdcdcdcdcd" in text
+    assert "events: 5" in info_text(info(tmp_path / "report.json"))
+
+
+def test_other_things_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match="there is no such file"):
+        info(tmp_path / "none")
+    (tmp_path / "text.yaml").write_text("hello: 3\n")
+    with pytest.raises(InputError, match="cameras: expected this key"):
+        info(tmp_path / "text.yaml")
+    pq.write_table(pa.table({"a": [1]}), tmp_path / "t.parquet")
+    assert "  a  int64" in info_text(info(tmp_path / "t.parquet"))
+    assert run(["info", str(tmp_path / "t.parquet"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["columns"] == {"a": "int64"}

@@ -1,0 +1,75 @@
+"""Processes of a parallel run end with the one that started them, however it ends."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from stereophd.pipeline.processes import on_processes
+
+GIVE_UP_S = 20
+
+PROGRAM = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {folder!r})
+from slow import slow
+from stereophd.pipeline.processes import on_processes
+import numpy as np
+if __name__ == "__main__":
+    list(on_processes(slow, [(np.zeros(400_000), {folder!r}, k) for k in range(4)], 2))
+"""
+
+SLOW = """
+import os, time
+from pathlib import Path
+def slow(task):
+    array, folder, number = task
+    Path(folder, f"running-{number}").write_text(f"{os.getpid()} {getattr(array, 'filename', None)}")
+    time.sleep(600)
+"""
+
+
+def _square(number: int) -> int:
+    return number * number
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_results_of_all_calls(ordered: bool) -> None:
+    found = list(on_processes(_square, range(5), 2, ordered))
+    assert (found if ordered else sorted(found)) == [0, 1, 4, 9, 16]
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_parent_leaves_nothing_alive(tmp_path: Path, number: signal.Signals) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "program.py").write_text(PROGRAM.format(folder=str(tmp_path)))
+    process = subprocess.Popen([sys.executable, str(tmp_path / "program.py")])
+    try:
+        end = time.monotonic() + GIVE_UP_S
+        running = [tmp_path / "running-0", tmp_path / "running-1"]
+        while not all(path.exists() and path.read_text() for path in running):
+            assert time.monotonic() < end, "the workers did not begin"
+            assert process.poll() is None
+            time.sleep(0.05)
+        children = psutil.Process(process.pid).children(recursive=True)
+        shared = [Path(path.read_text().split(" ", 1)[1]) for path in running]
+        assert len(children) >= 2
+        assert all(path.exists() for path in shared), shared
+        process.send_signal(number)
+        process.wait(GIVE_UP_S)
+        _, alive = psutil.wait_procs(children, GIVE_UP_S)
+        assert not [child for child in alive if child.status() != psutil.STATUS_ZOMBIE]
+        while any(path.exists() for path in shared):
+            assert time.monotonic() < end, "shared memory is left behind"
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        process.wait()
