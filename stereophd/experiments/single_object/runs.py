@@ -24,9 +24,9 @@ from stereophd.core.bounds.cramer_rao import (
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.arrays import walk
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.models import Static
+from stereophd.core.simulation.walk import walk
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings

@@ -10,7 +10,8 @@ import pytest
 from stereophd.core.calibration.adjustment import SQUARED, Problem, adjust
 from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots, positions
 from stereophd.core.disparity.events import Event, Rig, make_event, make_rig
-from stereophd.core.disparity.moments import IN_VIEW, world_moments
+from stereophd.core.disparity.moments import world_moments
+from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
