@@ -16,7 +16,19 @@ from typing import Annotated, TextIO
 import typer
 
 import stereophd
-from stereophd.cli import calibrate, config, evaluate, experiment, export, importing, info, interrupts, simulate, track
+from stereophd.cli import (
+    calibrate,
+    check,
+    config,
+    evaluate,
+    experiment,
+    export,
+    importing,
+    info,
+    interrupts,
+    simulate,
+    track,
+)
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
@@ -42,6 +54,7 @@ app.command("track")(track.track_command)
 app.command("calibrate")(calibrate.calibrate_command)
 app.command("evaluate")(evaluate.evaluate_command)
 app.command("experiment")(experiment.experiment_command)
+app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)
@@ -118,6 +131,9 @@ def _explain(error: Exception) -> int:
         return EXIT_USAGE
     if isinstance(error, OSError) and _is_users(error):
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_USAGE
+    if isinstance(error, MemoryError):
+        print(f"error: not enough memory: {error or 'no details'}", file=sys.stderr)
         return EXIT_USAGE
     text = " ".join(str(error).split()) or "no details"
     print(

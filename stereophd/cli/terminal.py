@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from stereophd.cli import interrupts
+from stereophd.cli import interrupts, memory
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 
@@ -41,6 +41,7 @@ def begin(context: typer.Context) -> Session:
     logger.handlers = [handler]
     logger.setLevel(level)
     logger.propagate = False
+    memory.prepare()
     return session
 
 
@@ -83,6 +84,12 @@ def print_report(session: Session, report: Mapping[str, Any]) -> None:
         from stereophd.io.json_text import plain
 
         print_data("\n".join(_lines(plain(report))))
+
+
+def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:
+    """Exit with code 1 if `strict` and a check of a report warns."""
+    if strict and any(found["status"] == "warning" for found in report["checks"]):
+        raise typer.Exit(1)
 
 
 def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
