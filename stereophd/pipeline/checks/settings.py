@@ -218,7 +218,8 @@ def _speeds(config: Config, scene: Scene, samples: list[CameraSample], unit: str
             f"objects move at up to {fastest:.3g} {unit}/s across the line of sight, but motion.max_speed is {limit:g}",
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
         )  # fmt: skip
-    stated_acceleration = float(np.max(getattr(motion, "acceleration_std", 0.0)))
+    stated = getattr(motion, "acceleration_std", None)
+    stated_acceleration = 0.0 if stated is None else float(np.max(stated))
     found = scene.acceleration
     if found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.1 * spread:
         yield Finding(
