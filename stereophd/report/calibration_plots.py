@@ -66,11 +66,12 @@ class CalibrationPictures:
 
     def factor(self, index: int) -> float:
         """Factor from the parameter's unit to the one drawn (degrees for angles)."""
-        return float(np.rad2deg(1.0)) if self.units[index] == "rad" else 1.0
+        return float(np.rad2deg(1.0)) if self.units[index].startswith("rad") else 1.0
 
     def label(self, index: int) -> str:
         """Name and unit of a parameter."""
-        return f"{self.names[index]} [{'deg' if self.units[index] == 'rad' else self.length_unit}]"
+        unit = self.units[index].replace("rad", "deg").replace("length", self.length_unit)
+        return f"{self.names[index]} [{unit}]"
 
 
 def pictures_of(problem: CalibrationProblem, outcome: Outcome, length_unit: str) -> CalibrationPictures:
