@@ -54,7 +54,8 @@ def experiment_command(
         if count:
             print(f"{count} finished runs are kept in {out}: --resume goes on with the others", file=sys.stderr)
         raise
-    from stereophd.cli.experiment_table import print_results, report_of
+    from stereophd.cli.experiment_table import print_results
+    from stereophd.experiments.engine.results import report_of
 
     if session.json:
         print_data(to_json(report_of(results)))

@@ -1,9 +1,9 @@
-"""The results of an experiment for the terminal and as JSON."""
+"""The results of an experiment as tables for the terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -15,24 +15,6 @@ from stereophd.experiments.engine.summary import is_rms
 if TYPE_CHECKING:
     from stereophd.experiments.engine.results import Results
     from stereophd.experiments.engine.summary import Summary
-
-
-def report_of(results: Results) -> dict[str, Any]:
-    """Return the figures of an experiment as plain data: what does not vary with time, and the timing."""
-    rows = [
-        {
-            "method": cell.method,
-            "case": cell.case,
-            "quantity": one.quantity,
-            "unit": one.unit,
-            "runs": int(one.runs[0]),
-            **{name: float(getattr(one, name)[0]) for name in ("mean", "std", "ci_low", "ci_high", "bound")},
-        }
-        for cell in results.cells
-        for one in cell.summaries
-        if one.times_s is None
-    ]
-    return {"experiment": results.name, "runs": results.config.runs, "summary": rows, "timing": results.timing}
 
 
 def print_results(results: Results, console: Console) -> None:

@@ -134,7 +134,11 @@ def calibrate(
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
-            _draw(problem, outcome, out, loaded.config.units.length)
+            # Costly to import, and matplotlib is an extra.
+            from stereophd.report.calibration_plots import pictures_of, write_calibration_plots
+
+            paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
+            write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
     if report["status"] != DETERMINED:
         LOGGER.warning("%s: %s: %s", log_path, report["status"], report["reason"])
@@ -177,28 +181,3 @@ def _track(
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report)
     return write_tracks(records, out, metadata, cameras, report.max_position_std)
-
-
-def _draw(problem: CalibrationProblem, outcome: Outcome, out: OutputFolder, length_unit: str) -> None:
-    from stereophd.report.calibration_plots import CalibrationPictures, write_calibration_plots
-
-    fit = outcome.fit
-    pictures = CalibrationPictures(
-        names=problem.parameters.names,
-        units=tuple(p.unit for p in problem.parameters.parameters),
-        length_unit=length_unit,
-        prior_std=problem.parameters.prior_std,
-        times=np.array([row.time_s for row in outcome.history]),
-        means=np.array([row.mean for row in outcome.history]).reshape(-1, problem.parameters.size),
-        stds=np.array([np.sqrt(np.diag(row.covariance)) for row in outcome.history]).reshape(
-            -1, problem.parameters.size
-        ),
-        particles=outcome.particles,
-        weights=np.exp(outcome.log_weights),
-        residual_times=np.empty(0) if fit is None else fit.observations.times,
-        residual_cameras=np.empty(0, dtype=np.int64) if fit is None else fit.observations.cameras,
-        residuals=np.empty(0) if fit is None else np.sqrt(fit.adjustment.distances),
-        cameras=tuple(camera.name for camera in problem.parameters.cameras),
-    )
-    paths = {name: out.path(name) for name in PLOTS if fit is not None or not name.startswith("residuals")}
-    write_calibration_plots(pictures, paths)

@@ -1,4 +1,4 @@
-"""`config check --for COMMAND`: whether a configuration holds what a command needs, before there is a log."""
+"""Check whether a configuration holds what a command needs, before there is a log."""
 
 from __future__ import annotations
 

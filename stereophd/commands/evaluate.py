@@ -8,21 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from stereophd.core.metrics.alignment import (
     DEFAULT_GAP_STEPS,
-    Events,
-    Truth,
-    add_truth_times,
-    align_truth,
-    in_window,
-    last_event_of_each_time,
 )
-from stereophd.core.metrics.assignment import is_positive_definite
-from stereophd.core.metrics.scans import PointSets, score_scans
-from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa
-from stereophd.core.metrics.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.json_text import write_json
@@ -37,17 +25,15 @@ from stereophd.pipeline.evaluation.inputs import (
 )
 from stereophd.pipeline.evaluation.options import Options, check_options
 from stereophd.pipeline.evaluation.report import (
-    Scored,
     build_report,
     check_limits,
     raise_if_above,
     write_per_scan,
 )
+from stereophd.pipeline.evaluation.scoring import score_tracks
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from stereophd.core.geometry.camera import Camera
 
 REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
@@ -161,7 +147,7 @@ def _run(
     unit = _common_unit({"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}, inputs)
     sightings = None if options.seen_by is None else read_sightings(inputs["log"], cameras)
     max_gap_s = DEFAULT_GAP_STEPS * truth.step_s if options.max_gap_s is None else options.max_gap_s
-    scored = _score(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
+    scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
     check_limits(limits, scored)
     record = provenance("evaluate", asdict(options), inputs=inputs, length_unit=unit)
     report = build_report(scored, options, max_gap_s, unit, record)
@@ -185,71 +171,6 @@ def _run(
             )
             write_plots(pictures, {name: out.path(name) for name in PLOT_NAMES})
     return report
-
-
-def _score(
-    tracks: Tracks,
-    truth: Truth,
-    sightings: Sightings | None,
-    options: Options,
-    max_gap_s: float,
-    tracks_path: Path,
-) -> Scored:
-    """Bring tracks and truth to the same scans, and score them."""
-    events = tracks.events if tracks.all_events else add_truth_times(tracks.events, truth.time_s)
-    if options.at == "times":
-        events = events.take(last_event_of_each_time(events.time_s))
-    events = events.take(in_window(events.time_s, options.from_s, options.to_s))
-    aligned = align_truth(truth, events.time_s, max_gap_s)
-    usable = ~(aligned.outside | aligned.gap)
-    scans = {
-        "outside_truth": int(aligned.outside.sum()),
-        "truth_gap": int((aligned.gap & ~aligned.outside).sum()),
-        "unseen": 0,
-    }
-    time_s, points = events.time_s[usable], aligned.points.keep_scans(usable)
-    estimates = _estimates(tracks, events.take(usable), options, tracks_path)
-    mahalanobis = options.base == "mahalanobis"
-    if sightings is not None and options.seen_by is not None and options.within_s is not None:
-        cameras = cameras_that_saw(sightings, time_s[points.scan], points.label, options.within_s)
-        estimates, points, emptied = leave_out_unseen(
-            estimates,
-            points,
-            cameras >= options.seen_by,
-            options.order,
-            options.cutoff,
-            mahalanobis=mahalanobis,
-        )
-        scans["unseen"] = int(emptied.sum())
-        time_s = time_s[~emptied]
-        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
-    if len(time_s) == 0:
-        raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
-    scores = score_scans(estimates, points, options.order, options.cutoff, mahalanobis=mahalanobis)
-    ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
-    errors = pair_errors(estimates, points, scores)
-    return Scored(
-        figures=figures(estimates, points, scores, ospa2, errors),
-        scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
-        columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
-        estimates=estimates,
-    )
-
-
-def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> PointSets:
-    """Return the estimates that were reported after each event."""
-    count = events.row_end - events.row_start
-    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    rows = np.arange(start[-1]) + np.repeat(events.row_start - start[:-1], count)
-    covariance = tracks.covariance[rows]
-    if options.base == "mahalanobis":
-        bad = np.flatnonzero(~is_positive_definite(covariance))
-        if bad.size:
-            raise InputError(
-                f"{path}: row {rows[bad[0]]}: column covariance: expected a positive definite covariance "
-                "of the position (base mahalanobis), found one that is not"
-            )
-    return PointSets(start, tracks.position[rows], tracks.velocity[rows], tracks.track_id[rows], covariance)
 
 
 def _input_paths(
@@ -283,18 +204,3 @@ def _common_unit(units: dict[str, str | None], inputs: dict[str, Path]) -> str |
         role, other = next((role, value) for role, value in others if value != unit)
         raise InputError(f"{inputs[role]}: expected lengths in {unit} as in {inputs[first]}, found {other}")
     return next(iter(named.values()), None)
-
-
-def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: Options, path: Path) -> str:
-    def span(time_s: NDArray[Any]) -> str:
-        return f"{time_s.min():g} to {time_s.max():g} s" if len(time_s) else "none"
-
-    why = ", ".join(f"{name} {count}" for name, count in scans.items() if count)
-    limits = "".join(
-        f", {name} {value}"
-        for name, value in (("`from_s`", options.from_s), ("`to_s`", options.to_s))
-        if value is not None
-    )
-    return f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}{limits}" + (
-        f", not scored: {why}" if why else ""
-    )

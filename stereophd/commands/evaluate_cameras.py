@@ -14,6 +14,8 @@ from pydantic import ValidationError
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.quantities.base import SUFFIXES
+from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.weights import weighted_mean_covariance
@@ -94,6 +96,7 @@ def evaluate_calibration(
         "length_unit": unit,
         "reference": true[chosen].name,
         **error_figures(estimated, true, chosen),
+        "quantities": quantity_errors(estimated, true),
     }
     if posterior is not None:
         report["posterior"] = posterior_figures(posterior, true)
@@ -168,6 +171,23 @@ def error_figures(estimated: list[Camera], true: list[Camera], reference: int) -
     }
     joint["scale_ratio"] = finite_or_none(errors.common_scale)
     return {"cameras": cameras, "joint": joint}
+
+
+def quantity_errors(estimated: list[Camera], true: list[Camera]) -> dict[str, Any]:
+    """Errors (estimated less true) of what the cameras have beside a pose, each in its unit; ratios are relative."""
+    out: dict[str, Any] = {}
+    for one, other in zip(estimated, true, strict=True):
+        figures = {}
+        for quantity in quantities():
+            if quantity.name in ("center", "rotation"):
+                continue
+            suffix, factor = SUFFIXES[quantity.unit]
+            found = factor * quantity.difference(other, one)
+            for component, value in zip(quantity.components, found.tolist(), strict=True):
+                if component in quantity.available(other):
+                    figures[f"{component}{suffix}"] = finite_or_none(value)
+        out[other.name] = figures
+    return out
 
 
 def read_posterior(path: Path) -> Posterior | None:

@@ -16,6 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from stereophd.pipeline.calibration.inputs import CalibrationProblem
+from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS
 
 Array = NDArray[np.float64]
@@ -64,11 +66,33 @@ class CalibrationPictures:
 
     def factor(self, index: int) -> float:
         """Factor from the parameter's unit to the one drawn (degrees for angles)."""
-        return float(np.rad2deg(1.0)) if self.units[index] == "rad" else 1.0
+        return float(np.rad2deg(1.0)) if self.units[index].startswith("rad") else 1.0
 
     def label(self, index: int) -> str:
         """Name and unit of a parameter."""
-        return f"{self.names[index]} [{'deg' if self.units[index] == 'rad' else self.length_unit}]"
+        unit = self.units[index].replace("rad", "deg").replace("length", self.length_unit)
+        return f"{self.names[index]} [{unit}]"
+
+
+def pictures_of(problem: CalibrationProblem, outcome: Outcome, length_unit: str) -> CalibrationPictures:
+    """Return what is drawn of a calibration."""
+    parameters, history, fit = problem.parameters, outcome.history, outcome.fit
+    shape = (-1, parameters.size)
+    return CalibrationPictures(
+        names=parameters.names,
+        units=tuple(p.unit for p in parameters.parameters),
+        length_unit=length_unit,
+        prior_std=parameters.prior_std,
+        times=np.array([row.time_s for row in history]),
+        means=np.array([row.mean for row in history]).reshape(shape),
+        stds=np.array([np.sqrt(np.diag(row.covariance)) for row in history]).reshape(shape),
+        particles=outcome.particles,
+        weights=np.exp(outcome.log_weights),
+        residual_times=np.empty(0) if fit is None else fit.observations.times,
+        residual_cameras=np.empty(0, dtype=np.int64) if fit is None else fit.observations.cameras,
+        residuals=np.empty(0) if fit is None else np.sqrt(fit.adjustment.distances),
+        cameras=tuple(camera.name for camera in parameters.cameras),
+    )
 
 
 def write_calibration_plots(pictures: CalibrationPictures, paths: Mapping[str, Path]) -> None:

@@ -273,6 +273,13 @@ def true_times(cameras: Sequence[Camera], observations: Observations) -> Array:
     return times
 
 
+def damped_bands(equations: NormalEquations, damping: float) -> Array:
+    """Matrix of the knots in lower banded form (12, 6 k), its diagonal damped; unknowns without any weight are held."""
+    bands = equations.bands.copy()
+    bands[0] = np.where(bands[0] > 0.0, bands[0] * (1.0 + damping + ROUNDING), 1.0)
+    return bands
+
+
 def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
     """Eliminate the knots: A^-1 [C, a] (6 k, m + 1) and the Schur complement B - C^T A^-1 C (m, m).
 
@@ -281,10 +288,7 @@ def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]
     numpy.linalg.LinAlgError
         The damped matrix of the knots is not positive definite.
     """
-    bands = equations.bands.copy()
-    diagonal = bands[0]
-    bands[0] = np.where(diagonal > 0.0, diagonal * (1.0 + damping + ROUNDING), 1.0)
-    factor = (cholesky_banded(bands, lower=True, check_finite=False), True)
+    factor = (cholesky_banded(damped_bands(equations, damping), lower=True, check_finite=False), True)
     both = np.column_stack([equations.coupling, equations.state_vector])
     eliminated = cho_solve_banded(factor, both, check_finite=False)
     return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from stereophd.core.calibration import kernels
 from stereophd.core.calibration.association import track_detections, with_cameras
-from stereophd.core.calibration.fits import FITTED_PASSES, paired_fit, refitted, tracked_fit
+from stereophd.core.calibration.fits import FITTED_PASSES, marginal_fit, paired_fit, refitted, tracked_fit
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Scans
@@ -75,7 +75,7 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
         again = refitted(task, fit, tracked=number_of_pass == 0)
         if again is None:
             return failed("the fitted trajectories are not shared by two cameras", fit)
-        fit = again
+        fit = marginal_fit(task, again) if number_of_pass == FITTED_PASSES - 1 else again
         history.append(fit.adjustment.values)
     values = fit.adjustment.values
     part = explained(task, fit)

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from stereophd.core.calibration.quantities.looking import look
 from stereophd.core.calibration.recording import Scans
 from stereophd.core.calibration.trajectories import Knots, interpolation, positions
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import Lens
 from stereophd.core.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
@@ -87,7 +89,7 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
         sure = np.flatnonzero(estimates.existence >= LEAST_EXISTENCE)
         if not len(sure) or not len(event.points):
             continue
-        camera, states = multi_filter.rig.cameras[event.camera], estimates.states[sure]
+        camera, states = multi_filter.rig.cameras[event.camera].at(event.time_s), estimates.states[sure]
         rows, columns = match(detected_pixels(camera, states, wide), wide, TRACK_GATE)
         points = states[:, :3]
         variances = np.trace(estimates.covariances[sure[rows], :3, :3], axis1=1, axis2=2)
@@ -136,7 +138,13 @@ def match(pixels: Array, event: Event, gate: float) -> tuple[Integers, Integers]
 
 
 def fitted_detections(
-    cameras: Sequence[Camera], scans: Scans, knots: Knots, states: Array, padding: float, counts: Integers
+    cameras: Sequence[Camera],
+    scans: Scans,
+    knots: Knots,
+    states: Array,
+    padding: float,
+    counts: Integers,
+    raw: bool = False,
 ) -> tuple[Integers, Integers]:
     """Give fitted trajectories their detections, those with the most so far first.
 
@@ -151,6 +159,8 @@ def fitted_detections(
         A trajectory goes on without noise for this time before its first and after its last detection, s.
     counts : array (j,)
         Detections of each trajectory so far.
+    raw : bool
+        Whether distances are measured in raw pixels; else in undistorted ones.
 
     Returns
     -------
@@ -159,15 +169,23 @@ def fitted_detections(
     """
     owner = np.full(len(scans.points), -1)
     times, of_camera = scans.detection_times, scans.cameras[scans.event_of]
+    pixels, precisions = scans.points, scans.precisions
+    if raw:
+        pixels, precisions = scans.recording.pixels[scans.source], np.zeros((len(scans.source), 2, 2))
+        precisions[:, [0, 1], [0, 1]] = scans.recording.sigma[scans.source] ** -2.0
     for j in np.argsort(-counts, kind="stable"):
         start, end = knots.spans[j]
         open_ = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
         points = positions(states, *interpolation(knots, np.full(len(open_), j), times[open_]))
         difference = np.full((len(open_), 2), np.nan)
         for number, camera in enumerate(cameras):
-            here = of_camera[open_] == number
-            difference[here] = scans.points[open_[here]] - pinhole(camera, points[here])
-        distance = np.einsum("ni,nij,nj->n", difference, scans.precisions[open_], difference)
+            here = np.flatnonzero(of_camera[open_] == number)
+            still, nothing = np.zeros((len(here), 3)), np.zeros(len(here))
+            seeing = camera if raw else replace(camera, lens=Lens())
+            view = look(seeing, points[here], still, times[open_[here]], nothing, nothing)
+            seen = here[view.visible]
+            difference[seen] = pixels[open_[seen]] - view.pixels[view.visible]
+        distance = np.einsum("ni,nij,nj->n", difference, precisions[open_], difference)
         near = np.flatnonzero(distance < FITTED_GATE)
         # the nearest of each event
         near = near[np.lexsort((distance[near], scans.event_of[open_[near]]))]

@@ -16,6 +16,7 @@ from stereophd.core.calibration.association import (
     track_detections,
     with_cameras,
 )
+from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import Fit, Task
@@ -54,13 +55,13 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     of_object = of_object[of_object >= 0]
     order = np.lexsort((detections, of_object))
     trajectories, detections = of_object[order], detections[order]
-    rows, points = meeting_points(task.parameters, task.pairs, pairing)
+    rows, times, points = meeting_points(task.parameters, task.pairs, pairing)
     met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
     cameras = task.parameters.build(pairing.values)
     observations = task.observations(cameras, trajectories, detections)
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
-    states = fit_states(knots, *interpolation(knots, met, task.pairs.times[rows]), points, np.full(len(rows), 1.0))
+    states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return _fit(task, problem, pairing.values, states, detections)
 
@@ -94,7 +95,8 @@ def refitted(task: Task, fit: Fit, tracked: bool = False) -> Fit | None:
     noise = _noise(task, fit)
     # over this time the noise of the motion moves an object by its detection's noise
     padding = task.filter.motion.straying_time(noise)
-    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
+    raw = not task.parameters.only_moves
+    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts, raw)
     of_camera = scans.cameras[scans.event_of[detections]]
     chosen = shared(trajectories, of_camera, task.settings.min_detections)
     if not len(chosen):
@@ -141,6 +143,17 @@ def adjusted_to(
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
     return _fit(task, problem, fit.adjustment.values, states, detections)
+
+
+def marginal_fit(task: Task, fit: Fit) -> Fit:
+    """Move a fit to the maximum of the marginal posterior, where more than poses is unknown."""
+    if task.parameters.only_moves:
+        return fit
+    problem = Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
+    found = marginal_optimum(problem, fit.adjustment)
+    cameras = task.parameters.build(found.values)
+    observations = replace(fit.observations, times=true_times(cameras, fit.observations))
+    return replace(fit, adjustment=found, observations=observations)
 
 
 def _fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:

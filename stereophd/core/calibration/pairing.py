@@ -14,7 +14,7 @@ tolerance that falls. The best of the draws is where the annealed alternation st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,10 @@ from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.calibration.association import track_detections
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.quantities.base import MOVES
 from stereophd.core.calibration.recording import Scans
+from stereophd.core.calibration.track_rays import LONGEST_GAP, RawTracks, Rays, rays_of
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
@@ -31,13 +34,13 @@ Integers = NDArray[np.int64]
 
 # Times at which a pair of tracks is compared, and how many it needs.
 PAIR_TIMES, LEAST_TIMES = 24, 6
-# Tracks are interpolated over at most this many of their median steps.
-LONGEST_GAP = 3.5
 # Tolerances in units of the noise of the distance, step by step; a time counts for a pair within 3 of it.
 TOLERANCES = (20.0, 10.0, 5.0, 2.5)
 GAIN_LIMIT = 9.0
 # Draws of a start, those refined, and Gauss-Newton steps at each tolerance.
 DRAWS, REFINED, STEPS = 256, 8, 4
+# Times at which tracks of unknown clocks or lenses are compared, and reach of the clocks in standard deviations.
+RAW_TIMES, REACH = 48, 4.0
 # Step of the numerical derivative, in prior standard deviations.
 DERIVATIVE_STEP = 1e-4
 
@@ -60,6 +63,11 @@ class TrackPairs:
         Noise, px.
     times : array (n,)
         s.
+    entries, others : arrays (n,) of int
+        Entry of the first track in `raw`, and the second track.
+    raw : RawTracks or None
+        Where clocks, lenses or intrinsics are unknown, or cameras move: the rays depend on the cameras, and `rays`
+        and `times` are those of the prior mean.
     """
 
     cameras: Integers
@@ -68,6 +76,9 @@ class TrackPairs:
     rays: Array
     sigma: Array
     times: Array
+    entries: Integers
+    others: Integers
+    raw: RawTracks | None
 
 
 def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tuple[int, Integers]]:
@@ -84,7 +95,56 @@ def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tup
 
 
 def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[int, Integers]]) -> TrackPairs:
-    """Pair all tracks of different cameras that were seen at the same time."""
+    """Pair all tracks of different cameras that were seen at the same time, or may have been by unknown clocks."""
+    moving = any(not camera.pose.is_static for camera in parameters.cameras)
+    if parameters.only_moves and not moving and not parameters.has_rates:
+        return _known_rays(parameters, scans, tracks)
+    raw = RawTracks.of(scans.recording, tracks)
+    spread = clock_spreads(parameters, raw)
+    times = [parameters.cameras[c].clock.to_true(raw.log_times[a:b]) for c, a, b in _segments(raw)]
+    members: list[tuple[int, int]] = []
+    pair: list[Integers] = []
+    entries: list[Integers] = []
+    for a in range(len(tracks)):
+        for b in range(len(tracks)):
+            if raw.cameras[b] <= raw.cameras[a]:
+                continue
+            slack = REACH * np.hypot(spread[a], spread[b])
+            both = np.flatnonzero((times[a] >= times[b][0] - slack) & (times[a] <= times[b][-1] + slack))
+            if len(both) < LEAST_TIMES:
+                continue
+            some = both[np.unique(np.linspace(0, len(both) - 1, RAW_TIMES).astype(int))]
+            pair.append(np.full(len(some), len(members)))
+            members.append((a, b))
+            entries.append(raw.first[a] + some)
+    nothing = np.empty(0, dtype=np.int64)
+    of_pair, all_entries = np.concatenate([nothing, *pair]), np.concatenate([nothing, *entries])
+    pairs = np.array(members, dtype=np.int64).reshape(-1, 2)
+    others = pairs[of_pair, 1]
+    found = rays_of(parameters.cameras, raw, all_entries, others)
+    detections = np.concatenate([nothing, *(rows for _, rows in tracks)])
+    sigma = scans.recording.sigma[detections[all_entries], 0]
+    cameras = raw.cameras[pairs].reshape(-1, 2)
+    return TrackPairs(cameras, pairs, of_pair, found.rays, sigma, found.times, all_entries, others, raw)
+
+
+def _segments(raw: RawTracks) -> Iterator[tuple[int, int, int]]:
+    return zip(raw.cameras.tolist(), raw.first[:-1].tolist(), raw.first[1:].tolist(), strict=True)
+
+
+def clock_spreads(parameters: ParameterSet, raw: RawTracks) -> Array:
+    """Prior standard deviation (k,) of the true times of tracks, s."""
+    by_name = dict(zip(parameters.names, parameters.prior_std.tolist(), strict=True))
+    out = []
+    for camera, first, last in _segments(raw):
+        name = parameters.cameras[camera].name
+        late = float(np.abs(raw.log_times[first:last]).max())
+        out.append(np.hypot(by_name.get(f"{name}.clock_offset", 0.0), late * by_name.get(f"{name}.clock_rate", 0.0)))
+    return np.array(out)
+
+
+def _known_rays(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[int, Integers]]) -> TrackPairs:
+    """Pairs of tracks of cameras that stand still, the clocks, lenses and intrinsics of which are known."""
     cameras: list[tuple[int, int]] = []
     members: list[tuple[int, int]] = []
     pair: list[Integers] = []
@@ -122,6 +182,9 @@ def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[in
         np.concatenate([*rays, np.empty((0, 2, 3))]),
         np.concatenate([*sigma, np.empty(0)]),
         np.concatenate([*at, np.empty(0)]),
+        np.empty(0, dtype=np.int64),
+        np.empty(0, dtype=np.int64),
+        None,
     )
 
 
@@ -130,9 +193,16 @@ def _rays(parameters: ParameterSet, camera: int, pixels: Array) -> Array:
     return np.column_stack([(pixels - [c.cx, c.cy]) / [c.fx, c.fy], np.ones(len(pixels))])
 
 
-def epipolar_distances(parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers) -> Array:
-    """Signed epipolar distances (r,), in units of the noise, of rows of the pairs under values (m,)."""
-    cameras = parameters.build(values)
+def epipolar_distances(
+    cameras: Sequence[Camera], pairs: TrackPairs, rows: Integers, known: Rays | None = None
+) -> Array:
+    """Signed epipolar distances (r,), in units of the noise, of rows of the pairs under cameras.
+
+    NaN where the tracks were not seen at one time by the clocks of the cameras. `known` rays, if any, are those of
+    the same rows, clocks and lenses.
+    """
+    if pairs.raw is not None:
+        return _raw_distances(cameras, pairs, rows, known)
     focal = np.array([[c.fx, c.fy] for c in cameras])
     index = pairs.cameras[pairs.pair[rows]]
     essential = np.zeros((len(cameras), len(cameras), 3, 3))
@@ -149,16 +219,33 @@ def epipolar_distances(parameters: ParameterSet, pairs: TrackPairs, values: Arra
     return np.asarray(distance / pairs.sigma[rows])
 
 
+def _raw_distances(cameras: Sequence[Camera], pairs: TrackPairs, rows: Integers, known: Rays | None) -> Array:
+    assert pairs.raw is not None
+    found = rays_of(cameras, pairs.raw, pairs.entries[rows], pairs.others[rows], known)
+    focal = np.array([[c.fx, c.fy] for c in cameras])[pairs.cameras[pairs.pair[rows]]]
+    turn_a, turn_b = found.rotations[:, 0], found.rotations[:, 1]
+    # x_b^T [t]_x R x_a with t = R_b (c_a - c_b) and R = R_b R_a^T, and its derivatives by x_a and x_b
+    along = np.einsum("nij,nj->ni", turn_b, found.centers[:, 0] - found.centers[:, 1])
+    a_in_b = np.einsum("nij,nkj,nk->ni", turn_b, turn_a, found.rays[:, 0])
+    line_b = np.cross(along, a_in_b)
+    line_a = np.einsum("nij,nkj,nk->ni", turn_a, turn_b, np.cross(found.rays[:, 1], along))
+    slopes = ((line_b[:, :2] / focal[:, 1]) ** 2 + (line_a[:, :2] / focal[:, 0]) ** 2).sum(axis=1)
+    distance = (found.rays[:, 1] * line_b).sum(axis=1) / np.sqrt(np.maximum(slopes, 1e-300))
+    return np.asarray(np.where(found.seen, distance / pairs.sigma[rows], np.nan))
+
+
 def choose_pairs(pairs: TrackPairs, distances: Array, tolerance: float) -> tuple[Integers, float]:
     """Pair tracks one to one for each two cameras, at the greatest gain; return the pairs and the gain.
 
     The gain of a pair is the sum over its times of ``GAIN_LIMIT - (distance / tolerance)^2``: a pair that is further
     apart than three tolerances on average is no gain.
     """
-    gains = np.bincount(
-        pairs.pair, weights=GAIN_LIMIT - np.minimum((distances / tolerance) ** 2, 4.0 * GAIN_LIMIT),
-        minlength=len(pairs.cameras),
-    )  # fmt: skip
+    gain = GAIN_LIMIT - np.minimum((distances / tolerance) ** 2, 4.0 * GAIN_LIMIT)
+    if pairs.raw is not None:
+        known = np.isfinite(distances)
+        enough = np.bincount(pairs.pair, weights=known, minlength=len(pairs.cameras)) >= LEAST_TIMES
+        gain = np.where(known & enough[pairs.pair], gain, 0.0)
+    gains = np.bincount(pairs.pair, weights=gain, minlength=len(pairs.cameras))
     chosen, total = [], 0.0
     for i, j in sorted(set(map(tuple, pairs.cameras.tolist()))):
         here = np.flatnonzero((pairs.cameras == (i, j)).all(axis=1))
@@ -175,23 +262,56 @@ def choose_pairs(pairs: TrackPairs, distances: Array, tolerance: float) -> tuple
     return np.array(chosen, dtype=np.int64), total
 
 
-def refine(parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers, tolerance: float) -> Array:
-    """Move the cameras to where the rows meet: Gauss-Newton with the prior and Cauchy weights."""
-    std = parameters.prior_std
+def slopes_of(
+    parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers, columns: Integers
+) -> tuple[Array, Array]:
+    """Distances (r,) of rows at values (m,), and their derivatives (r, c) in prior standard deviations of some values.
+
+    Numerical derivatives; where a value only moves a camera, the rays in its axes are kept.
+    """
+    std, cameras = parameters.prior_std, parameters.build(values)
+    known = None
+    if pairs.raw is not None:
+        known = rays_of(cameras, pairs.raw, pairs.entries[rows], pairs.others[rows])
+    distances = epipolar_distances(cameras, pairs, rows, known)
+    jacobian = np.zeros((len(rows), len(columns)))
+    names = np.array([camera.name for camera in cameras])[pairs.cameras[pairs.pair[rows]]]
+    for column, k in enumerate(columns.tolist()):
+        moved, parameter = values.copy(), parameters.parameters[k]
+        moved[k] += DERIVATIVE_STEP * std[k]
+        here = np.flatnonzero(np.isin(names, parameter.cameras).any(axis=1))
+        kept = known.take(here) if known is not None and parameter.quantity.affects == MOVES else None
+        changed = epipolar_distances(parameters.rebuilt(cameras, moved, k), pairs, rows[here], kept)
+        jacobian[here, column] = (changed - distances[here]) / DERIVATIVE_STEP
+    return distances, jacobian
+
+
+def refine(
+    parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers, tolerance: float, columns: Integers
+) -> Array:
+    """Move the cameras to where the rows meet: Gauss-Newton over some values with the prior and Cauchy weights."""
+    std = parameters.prior_std[columns]
     for _ in range(STEPS):
-        distances = epipolar_distances(parameters, pairs, values, rows) / tolerance
-        jacobian = np.empty((len(rows), len(values)))
-        for k in range(len(values)):
-            moved = values.copy()
-            moved[k] += DERIVATIVE_STEP * std[k]
-            jacobian[:, k] = (epipolar_distances(parameters, pairs, moved, rows) / tolerance - distances) / (
-                DERIVATIVE_STEP
-            )
+        distances, jacobian = slopes_of(parameters, pairs, values, rows, columns)
+        usable = np.isfinite(distances) & np.isfinite(jacobian).all(axis=1)
+        distances = np.where(usable, distances, 0.0) / tolerance
+        jacobian = np.where(usable[:, None], jacobian, 0.0) / tolerance
         weights = 1.0 / (1.0 + distances**2)
-        matrix = jacobian.T @ (weights[:, None] * jacobian) + np.eye(len(values))
-        offset = (values - parameters.prior_mean) / std
-        values = values - std * np.linalg.solve(matrix, jacobian.T @ (weights * distances) + offset)
+        matrix = jacobian.T @ (weights[:, None] * jacobian) + np.eye(len(columns))
+        offset = (values[columns] - parameters.prior_mean[columns]) / std
+        values = values.copy()
+        values[columns] -= std * np.linalg.solve(matrix, jacobian.T @ (weights * distances) + offset)
     return values
+
+
+def coarse_columns(parameters: ParameterSet, pairs: TrackPairs) -> Integers:
+    """Values that matter for pairing: one prior standard deviation moves the rays by more than the last tolerance."""
+    every = np.arange(parameters.size)
+    if pairs.raw is None:
+        return every
+    _, jacobian = slopes_of(parameters, pairs, parameters.prior_mean, np.arange(len(pairs.pair)), every)
+    moved = np.sqrt(np.nanmean(np.concatenate([jacobian, np.zeros((1, parameters.size))]) ** 2, axis=0))
+    return np.flatnonzero(moved > TOLERANCES[-1])
 
 
 @dataclass(frozen=True)
@@ -216,10 +336,13 @@ def best_pairing(parameters: ParameterSet, pairs: TrackPairs, draws: Array) -> P
     rows = np.arange(len(pairs.pair))
 
     def gain(values: Array, tolerance: float) -> tuple[Integers, float]:
-        chosen, total = choose_pairs(pairs, epipolar_distances(parameters, pairs, values, rows), tolerance)
+        chosen, total = choose_pairs(pairs, epipolar_distances(parameters.build(values), pairs, rows), tolerance)
         offset = (values - parameters.prior_mean) / parameters.prior_std
         return chosen, total - float(offset @ offset)
 
+    columns = coarse_columns(parameters, pairs)
+    fixed = np.setdiff1d(np.arange(parameters.size), columns)
+    draws[1:, fixed] = parameters.prior_mean[fixed]
     first = np.array([gain(values, TOLERANCES[0])[1] for values in draws])
     best, most = None, 0.0
     for k in np.argsort(-first, kind="stable")[:REFINED]:
@@ -228,7 +351,7 @@ def best_pairing(parameters: ParameterSet, pairs: TrackPairs, draws: Array) -> P
             chosen, _ = gain(values, tolerance)
             if not len(chosen):
                 break
-            values = refine(parameters, pairs, values, np.flatnonzero(np.isin(pairs.pair, chosen)), tolerance)
+            values = refine(parameters, pairs, values, np.flatnonzero(np.isin(pairs.pair, chosen)), tolerance, columns)
         chosen, reached = gain(values, TOLERANCES[-1])
         if reached > most:
             best, most = Pairing(values, chosen), reached
@@ -246,17 +369,26 @@ def paired_objects(pairs: TrackPairs, pairing: Pairing, tracks: int) -> Integers
     return objects
 
 
-def meeting_points(parameters: ParameterSet, pairs: TrackPairs, pairing: Pairing) -> tuple[Integers, Array]:
-    """Rows of the chosen pairs and the points (r, 3) where their rays come nearest, no nearer than the cameras are.
+def meeting_points(parameters: ParameterSet, pairs: TrackPairs, pairing: Pairing) -> tuple[Integers, Array, Array]:
+    """Rows of the chosen pairs, their times (r,) and the points (r, 3) where their rays come nearest.
 
     Depths are kept positive: rays that meet behind a camera are taken where they are far apart from it instead.
     """
     cameras = parameters.build(pairing.values)
     rows = np.flatnonzero(np.isin(pairs.pair, pairing.chosen))
-    index = pairs.cameras[pairs.pair[rows]]
-    centers = np.stack([c.pose.center for c in cameras])[index]
-    rotations = np.stack([c.pose.rotation for c in cameras])[index]
-    rays = np.einsum("nkij,nki->nkj", rotations, pairs.rays[rows])
+    if pairs.raw is None:
+        index = pairs.cameras[pairs.pair[rows]]
+        found = Rays(
+            pairs.rays[rows],
+            pairs.times[rows],
+            np.stack([c.pose.rotation for c in cameras])[index],
+            np.stack([c.pose.center for c in cameras])[index],
+            np.ones(len(rows), dtype=np.bool_),
+        )
+    else:
+        found = rays_of(cameras, pairs.raw, pairs.entries[rows], pairs.others[rows])
+    centers = found.centers
+    rays = np.einsum("nkij,nki->nkj", found.rotations, found.rays)
     between = centers[:, 1] - centers[:, 0]
     aa, bb = (rays[:, 0] ** 2).sum(axis=1), (rays[:, 1] ** 2).sum(axis=1)
     ab = (rays[:, 0] * rays[:, 1]).sum(axis=1)
@@ -266,4 +398,4 @@ def meeting_points(parameters: ParameterSet, pairs: TrackPairs, pairing: Pairing
     depth_a = np.clip((da * bb - db * ab) / determinant, 0.5 * distance, 100.0 * distance)
     depth_b = np.clip((da * ab - db * aa) / determinant, 0.5 * distance, 100.0 * distance)
     points = centers + np.stack([depth_a, depth_b], axis=1)[:, :, None] * rays
-    return rows, np.asarray(points.mean(axis=1))
+    return rows[found.seen], found.times[found.seen], np.asarray(points.mean(axis=1))[found.seen]

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stereophd.core.calibration.quantities.base import MOVES, Quantity
+from stereophd.core.calibration.quantities.base import LENGTH_PER_SECOND, MOVES, RADIANS_PER_SECOND, Quantity
 from stereophd.core.calibration.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera
 
@@ -144,6 +144,11 @@ class ParameterSet:
         """Whether cameras only move: the undistorted pixels and the times of the detections are known."""
         return all(quantity.affects == MOVES for quantity in self.quantities)
 
+    @property
+    def has_rates(self) -> bool:
+        """Whether a velocity or rotation rate of a camera is unknown."""
+        return any(quantity.unit in (LENGTH_PER_SECOND, RADIANS_PER_SECOND) for quantity in self.quantities)
+
     def index(self, camera: str, names: Sequence[str]) -> Integers:
         """Places of components of a camera among the values; -1 where one is known."""
         return np.array([self._places.get((camera, name), -1) for name in names], dtype=np.int64)
@@ -151,6 +156,14 @@ class ParameterSet:
     def build(self, values: ArrayLike) -> tuple[Camera, ...]:
         """Return the cameras of values (m,)."""
         return tuple(self._moved(camera, self._checked(values)) for camera in self.cameras)
+
+    def rebuilt(self, cameras: Sequence[Camera], values: ArrayLike, index: int) -> tuple[Camera, ...]:
+        """Return the cameras of values (m,) that differ from those of `cameras` in one value at most."""
+        offsets, names = self._checked(values), self.parameters[index].cameras
+        return tuple(
+            self._moved(nominal, offsets) if nominal.name in names else camera
+            for nominal, camera in zip(self.cameras, cameras, strict=True)
+        )
 
     def guess(self, values: ArrayLike) -> tuple[Camera, ...]:
         """Return the prior-mean cameras from which values (m,) lead to the cameras of this set.

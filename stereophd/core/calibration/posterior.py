@@ -69,8 +69,15 @@ def observability(parameters: ParameterSet, reference: int, values: Array, covar
         prior = float((gradient**2 * std**2).sum())
         scale_ratio = float(np.sqrt(gradient @ covariance @ gradient / prior))
         allowed = int(scale_ratio > UNDETERMINED_RATIO)
-    open_directions = int((ratios > UNDETERMINED_RATIO).sum())
-    status = PARTLY if open_directions <= len(std) // 2 else UNDETERMINED
+    # of lenses and shutters the prior may be all that is known; poses and clocks must come from the data
+    frame = np.array([parameter.quantity.of_the_frame for parameter in parameters.parameters])
+    needed = (
+        ratios
+        if frame.all() or not frame.any()
+        else np.sqrt(np.maximum(np.linalg.eigvalsh(whitened[np.ix_(frame, frame)]), 0.0))
+    )
+    open_directions = int((needed > UNDETERMINED_RATIO).sum())
+    status = PARTLY if open_directions <= len(needed) // 2 else UNDETERMINED
     if open_directions <= allowed:
         status = DETERMINED
     bits = -0.5 * float(np.log2(np.maximum(eigenvalues, 1e-300)).sum())
@@ -157,6 +164,11 @@ def pose_spread(parameters: ParameterSet, reference: int, values: Array, covaria
         float(np.sqrt(unit @ center @ unit)) / distance,
         _root_trace(center),
     )
+
+
+def posed_cameras(parameters: ParameterSet) -> list[str]:
+    """Names of the cameras whose pose is unknown, in the order of the parameters."""
+    return list(dict.fromkeys(p.camera for p in parameters.parameters if p.name in CENTER + ROTATION))
 
 
 def _block(columns: NDArray[np.int64], covariance: Array) -> Array:

@@ -1,22 +1,35 @@
-"""Results of an experiment: the summaries of every method in every case."""
+"""Results of an experiment: the summaries of every method in every case, gathered from runs, written and read."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stereophd.config.experiment import ExperimentConfig
+from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
-from stereophd.experiments.engine.parts import RunResult
+from stereophd.experiments.engine.parts import PATTERN, PartStore, RunResult, parquet_metadata
 from stereophd.experiments.engine.plan import cases_of
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
+from stereophd.experiments.engine.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part
+from stereophd.io.atomic import OutputFolder, output_folder
+from stereophd.io.json_text import write_json
+from stereophd.io.provenance import from_metadata, provenance, to_metadata
+from stereophd.io.tables import RUNS, SUMMARY, TableWriter
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+
+RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timing.json"
+
+LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)
@@ -83,6 +96,24 @@ def experiment_name(loaded: LoadedConfig) -> str:
     return loaded.config.experiment.name or loaded.path.stem
 
 
+def report_of(results: Results) -> dict[str, Any]:
+    """Return the figures of an experiment as plain data: what does not vary with time, and the timing."""
+    rows = [
+        {
+            "method": cell.method,
+            "case": cell.case,
+            "quantity": one.quantity,
+            "unit": one.unit,
+            "runs": int(one.runs[0]),
+            **{name: float(getattr(one, name)[0]) for name in ("mean", "std", "ci_low", "ci_high", "bound")},
+        }
+        for cell in results.cells
+        for one in cell.summaries
+        if one.times_s is None
+    ]
+    return {"experiment": results.name, "runs": results.config.runs, "summary": rows, "timing": results.timing}
+
+
 def _timing(cpu: Mapping[str, list[float]]) -> dict[str, Any]:
     """Return the processor time of a run of each method: the median, which the first run does not move."""
     medians = {method: float(np.median(seconds)) for method, seconds in cpu.items()}
@@ -91,3 +122,77 @@ def _timing(cpu: Mapping[str, list[float]]) -> dict[str, Any]:
         "cpu_s_per_run": medians,
         "ratio_to_first_method": {method: m / first if first > 0 else None for method, m in medians.items()},
     }
+
+
+def write_results(results: Results, runs: Sequence[RunResult], loaded: LoadedConfig, out: OutputFolder) -> None:
+    """Write ``runs.parquet``, ``summary.parquet`` and ``timing.json``."""
+    metadata = to_metadata(provenance("experiment", loaded.record))
+    with TableWriter(out.path(RUNS_FILE), RUNS, metadata) as table:
+        for run in runs:
+            for series in run.series:
+                table.append(columns_of(results.name, run.method, run.case, run.run, run.seed, series))
+    with TableWriter(out.path(SUMMARY_FILE), SUMMARY, metadata) as table:
+        for cell in results.cells:
+            for summary in cell.summaries:
+                table.append(columns_of_summary(results.name, cell.method, cell.case, summary))
+    write_json(out.path(TIMING_FILE), results.timing)
+
+
+def read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) -> Results:
+    """Return the results of a finished experiment from its files."""
+    names = {case: points for case, points, _ in cases_of(settings)}
+    found: dict[tuple[str, str], list[Summary]] = {}
+    for method, case, summary in read_summaries(out / SUMMARY_FILE):
+        found.setdefault((method, case), []).append(summary)
+    cells = tuple(Cell(*key, names[key[1]], tuple(summaries)) for key, summaries in found.items())
+    try:
+        timing = json.loads((out / TIMING_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{out / TIMING_FILE}: cannot be read ({error}); use `force=True` to start anew") from error
+    return Results(experiment_name(loaded), settings, cells, timing)
+
+
+def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: bool, files: Sequence[str]) -> bool:
+    """Check the output folder, and remove what is in the way, where that is allowed.
+
+    Parameters
+    ----------
+    store : PartStore
+        Finished runs in the output folder.
+    loaded : LoadedConfig
+    resume, force : bool
+        As of `stereophd.commands.experiment.experiment`.
+    files : sequence of str
+        Files that an experiment writes.
+
+    Returns
+    -------
+    bool
+        Whether the results are there already.
+
+    Raises
+    ------
+    InputError
+        The folder holds results or runs, and neither `resume` nor `force` allows to go on.
+    """
+    out = store.folder.parent
+    output_folder(out, True, [*files, PATTERN])
+    if (out / RUNS_FILE).exists() and not force:
+        record = from_metadata(parquet_metadata(out / RUNS_FILE)) or {}
+        if not resume:
+            raise InputError(f"output folder {out} already holds {RUNS_FILE}; use `force=True` to replace it")
+        if record.get("config_sha256") != loaded.sha256:
+            raise InputError(f"output folder {out} holds the results of another configuration; use `force=True`")
+        LOGGER.info("%s: the experiment is finished: nothing to resume", out)
+        return True
+    if not resume and not force and (store.exists() or store.others()):
+        raise InputError(
+            f"output folder {out} holds runs of an unfinished experiment; use `resume=True` or `force=True`"
+        )
+    if store.others() and not force:
+        raise InputError(
+            f"output folder {out} holds runs of another configuration ({store.others()[0].name}): nothing to resume; "
+            "use `force=True` to remove them"
+        )
+    store.remove(others_only=resume)
+    return False

@@ -19,7 +19,7 @@ from stereophd.config.experiment import CalibrationScenario
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread
+from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread, posed_cameras
 from stereophd.core.calibration.quantities.base import RADIANS
 from stereophd.core.calibration.recording import Recording
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
@@ -198,7 +198,7 @@ def _bound_series(
 def _spreads(parameters: ParameterSet, reference: int, values: Array, covariance: Array) -> dict[str, float]:
     """Return standard deviations of rotation and direction, degrees, and of the centre; of several cameras their root
     mean square."""
-    cameras = list(dict.fromkeys(p.camera for p in parameters.parameters))
+    cameras = posed_cameras(parameters)
     spreads = [pose_spread(parameters, reference, values, covariance, camera) for camera in cameras]
     return {
         "rotation_std": math.degrees(_root(np.array([one.rotation for one in spreads]))),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +15,11 @@ from stereophd.config.calibration import BaselineScale, CalibrationConfig
 from stereophd.config.cameras import CameraConfig
 from stereophd.config.model import Config
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.quantities.base import Quantity
+from stereophd.core.calibration.quantities.base import IMAGES, Quantity
 from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
-from stereophd.core.calibration.task import AnnealedSettings, Task
+from stereophd.core.calibration.task import Task
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.kinds.pmb import PmbSettings
@@ -97,8 +97,8 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
             raise InputError(
                 f"{loaded.path}: calibration.{key}: expected one of the cameras {', '.join(names)}, found {name}"
             )
-    if any(not camera.pose.is_static for camera in cameras):
-        raise InputError(f"{loaded.path}: cameras: expected cameras that stand still, found one that moves")
+    for camera in cameras:
+        _check_priors(loaded, section, camera)
     parameters = [
         Parameter(component, camera.name, 0.0, std)
         for camera in cameras
@@ -107,7 +107,58 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
         for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True)
         if std > 0.0
     ]
-    return ParameterSet(cameras, tuple(parameters)), names.index(section.reference)
+    return ParameterSet(cameras, _shared(loaded, section, cameras, parameters)), names.index(section.reference)
+
+
+def _shared(
+    loaded: LoadedConfig, section: CalibrationConfig, cameras: tuple[Camera, ...], parameters: list[Parameter]
+) -> tuple[Parameter, ...]:
+    """Tie the intrinsics and lenses of cameras that share one: a parameter of the first stands for all of them."""
+    by_name = {camera.name: camera for camera in cameras}
+    places = {(p.camera, p.name): p for p in parameters}
+    for number, group in enumerate(section.shared):
+        place = f"{loaded.path}: calibration.shared.{number}"
+        first, *others = group
+        for name in group:
+            if name not in by_name:
+                raise InputError(f"{place}: expected cameras ({', '.join(by_name)}), found {name}")
+        for quantity in quantities():
+            if quantity.affects != IMAGES:
+                continue
+            for name in others:
+                if quantity.entry(by_name[name]) != quantity.entry(by_name[first]):
+                    raise InputError(
+                        f"{place}: expected cameras of the same intrinsics and lens, found another {quantity.name} "
+                        f"of {name} than of {first}"
+                    )
+            for component in quantity.components:
+                stds = {places[name, component].std if (name, component) in places else 0.0 for name in group}
+                if len(stds) > 1:
+                    raise InputError(f"{place}: expected equal priors of {quantity.name}, found different ones")
+                if (first, component) in places:
+                    places[first, component] = replace(places[first, component], shared_with=tuple(others))
+                    for name in others:
+                        del places[name, component]
+    return tuple(places[p.camera, p.name] for p in parameters if (p.camera, p.name) in places)
+
+
+def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> None:
+    """Refuse priors of what a camera does not have, or of what the methods cannot find."""
+    if camera.name not in section.priors:
+        return
+    place = f"{loaded.path}: calibration.priors.{camera.name}"
+    unknown = set()
+    for quantity in quantities():
+        for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True):
+            if std > 0.0 and component not in quantity.available(camera):
+                raise InputError(
+                    f"{place}.{quantity.prior}: expected coefficients of its lens model {camera.lens.model} "
+                    f"({', '.join(quantity.available(camera)) or 'none'}), found {component}"
+                )
+            if std > 0.0:
+                unknown.add(quantity.name)
+    if unknown & {"velocity", "rotation_rate"} and ("readout" in unknown or camera.readout_s != 0.0):
+        raise InputError(f"{place}: expected no readout of a camera that moves, found one beside rates")
 
 
 def prior_stds(section: CalibrationConfig, camera: str, quantity: Quantity) -> tuple[float, ...]:
@@ -189,7 +240,21 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in stream.frames])
     _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
+    _check_method(loaded, parameters)
     return CalibrationProblem(parameters, reference, recording, scale, counts)
+
+
+def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:
+    """Refuse a sampler for unknowns that its conditional filters share."""
+    section = calibration_section(loaded)
+    moving = parameters.has_rates or any(not camera.pose.is_static for camera in parameters.cameras)
+    if (section.method == "sequential" or section.posterior == "smc") and (moving or not parameters.only_moves):
+        found = "method: sequential" if section.method == "sequential" else "posterior: smc"
+        names = ", ".join(quantity.name for quantity in parameters.quantities)
+        raise InputError(
+            f"{loaded.path}: calibration: expected method annealed with posterior laplace for cameras that move or "
+            f"have unknowns beside their pose ({names}), found {found}"
+        )
 
 
 def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | str) -> None:
@@ -256,13 +321,7 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
         problem.recording,
         tracked_frames(problem.recording, settings.max_events),
         problem.scale,
-        AnnealedSettings(
-            settings.starts,
-            settings.agreeing_starts,
-            settings.inflation,
-            settings.min_detections,
-            settings.min_tracked,
-        ),
+        settings,
     )
 
 

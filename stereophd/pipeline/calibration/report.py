@@ -17,6 +17,7 @@ from stereophd.core.calibration.posterior import (
     Observability,
     observability,
     pose_spread,
+    posed_cameras,
 )
 from stereophd.io.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
@@ -79,9 +80,8 @@ def _scale(section: CalibrationConfig, found: Observability) -> dict[str, Any]:
 
 def _cameras(problem: CalibrationProblem, outcome: Outcome) -> dict[str, Any]:
     """Standard deviations of rotation, direction of translation, scale and centre of every unknown camera."""
-    names = dict.fromkeys(p.camera for p in problem.parameters.parameters)
     out = {}
-    for name in names:
+    for name in posed_cameras(problem.parameters):
         spread = pose_spread(problem.parameters, problem.reference, outcome.values, outcome.covariance, name)
         out[name] = {
             "rotation_std_deg": math.degrees(spread.rotation),
@@ -102,7 +102,7 @@ def _parameters(
         rows.append(
             {
                 "name": name,
-                "unit": length_unit if parameter.unit == "length" else parameter.unit,
+                "unit": parameter.unit.replace("length", length_unit),
                 "prior_std": parameter.std,
                 "mean": None if status == UNDETERMINED else float(outcome.values[index]),
                 "std": float(np.sqrt(outcome.covariance[index, index])),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.posterior import PoseSpread, pose_spread
+from stereophd.core.calibration.posterior import PoseSpread, pose_spread, posed_cameras
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
@@ -29,7 +29,7 @@ def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
     by_name = {camera.name: camera for camera in true}
     truth = ParameterSet(tuple(by_name[c.name] for c in parameters.cameras), parameters.parameters)
     covariance = scenario_bound(loaded, truth, reference, 0)
-    names = dict.fromkeys(p.camera for p in parameters.parameters)
+    names = posed_cameras(parameters)
     values = np.zeros(parameters.size)
     spreads = {name: pose_spread(truth, reference, values, covariance, name) for name in names}
     std = np.sqrt(np.diag(covariance))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,16 @@ Array = NDArray[np.float64]
 
 LENGTH, RADIANS, RATIO, PIXELS, SECONDS = "length", "rad", "1", "px", "s"
 LENGTH_PER_SECOND, RADIANS_PER_SECOND = "length/s", "rad/s"
+# How a key of a report names a unit, and the unit that it is in: angles in degrees.
+SUFFIXES = {
+    LENGTH: ("", 1.0),
+    RADIANS: ("_deg", 180.0 / np.pi),
+    RATIO: ("", 1.0),
+    PIXELS: ("_px", 1.0),
+    SECONDS: ("_s", 1.0),
+    LENGTH_PER_SECOND: ("_per_s", 1.0),
+    RADIANS_PER_SECOND: ("_deg_s", 180.0 / np.pi),
+}
 # What of an event depends on a quantity: nothing (the camera only moves), its undistorted pixels, or its times.
 MOVES, IMAGES, TIMES = "moves", "images", "times"
 
@@ -71,7 +82,11 @@ class View:
 
 def all_of(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
     """Return the function that finds all components in any camera."""
-    return lambda camera: components
+    return partial(_components, components)
+
+
+def _components(components: tuple[str, ...], camera: Camera) -> tuple[str, ...]:
+    return components
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,123 @@
+"""Score tracks against the truth: both brought to the same scans, then all metrics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.metrics.alignment import (
+    Events,
+    Truth,
+    add_truth_times,
+    align_truth,
+    in_window,
+    last_event_of_each_time,
+)
+from stereophd.core.metrics.assignment import is_positive_definite
+from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa
+from stereophd.core.metrics.visibility import Sightings, cameras_that_saw, leave_out_unseen
+from stereophd.errors import InputError
+from stereophd.pipeline.evaluation.inputs import Tracks
+from stereophd.pipeline.evaluation.options import Options
+from stereophd.pipeline.evaluation.report import Scored
+
+
+def score_tracks(
+    tracks: Tracks,
+    truth: Truth,
+    sightings: Sightings | None,
+    options: Options,
+    max_gap_s: float,
+    tracks_path: Path,
+) -> Scored:
+    """Bring tracks and truth to the same scans, and score them.
+
+    Parameters
+    ----------
+    tracks, truth : Tracks, Truth
+    sightings : Sightings, optional
+        Detections of the log, where only objects that cameras saw lately are scored.
+    options : Options
+    max_gap_s : float
+        Longest interval of the truth that is interpolated over, s.
+    tracks_path : Path
+        For messages.
+
+    Raises
+    ------
+    InputError
+        Nothing can be scored, or a covariance is not positive definite where the base needs it.
+    """
+    events = tracks.events if tracks.all_events else add_truth_times(tracks.events, truth.time_s)
+    if options.at == "times":
+        events = events.take(last_event_of_each_time(events.time_s))
+    events = events.take(in_window(events.time_s, options.from_s, options.to_s))
+    aligned = align_truth(truth, events.time_s, max_gap_s)
+    usable = ~(aligned.outside | aligned.gap)
+    scans = {
+        "outside_truth": int(aligned.outside.sum()),
+        "truth_gap": int((aligned.gap & ~aligned.outside).sum()),
+        "unseen": 0,
+    }
+    time_s, points = events.time_s[usable], aligned.points.keep_scans(usable)
+    estimates = _estimates(tracks, events.take(usable), options, tracks_path)
+    mahalanobis = options.base == "mahalanobis"
+    if sightings is not None and options.seen_by is not None and options.within_s is not None:
+        cameras = cameras_that_saw(sightings, time_s[points.scan], points.label, options.within_s)
+        estimates, points, emptied = leave_out_unseen(
+            estimates,
+            points,
+            cameras >= options.seen_by,
+            options.order,
+            options.cutoff,
+            mahalanobis=mahalanobis,
+        )
+        scans["unseen"] = int(emptied.sum())
+        time_s = time_s[~emptied]
+        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
+    if len(time_s) == 0:
+        raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
+    scores = score_scans(estimates, points, options.order, options.cutoff, mahalanobis=mahalanobis)
+    ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
+    errors = pair_errors(estimates, points, scores)
+    return Scored(
+        figures=figures(estimates, points, scores, ospa2, errors),
+        scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
+        columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
+        estimates=estimates,
+    )
+
+
+def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> PointSets:
+    """Return the estimates that were reported after each event."""
+    count = events.row_end - events.row_start
+    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    rows = np.arange(start[-1]) + np.repeat(events.row_start - start[:-1], count)
+    covariance = tracks.covariance[rows]
+    if options.base == "mahalanobis":
+        bad = np.flatnonzero(~is_positive_definite(covariance))
+        if bad.size:
+            raise InputError(
+                f"{path}: row {rows[bad[0]]}: column covariance: expected a positive definite covariance "
+                "of the position (base mahalanobis), found one that is not"
+            )
+    return PointSets(start, tracks.position[rows], tracks.velocity[rows], tracks.track_id[rows], covariance)
+
+
+def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: Options, path: Path) -> str:
+    def span(time_s: NDArray[Any]) -> str:
+        return f"{time_s.min():g} to {time_s.max():g} s" if len(time_s) else "none"
+
+    why = ", ".join(f"{name} {count}" for name, count in scans.items() if count)
+    limits = "".join(
+        f", {name} {value}"
+        for name, value in (("`from_s`", options.from_s), ("`to_s`", options.to_s))
+        if value is not None
+    )
+    return f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}{limits}" + (
+        f", not scored: {why}" if why else ""
+    )
