@@ -28,7 +28,7 @@ SCHEMA = json.loads((CONFIGS / "schema.json").read_text(encoding="utf-8"))
 KEYS = sorted({path: node for path, node in leaves(SCHEMA) if path}.items(), key=lambda item: item[0])
 
 # Changes that are tried; set by `make fuzz` for hours.
-EXAMPLES = int(os.environ.get("STEREOPHD_FUZZ_EXAMPLES", "12"))
+EXAMPLES = int(os.environ.get("STEREOPHD_FUZZ_EXAMPLES", "8"))
 BUDGET = settings(
     max_examples=EXAMPLES,
     deadline=None,
