@@ -16,6 +16,7 @@ from stereophd.core.calibration.association import (
     track_detections,
     with_cameras,
 )
+from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
 from stereophd.core.calibration.scale import ScaleMeasurement
@@ -36,6 +37,8 @@ Integers = NDArray[np.int64]
 # are rather false ones (at that distance a normal density is down to this part of its peak).
 ANNEALED_LOSS = Loss(kernels.CAUCHY, 2.0)
 FITTED_LOSS = Loss(kernels.FLOOR, 1e-3)
+# Spread of the draws about clock offsets that motion shows, in parts of the prior's.
+SEARCHED_PART = 0.1
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 
@@ -46,6 +49,7 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
         return None
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
+    draws[1:] = with_clocks(task, draws[1:])
     pairing = best_pairing(task.parameters, task.pairs, draws)
     if pairing is None:
         return None
@@ -64,6 +68,17 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return _fit(task, problem, pairing.values, states, detections)
+
+
+def with_clocks(task: Task, draws: Array) -> Array:
+    """Give every other one of draws (k, m) the clock offsets that the motion shows, as far apart as those are sure."""
+    places, found = offset_places(task.parameters), task.clocks
+    draws = draws.copy()
+    for camera in np.flatnonzero(found.scores > 0.0):
+        place = places[camera]
+        mean = task.parameters.prior_mean[place]
+        draws[::2, place] = found.offsets[camera] + SEARCHED_PART * (draws[::2, place] - mean)
+    return draws
 
 
 def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
@@ -95,8 +110,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False) -> Fit | None:
     noise = _noise(task, fit)
     # over this time the noise of the motion moves an object by its detection's noise
     padding = task.filter.motion.straying_time(noise)
-    raw = not task.parameters.only_moves
-    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts, raw)
+    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
     of_camera = scans.cameras[scans.event_of[detections]]
     chosen = shared(trajectories, of_camera, task.settings.min_detections)
     if not len(chosen):
