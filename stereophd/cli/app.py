@@ -16,7 +16,19 @@ from typing import Annotated, TextIO
 import typer
 
 import stereophd
-from stereophd.cli import calibrate, config, evaluate, experiment, export, importing, info, interrupts, simulate, track
+from stereophd.cli import (
+    calibrate,
+    check,
+    config,
+    evaluate,
+    experiment,
+    export,
+    importing,
+    info,
+    interrupts,
+    simulate,
+    track,
+)
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 from stereophd.errors import StereophdError
@@ -42,6 +54,7 @@ app.command("track")(track.track_command)
 app.command("calibrate")(calibrate.calibrate_command)
 app.command("evaluate")(evaluate.evaluate_command)
 app.command("experiment")(experiment.experiment_command)
+app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)

@@ -75,6 +75,7 @@ Seed = Annotated[
     int | None,
     typer.Option("--seed", metavar="N", help="Seed of the run.", show_default=False),
 ]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
 # The values of the following four reach the session by their callbacks, and the commands through it.
 Json = Annotated[

@@ -85,6 +85,12 @@ def print_report(session: Session, report: Mapping[str, Any]) -> None:
         print_data("\n".join(_lines(plain(report))))
 
 
+def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:
+    """Exit with code 1 if `strict` and a check of a report warns."""
+    if strict and any(found["status"] == "warning" for found in report["checks"]):
+        raise typer.Exit(1)
+
+
 def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     for key, value in report.items():
         if not prefix and key in _NOT_IN_SUMMARY:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, load, print_report, progress_bar
+from stereophd.cli.terminal import begin, exit_if_strict, load, print_report, progress_bar
 
 
 def track_command(
@@ -24,6 +24,7 @@ def track_command(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
     ] = False,
+    strict: options.Strict = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
@@ -42,3 +43,4 @@ def track_command(
     with progress_bar(session, "track") as progress:
         report = track(loaded, log, out, force=force, threads=threads, progress=progress)
     print_report(session, report)
+    exit_if_strict(strict, report)

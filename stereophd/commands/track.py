@@ -16,6 +16,8 @@ from stereophd.io.atomic import OutputFolder
 from stereophd.io.json_text import write_json
 from stereophd.io.log_checks import KINDS
 from stereophd.io.provenance import provenance, to_metadata
+from stereophd.pipeline.checks.run import check_log, report_findings
+from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.run import (
@@ -75,6 +77,7 @@ def track(
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     _announce_compilation()
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
+    findings = check_log(loaded, log_path, thorough=False)
     with OutputFolder(out_dir, FILES, force) as out:
         tracking = with_estimated_detectors(tracking, loaded, stream, threads)
         stream = stream.with_cameras(tracking.cameras)
@@ -82,12 +85,14 @@ def track(
         metadata = to_metadata(record)
         limit = loaded.config.report.max_position_std
         summary = write_tracks(tracking.records(stream), out, metadata, tracking.cameras, limit)
+        findings += tuple(check_tracking(summary, stream.counts, tracking.cameras))
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": loaded.config.units.length,
             "input": stream.counts,
             "detectors": tracking.detectors,
             **summary,
+            "checks": report_findings(findings),
             "provenance": record,
         }
         write_json(out.path("report.json"), report)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from stereophd.config.base import Model, Units
+from stereophd.config.base import Model, OneOf, Units
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.lenses import lens_models
+from stereophd.core.geometry.lenses.none import NoDistortion
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.settings import (
     FINITE,
@@ -29,7 +32,6 @@ ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
 # A detector that is better than a millionth of a pixel, or worse than a million pixels, is none.
 Sigma = Annotated[float, Interval(ge=1e-6, le=1e6), FINITE]
 ClutterRate = Annotated[float, Interval(ge=0, le=1e6), FINITE]
-Coefficient = Annotated[float, Interval(ge=-1e6, le=1e6), FINITE]
 # Logs whose times are nanoseconds have a rate of 1e-9.
 ClockRate = Annotated[float, Interval(ge=1e-12, le=1e12), FINITE]
 Readout = Annotated[float, Interval(ge=-1e3, le=1e3), FINITE]
@@ -137,47 +139,11 @@ def _parse_detector(value: Any) -> Any:
     return value
 
 
-class NoDistortion(Model):
-    """No lens distortion."""
-
-    model: Literal["none"] = parameter("the lens model", default="none")
+def _lenses() -> dict[str, Any]:
+    return {name: model.settings for name, model in lens_models().items()}
 
 
-class RadialDistortion(Model):
-    """One-parameter radial distortion: x_distorted = x (1 + k1 r^2)."""
-
-    model: Literal["radial"] = parameter("the lens model")
-    k1: Coefficient = parameter("of r^2, r the distance from the axis at depth 1")
-
-
-class BrownConradyDistortion(Model):
-    """OpenCV's rational model: k1..k6 radial, p1, p2 tangential."""
-
-    model: Literal["brown_conrady"] = parameter("the lens model")
-    k1: Coefficient = parameter("radial, of r^2 in the numerator", default=0.0)
-    k2: Coefficient = parameter("radial, of r^4 in the numerator", default=0.0)
-    p1: Coefficient = parameter("tangential", default=0.0)
-    p2: Coefficient = parameter("tangential", default=0.0)
-    k3: Coefficient = parameter("radial, of r^6 in the numerator", default=0.0)
-    k4: Coefficient = parameter("radial, of r^2 in the denominator", default=0.0)
-    k5: Coefficient = parameter("radial, of r^4 in the denominator", default=0.0)
-    k6: Coefficient = parameter("radial, of r^6 in the denominator", default=0.0)
-
-
-class FisheyeDistortion(Model):
-    """OpenCV's fisheye model: theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8)."""
-
-    model: Literal["fisheye"] = parameter("the lens model")
-    k1: Coefficient = parameter("of theta^2, theta the angle from the axis", default=0.0)
-    k2: Coefficient = parameter("of theta^4", default=0.0)
-    k3: Coefficient = parameter("of theta^6", default=0.0)
-    k4: Coefficient = parameter("of theta^8", default=0.0)
-
-
-Distortion = Annotated[
-    NoDistortion | RadialDistortion | BrownConradyDistortion | FisheyeDistortion,
-    Field(discriminator="model"),
-]
+Distortion = Annotated[Any, OneOf(_lenses, "model")]
 
 
 class ClockConfig(Model):
@@ -221,7 +187,7 @@ class CameraConfig(Model):
 
     def build(self, name: str) -> Camera:
         """Return the geometric `Camera` of this name."""
-        values = self.distortion.model_dump()
+        values = asdict(self.distortion)
         model = values.pop("model")
         return Camera(
             name=name,

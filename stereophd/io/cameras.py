@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -55,5 +56,5 @@ def _plain(camera: CameraConfig) -> dict[str, Any]:
     """Return a camera as plain values, without what says nothing (defaults, absent values)."""
     values = camera.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
     if camera.distortion.model != "none":
-        values["distortion"] = camera.distortion.model_dump(mode="json")
+        values["distortion"] = asdict(camera.distortion)
     return values

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.likelihood import hypothesis_spaces
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.batch import BatchState, FilterBatch
 from stereophd.core.numerics.weights import (
@@ -42,28 +43,6 @@ Array = NDArray[np.float64]
 
 # Streams of random numbers: the prior's draws, and then one for each event.
 PRIOR_STREAM, FIRST_EVENT_STREAM = 0, 1
-
-
-@dataclass(frozen=True)
-class SequentialSettings:
-    """Settings of the single-cluster filter.
-
-    Attributes
-    ----------
-    particles : int
-        Camera particles N.
-    resample_below : float
-        Resample when the effective number of particles is below this fraction of N.
-    roughening : float
-        K above; 0 for none. Gordon, Salmond and Smith take 0.2.
-    motion_std : array (m,), optional
-        Standard deviation of the random walk of each parameter over one second, in its unit.
-    """
-
-    particles: int = 1500
-    resample_below: float = 0.75
-    roughening: float = 0.2
-    motion_std: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -163,12 +142,13 @@ def step(
     seed: np.random.SeedSequence,
     state: SequentialState,
     event: Event,
+    motion_std: Array | None = None,
 ) -> tuple[SequentialState, SequentialInfo]:
     """Move the cameras, update every conditional filter and the weights, resample if need be."""
     rng = step_generator(seed, FIRST_EVENT_STREAM + state.filters.n_events)
     values = state.values
-    if settings.motion_std is not None and state.filters.time_s is not None:
-        walk = settings.motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
+    if motion_std is not None and state.filters.time_s is not None:
+        walk = motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
         values = values + walk * rng.standard_normal(values.shape)
     spaces = hypothesis_spaces(parameters, values, batch.template.rig)
     filters, log_likelihoods = batch.step(state.filters, event, spaces)
@@ -210,6 +190,7 @@ def run(
     seed: np.random.SeedSequence,
     resume: tuple[SequentialState, Sequence[SequentialInfo]] | None = None,
     after_event: AfterEvent | None = None,
+    motion_std: Array | None = None,
 ) -> SequentialResult:
     """Calibrate by one pass over a log.
 
@@ -227,6 +208,8 @@ def run(
         State and history that `after_event` was given: the run continues there, to the same result.
     after_event : callable, optional
         For progress and checkpoints; an exception that it raises ends the run.
+    motion_std : array (m,), optional
+        Standard deviation of the random walk of each parameter over one second, in its unit.
 
     Returns
     -------
@@ -235,7 +218,7 @@ def run(
     state = init(parameters, batch, settings, seed) if resume is None else resume[0]
     history = [] if resume is None else list(resume[1])
     for number in range(state.filters.n_events, len(events)):
-        state, info = step(parameters, batch, settings, seed, state, events[number])
+        state, info = step(parameters, batch, settings, seed, state, events[number], motion_std)
         history.append(info)
         if after_event is not None:
             after_event(number + 1, state, history)

@@ -14,6 +14,7 @@ from stereophd.core.calibration.pairing import TrackPairs, make_pairs, one_camer
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
+from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.track_rays import RawTracks
 from stereophd.core.calibration.trajectories import Knots
 from stereophd.core.geometry.camera import Camera
@@ -23,17 +24,6 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SUCCEEDED = "succeeded"
-
-
-@dataclass(frozen=True)
-class AnnealedSettings:
-    """Parameters of the method; see `stereophd.config.calibration.AnnealedConfig`."""
-
-    starts: int = 8
-    agreeing_starts: int = 2
-    inflation: tuple[float, ...] = (7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
-    min_detections: int = 16
-    min_tracked: float = 0.5
 
 
 @dataclass(frozen=True)

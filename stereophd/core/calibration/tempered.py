@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.tempered_state import TemperedInfo, TemperedResult, TemperedSettings, TemperedState
+from stereophd.core.calibration.settings import TemperedSettings
+from stereophd.core.calibration.tempered_state import TemperedInfo, TemperedResult, TemperedState
 from stereophd.core.numerics.weights import (
     effective_sample_size,
     normalised,

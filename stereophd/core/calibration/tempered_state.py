@@ -1,4 +1,4 @@
-"""Settings, state and outcome of tempered sampling; see `stereophd.core.calibration.tempered`."""
+"""State and outcome of tempered sampling; see `stereophd.core.calibration.tempered`."""
 
 from __future__ import annotations
 
@@ -9,27 +9,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class TemperedSettings:
-    """Settings of the sampler.
-
-    Attributes
-    ----------
-    particles : int
-    resample_below : float
-        A tempering step leaves this fraction of the particles effective.
-    moves : int
-        Metropolis-Hastings moves of every particle after a tempering step.
-    spread : float
-        Factor on the standard deviations of the modes, for the first particles.
-    """
-
-    particles: int = 200
-    resample_below: float = 0.5
-    moves: int = 3
-    spread: float = 1.5
 
 
 @dataclass(frozen=True)

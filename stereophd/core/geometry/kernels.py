@@ -1,6 +1,6 @@
 """Compiled scalar kernels of the lens models and of the in-view test (numba).
 
-They hold the only implementation of each lens formula; `stereophd.core.geometry.lens` loops over them and
+They compile the formulas of `stereophd.core.geometry.lenses`; `stereophd.core.geometry.lens` loops over them and
 other compiled kernels call them, where LLVM inlines them. Points are normalised image coordinates
 (x / z, y / z) in the camera's axes. All lens models are written as one family,
 
@@ -36,6 +36,7 @@ from stereophd.core.geometry.layout import (
     ROTATION,
     WIDTH,
 )
+from stereophd.core.geometry.lenses import brown_conrady, fisheye
 from stereophd.core.numerics.compilation import compiled
 
 # Other kernels take the layout of a packed camera from here too.
@@ -65,8 +66,6 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-# Below this squared radius theta_d / r is 1 + (k1 - 1/3) s to full double precision (next term s^2).
-FISHEYE_SERIES_LIMIT = 1e-8
 # An inverse beyond this radius is 89.99999 degrees off the axis: as good as not invertible.
 LARGEST_RADIUS = 1e8
 MAX_ITERATIONS = 100
@@ -77,26 +76,17 @@ STEP_TOLERANCE = 1e-15
 RESIDUAL_TOLERANCE = 1e-12
 
 
+# The formulas, by lens: `_scale` chooses among them.
+_fisheye = compiled(fisheye.scale)
+_brown_conrady = compiled(brown_conrady.scale)
+
+
 @compiled
 def _scale(code: int, c: FloatArray, start: int, s: float) -> tuple[float, float]:
     """Return g = r_d / r and dg/ds at the squared radius s, with the coefficients at c[start : start + 8]."""
     if code == LENS_FISHEYE:
-        k1, k2, k3, k4 = c[start], c[start + 1], c[start + 2], c[start + 3]
-        if s < FISHEYE_SERIES_LIMIT:
-            return 1.0 + (k1 - 1.0 / 3.0) * s, k1 - 1.0 / 3.0
-        r = math.sqrt(s)
-        theta = math.atan(r)
-        t = theta * theta
-        g = theta * (1.0 + t * (k1 + t * (k2 + t * (k3 + t * k4)))) / r
-        slope = 1.0 + t * (3.0 * k1 + t * (5.0 * k2 + t * (7.0 * k3 + t * 9.0 * k4)))
-        return g, (slope / (1.0 + s) - g) / (2.0 * s)
-    k1, k2, k3 = c[start], c[start + 1], c[start + 4]
-    k4, k5, k6 = c[start + 5], c[start + 6], c[start + 7]
-    denominator = 1.0 + s * (k4 + s * (k5 + s * k6))
-    g = (1.0 + s * (k1 + s * (k2 + s * k3))) / denominator
-    numerator_slope = k1 + s * (2.0 * k2 + s * 3.0 * k3)
-    denominator_slope = k4 + s * (2.0 * k5 + s * 3.0 * k6)
-    return g, (numerator_slope - g * denominator_slope) / denominator
+        return _fisheye(c, start, s)
+    return _brown_conrady(c, start, s)
 
 
 @compiled

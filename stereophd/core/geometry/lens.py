@@ -5,33 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stereophd.core.geometry.layout import LENS_BROWN_CONRADY, LENS_FISHEYE, LENS_NONE, LENS_RADIAL
+from stereophd.core.geometry.lenses import lens_models
 
 FloatArray = NDArray[np.float64]
-LensModel = Literal["none", "radial", "brown_conrady", "fisheye"]
 
-CODES: Final[dict[str, int]] = {
-    "none": LENS_NONE,
-    "radial": LENS_RADIAL,
-    "brown_conrady": LENS_BROWN_CONRADY,
-    "fisheye": LENS_FISHEYE,
-}
-PARAMETERS: Final[dict[str, tuple[str, ...]]] = {
-    "none": (),
-    "radial": ("k1",),
-    "brown_conrady": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    "fisheye": ("k1", "k2", "k3", "k4"),
-}
-# max_radius stays this fraction inside the fold, where the inverse has a finite Jacobian and the
-# rounding of a polynomial root does not matter.
-FOLD_MARGIN = 1e-9
-# A fold at a squared radius beyond this is 89.9999 degrees off the axis: no fold at all.
-ROOT_LIMIT = 1e12
+CODES: Final[dict[str, int]] = {name: model.code for name, model in lens_models().items()}
+PARAMETERS: Final[dict[str, tuple[str, ...]]] = {name: model.coefficients for name, model in lens_models().items()}
+# Coefficients of a packed camera.
+SLOTS = 8
 
 
 @dataclass(frozen=True)
@@ -53,7 +39,7 @@ class Lens:
         If the model is unknown, a coefficient is not finite, or one is given that the model lacks.
     """
 
-    model: LensModel = "none"
+    model: str = "none"
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0
@@ -81,8 +67,8 @@ class Lens:
     @property
     def coefficients(self) -> FloatArray:
         """Coefficients (8,): k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1, k2, k3, k4, 0, 0, 0, 0."""
-        names = PARAMETERS["fisheye" if self.model == "fisheye" else "brown_conrady"]
-        result = np.zeros(8)
+        names = PARAMETERS[self.model]
+        result = np.zeros(SLOTS)
         result[: len(names)] = [getattr(self, name) for name in names]
         return result
 
@@ -91,23 +77,9 @@ class Lens:
         """Largest undistorted radius up to which the radial map r -> r_d increases (inf if always).
 
         Beyond it the model folds back, and maps points far outside the field of view into the image:
-        such points are never in view. A radius at which the map only stands still counts as a limit, and
-        so does a pole of the rational model that its numerator cancels.
+        such points are never in view.
         """
-        if self.model == "fisheye":
-            # d theta_d / d theta as a polynomial in theta^2, highest power first.
-            slope = [9 * self.k4, 7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0]
-            angle = math.sqrt(_smallest_positive_root(slope))
-            return math.tan(angle) * (1 - FOLD_MARGIN) if angle < math.pi / 2 else math.inf
-        # r_d = r N(s) / D(s), s = r^2: the slope is (N D + 2 s (N' D - N D')) / D^2.
-        numerator = np.array([self.k3, self.k2, self.k1, 1.0])
-        denominator = np.array([self.k6, self.k5, self.k4, 1.0])
-        wronskian: FloatArray = np.polysub(
-            np.polymul(np.polyder(numerator), denominator), np.polymul(numerator, np.polyder(denominator))
-        )
-        slope = np.polyadd(np.polymul(numerator, denominator), np.polymul([2.0, 0.0], wronskian))
-        squared = min(_smallest_positive_root(slope), _smallest_positive_root(denominator))
-        return math.sqrt(squared) * (1 - FOLD_MARGIN)
+        return lens_models()[self.model].max_radius(self.coefficients)
 
     def distort(self, xy: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Distort normalised points.
@@ -165,17 +137,3 @@ def _points(values: ArrayLike) -> FloatArray:
 
 def _identities(n: int) -> FloatArray:
     return np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
-
-
-def _smallest_positive_root(polynomial: ArrayLike) -> float:
-    """Return the smallest positive root of a polynomial (highest power first, last coefficient 1).
-
-    Roots beyond ROOT_LIMIT count as none, and none is inf.
-    """
-    # The reciprocals of the roots are those of the reversed polynomial, which is monic: tiny leading
-    # coefficients, which would drown the root wanted here, are tiny last ones there and do no harm.
-    roots = np.roots(np.asarray(polynomial, dtype=np.float64)[::-1])
-    # A double root comes out as a pair with a small imaginary part: there the slope is zero, so it counts.
-    is_real = np.abs(roots.imag) <= 1e-7 * np.abs(roots)
-    reciprocals = roots.real[is_real & (roots.real > 1.0 / ROOT_LIMIT)]
-    return 1.0 / float(reciprocals.max()) if len(reciprocals) else math.inf

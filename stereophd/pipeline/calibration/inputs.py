@@ -19,7 +19,7 @@ from stereophd.core.calibration.quantities.base import IMAGES, Quantity
 from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
-from stereophd.core.calibration.task import AnnealedSettings, Task
+from stereophd.core.calibration.task import Task
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.kinds.pmb import PmbSettings
@@ -321,13 +321,7 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
         problem.recording,
         tracked_frames(problem.recording, settings.max_events),
         problem.scale,
-        AnnealedSettings(
-            settings.starts,
-            settings.agreeing_starts,
-            settings.inflation,
-            settings.min_detections,
-            settings.min_tracked,
-        ),
+        settings,
     )
 
 

@@ -57,12 +57,11 @@ def sequential_outcome(
         parameters,
         events,
         FilterBatch(template, jobs),
-        sequential.SequentialSettings(
-            settings.particles, settings.resample_below, settings.roughening, walk if walk.any() else None
-        ),
+        settings,
         SEQUENTIAL_PARTICLES.seed(loaded.config.seed),
         checkpoint.get("sequential"),
         after,
+        walk if walk.any() else None,
     )
     mean, covariance = weighted_mean_covariance(result.state.values, result.state.log_weights)
     sizes = [info.effective_sample_size for info in result.history]
@@ -133,7 +132,7 @@ def smc_outcome(
         problem.parameters,
         evidence,
         modes,
-        tempered.TemperedSettings(settings.particles, settings.resample_below, settings.moves, settings.spread),
+        settings,
         TEMPERED_PARTICLES.seed(loaded.config.seed),
     )
 

@@ -76,17 +76,17 @@ def test_it_is_the_textbooks_filter(parameters: ParameterSet) -> None:
 def test_resumed_or_on_more_threads_it_is_the_same_to_the_bit(parameters: ParameterSet) -> None:
     events = make_events(parameters.cameras, 10)
     batch = FilterBatch(make_template(parameters.cameras))
-    settings = SequentialSettings(particles=20, motion_std=0.01 * parameters.prior_std)
+    settings, walk = SequentialSettings(particles=20), 0.01 * parameters.prior_std
     saved: list[bytes] = []
 
     def save(number: int, state: SequentialState, history: Sequence[SequentialInfo]) -> None:
         if number == 6:
             saved.append(pickle.dumps((state, list(history))))
 
-    whole = sequential.run(parameters, events, batch, settings, SEED, after_event=save)
-    resumed = sequential.run(parameters, events, batch, settings, SEED, resume=pickle.loads(saved[0]))
+    whole = sequential.run(parameters, events, batch, settings, SEED, after_event=save, motion_std=walk)
+    resumed = sequential.run(parameters, events, batch, settings, SEED, resume=pickle.loads(saved[0]), motion_std=walk)
     assert to_bytes(whole) == to_bytes(resumed)
-    threaded = sequential.run(parameters, events, replace(batch, threads=2), settings, SEED)
+    threaded = sequential.run(parameters, events, replace(batch, threads=2), settings, SEED, motion_std=walk)
     assert to_bytes(whole) == to_bytes(threaded)
     assert len(whole.history) == 10
 
@@ -107,10 +107,10 @@ def test_camera_motion_noise_grows_with_the_root_of_time(parameters: ParameterSe
     events = [replace(event, points=np.empty((0, 2)), covariances=np.empty((0, 2, 2)), areas=np.empty(0))
               for event in make_events(parameters.cameras, 10)]  # fmt: skip
     std = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.003])
-    settings = SequentialSettings(particles=4000, roughening=0.0, motion_std=std)
+    settings = SequentialSettings(particles=4000, roughening=0.0)
     batch = FilterBatch(make_template(parameters.cameras, samples=32))
     values = parameters.sample(step_generator(SEED, 0), 4000)
-    result = sequential.run(parameters, events, batch, settings, SEED)
+    result = sequential.run(parameters, events, batch, settings, SEED, motion_std=std)
     assert not any(info.resampled for info in result.history)
     # from 0 to 2 s; the standard error of a standard deviation is 1.1 %
     np.testing.assert_allclose((result.state.values - values).std(axis=0), std * np.sqrt(2.0), rtol=0.055, atol=1e-12)

@@ -1,0 +1,51 @@
+"""``stereophd check``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, load, print_data, print_report
+
+MARKS = {"ok": "ok", "warning": "WARNING", "not checked": "not checked"}
+
+
+def check_command(
+    context: typer.Context,
+    config: options.Config,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Detection log (Parquet).", show_default=False)],
+    cameras: options.Cameras = None,
+    strict: options.Strict = False,
+    overrides: options.Set = None,
+    seed: options.Seed = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Check whether a log fits the cameras and the settings; name likely causes and remedies."""
+    session = begin(context)
+    loaded = load(config, overrides, seed, cameras)
+    from stereophd.commands.check import check
+
+    report = check(loaded, log)
+    if session.json:
+        print_report(session, report)
+    elif not session.quiet:
+        print_data("\n".join(_lines(report["checks"])))
+    if strict and report["warnings"]:
+        raise typer.Exit(1)
+
+
+def _lines(checks: list[dict[str, Any]]) -> list[str]:
+    """Return one or two lines a finding, warnings last, where they are seen."""
+    lines = []
+    for one in sorted(checks, key=lambda found: found["status"] == "warning"):
+        lines.append(f"{MARKS[one['status']]:>11}  {one['name']}: {one['message']}")
+        if one["remedy"] and one["status"] == "warning":
+            lines.append(f"{'':>11}  remedy: {one['remedy']}")
+    count = sum(one["status"] == "warning" for one in checks)
+    return [*lines, f"{len(checks)} checks, {count} warning{'' if count == 1 else 's'}"]

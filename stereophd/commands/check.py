@@ -1,0 +1,45 @@
+"""Check whether a detection log fits the cameras and the settings of a configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stereophd.io.provenance import provenance
+from stereophd.pipeline.checks.finding import warnings_of
+from stereophd.pipeline.checks.run import check_log
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+REPORT_VERSION = 1
+
+
+def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
+    """Check a log against a configuration; nothing is written.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With cameras.
+    log_path : path
+        Detection log.
+
+    Returns
+    -------
+    dict
+        ``report_version``, ``warnings`` (their number), ``checks`` (the fields of
+        `stereophd.pipeline.checks.finding.Finding`, one entry a check) and ``provenance``.
+
+    Raises
+    ------
+    InputError
+        The configuration has no cameras; the log is not usable.
+    """
+    findings = check_log(loaded, log_path)
+    return {
+        "report_version": REPORT_VERSION,
+        "warnings": len(warnings_of(findings)),
+        "checks": [finding.as_dict() for finding in findings],
+        "provenance": provenance("check", loaded.record, inputs={"detections": log_path}),
+    }

@@ -1,0 +1,78 @@
+"""Settings of the methods of calibration."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from annotated_types import Interval, Len
+
+from stereophd.core.settings import (
+    FINITE,
+    LARGEST_COUNT,
+    Count,
+    DegreesSpread,
+    Fraction,
+    Length,
+    PositiveFraction,
+    parameter,
+    settings,
+)
+
+
+@settings
+class AnnealedSettings:
+    """Annealed alternation of tracking and bundle adjustment, from several starts."""
+
+    starts: Count = parameter("the prior mean and draws from the prior; at most this many", default=8)
+    agreeing_starts: Count = parameter("stop as soon as this many of the starts agree on the best", default=2)
+    inflation: Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ...], Len(1, 1000)] = parameter(
+        "factors on the detector's sigma while tracking, pass by pass", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
+    )
+    max_events: Count = parameter(
+        "frames used while tracking; of a longer log every n-th frame of each camera is", default=4000
+    )
+    min_detections: Annotated[int, Interval(ge=4, le=LARGEST_COUNT)] = parameter(
+        "a track counts from this many detections in each of two cameras on", default=16
+    )
+    min_tracked: Fraction = parameter(
+        "a start succeeds only if tracks that two cameras share explain this part of the detections that are not "
+        "expected to be false",
+        default=0.5,
+    )
+
+
+@settings
+class SequentialSettings:
+    """Single-cluster PHD filter: camera particles, each with a filter of its own (paper VII-B)."""
+
+    particles: Count = parameter("camera hypotheses", default=1500)
+    resample_below: PositiveFraction = parameter(
+        "resample when the effective sample size falls below this part of the particles", default=0.75
+    )
+    roughening: Annotated[float, Interval(ge=0, le=1e3), FINITE] = parameter(
+        "after resampling, jitter of this factor times range times particles^(-1/parameters)", default=0.2
+    )
+    center_noise: Length = parameter("random walk of the camera's centre", default=0.0, unit="length per sqrt(s)")
+    rotation_noise_deg: DegreesSpread = parameter(
+        "random walk of its rotation", default=0.0, unit="degrees per sqrt(s)"
+    )
+    likelihood: Literal["phd", "pmb"] = parameter("multi-object likelihood that weights the particles", default="phd")
+    samples: Annotated[int, Interval(ge=16, le=65536)] = parameter(
+        "samples per Gaussian of the particle move", default=100
+    )
+
+
+@settings
+class TemperedSettings:
+    """Full posterior: particles about the modes found, tempered and moved by Metropolis-Hastings."""
+
+    particles: Annotated[int, Interval(ge=8, le=LARGEST_COUNT)] = parameter("camera hypotheses", default=200)
+    evidence: Literal["pmb", "phd"] = parameter("multi-object evidence that weights the particles", default="pmb")
+    resample_below: PositiveFraction = parameter(
+        "a tempering step keeps the effective sample size at this part of the particles", default=0.5
+    )
+    moves: Count = parameter("Metropolis-Hastings moves after each tempering step", default=3)
+    spread: Annotated[float, Interval(ge=0.1, le=1e3), FINITE] = parameter(
+        "the first particles are drawn this much wider than the Laplace modes", default=1.5
+    )
+    max_events: Count = parameter("frames used; of a longer log every n-th frame of each camera is", default=4000)

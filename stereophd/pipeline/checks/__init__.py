@@ -1,0 +1,1 @@
+"""Checks: does a log fit the cameras and the settings? Findings name the likely cause and a remedy."""

@@ -1,0 +1,242 @@
+"""Do the rays of two cameras meet more often than chance?
+
+A detection of camera A has a partner in camera B if a detection of B, at the same true time, lies near its epipolar
+line and both rays meet in front of the cameras. With the essential matrix E of the pair and the rays a, b,
+
+    r = b^T E a / sqrt(sum over the four pixels of (derivative of b^T E a)^2 sigma^2)
+
+is the distance in standard deviations to first order (P. D. Sampson, 1982). The share of detections with a partner is
+compared with the share that the same cameras have when B's times are shifted, which is what chance gives. No track and
+no filter is involved, so the figures tell whether cameras and clocks fit the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.pipeline.checks.sample import CameraSample
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Detections of A that are examined, time shifts that stand for chance, and candidates in B that are kept at most.
+MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 40
+# Tolerances, in standard deviations of the distance.
+TOLERANCES = (3.0, 8.0, 20.0)
+# Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
+LEAST_SINE = 1e-3
+
+
+def unchanged(camera: Camera, pixels: Array) -> Array:
+    """Return the pixels as they are."""
+    return pixels
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera, and how the pixels of the log are to be read.
+
+    Attributes
+    ----------
+    camera : Camera
+    read : callable (Camera, (n, 2) array) -> (n, 2) array
+        From pixels of the log to pixels of the camera.
+    """
+
+    camera: Camera
+    read: Callable[[Camera, Array], Array] = unchanged
+
+    def rays(self, pixels: Array) -> Array:
+        """Return the rays (n, 3), third component 1, of pixels (n, 2) of the log; NaN where there are none."""
+        camera = self.camera
+        flat, _ = camera.undistort_pixels(self.read(camera, pixels))
+        xy = (flat - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+        return np.column_stack([xy, np.ones(len(xy))])
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Detections of A, and the detections of B at their times and at shifted times.
+
+    Attributes
+    ----------
+    a, b : int
+        The cameras.
+    detections : array (n,) of int
+        Of A.
+    times : array (n,)
+        True times of these, s.
+    pixels_a : array (n, 2)
+    pixels_b : array (1 + s, n, k, 2)
+        At the same times, then at shifted ones; NaN where there are fewer than k.
+    """
+
+    a: int
+    b: int
+    detections: Integers
+    times: Array
+    pixels_a: Array
+    pixels_b: Array
+
+    def thinned(self, count: int, shifts: int = SHIFTS) -> Candidates:
+        """Return fewer of the detections, and fewer shifted times."""
+        kept = np.unique(np.linspace(0, len(self.detections) - 1, min(count, len(self.detections))).astype(int))
+        return Candidates(
+            self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept],
+            np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """How many of A's detections have a partner in B.
+
+    Attributes
+    ----------
+    share, chance : float
+        Share with a partner, and at shifted times.
+    excess : float
+        ``(share - chance) / (1 - chance)``: the share that meets for a reason.
+    score : float
+        `share` minus `chance` in standard deviations of chance.
+    tolerance : float
+        In standard deviations of the distance.
+    count : int
+        Detections.
+    """
+
+    share: float
+    chance: float
+    excess: float
+    score: float
+    tolerance: float
+    count: int
+
+
+def candidates(
+    samples: list[CameraSample], a: int, b: int, most: int = MOST_DETECTIONS, shifts: int = SHIFTS
+) -> Candidates | None:
+    """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing."""
+    first, second = samples[a], samples[b]
+    if len(first.pixels) == 0 or len(second.times) < 4:
+        return None
+    low, high = max(first.times[0], second.times[0]), min(first.times[-1], second.times[-1])
+    times = first.times[first.frame_of]
+    usable = np.flatnonzero((times >= low) & (times <= high))
+    if len(usable) < 10 or high <= low:
+        return None
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
+    at, length = times[chosen], high - low
+    shifted = [at] + [low + (at - low + length * (k + 1) / (shifts + 1)) % length for k in range(shifts)]
+    there = np.stack([pixels_at(second, times) for times in shifted])
+    most_there = max(1, int(np.isfinite(there[..., 0]).sum(axis=2).max()))
+    return Candidates(a, b, chosen, at, first.pixels[chosen], there[:, :, :most_there])
+
+
+def pixels_at(sample: CameraSample, times: Array) -> Array:
+    """Return the detections (n, k, 2) of a camera at times (n,), s: between frames, along the one-camera tracks.
+
+    A detection without a track counts for the nearer of the two frames. NaN where a time has fewer than k.
+    """
+    found = np.full((len(times), MOST_CANDIDATES, 2), np.nan)
+    following, first = sample.links, sample.first
+    after = np.searchsorted(sample.times, times, side="right").clip(1, len(sample.times) - 1)
+    span = sample.times[after] - sample.times[after - 1]
+    weights = np.clip((times - sample.times[after - 1]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
+    for i, (k, weight) in enumerate(zip((after - 1).tolist(), weights.tolist(), strict=True)):
+        here = np.arange(first[k], first[k + 1])
+        linked = here[following[here] >= 0]
+        moved = (1.0 - weight) * sample.pixels[linked] + weight * sample.pixels[following[linked]]
+        if weight <= 0.5:
+            alone = here[following[here] < 0]
+        else:
+            alone = np.setdiff1d(np.arange(first[k + 1], first[k + 2]), following[linked])
+        points = np.concatenate([moved, sample.pixels[alone]])[:MOST_CANDIDATES]
+        found[i, : len(points)] = points
+    return found
+
+
+def distances(found: Candidates, first: View, second: View) -> tuple[Array, Array]:
+    """Return distances in standard deviations, and depths before A, both (1 + s, n, k).
+
+    Infinite where the rays do not meet in front of both cameras.
+    """
+    shape = found.pixels_b.shape[:3]
+    rays_a = first.rays(found.pixels_a)
+    rays_b = second.rays(found.pixels_b.reshape(-1, 2)).reshape(*shape, 3)
+    pose_a, pose_b = first.camera.pose, second.camera.pose
+    offset = pose_b.center - pose_a.center
+    cross = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
+    essential = pose_b.rotation @ cross @ pose_a.rotation.T
+    line_b = rays_a @ essential.T
+    line_a = rays_b @ essential
+    value = np.einsum("snki,ni->snk", rays_b, line_b)
+    variance = _pixel_variance(line_b, second.camera)[None, :, None] + _pixel_variance(line_a, first.camera)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        distance = np.abs(value) / np.sqrt(variance)
+    depth, in_front = _depths(rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, offset)
+    return np.where(in_front & np.isfinite(distance), distance, np.inf), depth
+
+
+def _pixel_variance(line: Array, camera: Camera) -> Array:
+    """Variance of b^T E a by the pixels of one camera, from the epipolar line (..., 3) in normalised coordinates."""
+    slopes = line[..., :2] / [camera.fx, camera.fy] * camera.detector.sigma
+    return np.asarray((slopes**2).sum(axis=-1))
+
+
+def _depths(directions_a: Array, directions_b: Array, offset: Array) -> tuple[Array, Array]:
+    """Return depths before A where rays (n, 3) and (s, n, k, 3) in the world are nearest, and whether both are > 0."""
+    aa = (directions_a**2).sum(axis=-1)[None, :, None]
+    bb = (directions_b**2).sum(axis=-1)
+    ab = np.einsum("snki,ni->snk", directions_b, directions_a)
+    da, db = (directions_a @ offset)[None, :, None], directions_b @ offset
+    determinant = aa * bb - ab**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth_a = (bb * da - ab * db) / determinant
+        depth_b = (ab * da - aa * db) / determinant
+        parallel = determinant < LEAST_SINE**2 * aa * bb
+    return depth_a, parallel | ((depth_a > 0.0) & (depth_b > 0.0))
+
+
+def meeting(found: Candidates, first: View, second: View, tolerances: tuple[float, ...] = TOLERANCES) -> Meeting:
+    """Return how often the rays meet, at the tolerance with the highest score."""
+    least = distances(found, first, second)[0].min(axis=2)
+    best: Meeting | None = None
+    for tolerance in tolerances:
+        shares = (least <= tolerance).mean(axis=1)
+        share, chance = float(shares[0]), float(shares[1:].mean())
+        spread = float(np.hypot(shares[1:].std(ddof=1), np.sqrt(max(chance * (1 - chance), 0.25 / len(least[0]))
+                                                                / len(least[0]))))  # fmt: skip
+        excess = (share - chance) / max(1.0 - chance, 1e-9)
+        one = Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerance, len(least[0]))
+        if best is None or one.score > best.score:
+            best = one
+    assert best is not None
+    return best
+
+
+def expected_excess(found: Candidates, samples: list[CameraSample], depths: tuple[float, float]) -> float:
+    """Return the excess that the configuration promises: objects among A's detections, in view of B and detected there.
+
+    Parameters
+    ----------
+    found : Candidates
+    samples : list of CameraSample
+    depths : (2,) floats
+        Depths before A between which objects are expected, length.
+    """
+    first, second = samples[found.a], samples[found.b]
+    rate = first.detections_per_frame
+    objects = float(np.clip(1.0 - first.camera.detector.clutter_per_frame / max(rate, 1e-9), 0.0, 1.0))
+    rays = View(first.camera).rays(found.pixels_a)
+    directions = rays @ first.camera.pose.rotation
+    seen = [
+        second.camera.in_view(first.camera.pose.center + depth * directions)
+        for depth in np.geomspace(*depths, 9).tolist()
+    ]
+    return objects * float(np.mean(seen)) * second.camera.detector.p_detect

@@ -1,0 +1,76 @@
+"""All checks of a log, a configuration and cameras that need no filter."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stereophd.io.logs import LogReader
+from stereophd.pipeline.checks.files import check_files
+from stereophd.pipeline.checks.finding import Finding, warnings_of
+from stereophd.pipeline.checks.geometry import check_geometry, measure
+from stereophd.pipeline.checks.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Frames of each camera that a check inside another command looks at.
+QUICK_FRAMES = 400
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def check_log(loaded: LoadedConfig, log_path: Path | str, thorough: bool = True) -> tuple[Finding, ...]:
+    """Check whether a log fits the cameras and the settings of a configuration.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With cameras.
+    log_path : path
+        Detection log.
+    thorough : bool
+        Whether more of the log is read, and clock offsets are tried even where nothing is suspicious.
+
+    Returns
+    -------
+    tuple of Finding
+        Of the log by itself, of the geometry and of the settings, in this order.
+
+    Raises
+    ------
+    InputError
+        The configuration has no cameras; the log is not usable.
+    """
+    cameras = loaded.build_cameras()
+    reader = LogReader(log_path, cameras, "drop", float("inf"))
+    samples = sample_log(reader, cameras) if thorough else sample_log(reader, cameras, QUICK_FRAMES)
+    return check_samples(loaded, samples, thorough)
+
+
+def check_samples(loaded: LoadedConfig, samples: list[CameraSample], thorough: bool) -> tuple[Finding, ...]:
+    """Check a part of a log that is in memory (see `check_log`)."""
+    config = loaded.config
+    estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
+    findings = [
+        found
+        for found in check_files(samples)
+        if not (found.name.startswith("detector.") and found.camera in estimated)
+    ]
+    if any(found.cause == "pixels_normalised" for found in findings):
+        return tuple(findings)
+    geometry = measure(samples, expected_depths(config, samples), thorough)
+    findings += check_geometry(geometry, thorough)
+    if not any(found.name == "geometry.cause" for found in warnings_of(tuple(findings))):
+        findings += check_settings(config, measure_scene(geometry), samples, config.units.length)
+    return tuple(findings)
+
+
+def report_findings(findings: tuple[Finding, ...]) -> list[dict[str, Any]]:
+    """Log every warning with its remedy; return all findings for a report."""
+    for found in warnings_of(findings):
+        remedy = "" if found.remedy is None else f" (remedy: {found.remedy})"
+        LOGGER.warning("check %s: %s%s", found.name, found.message, remedy)
+    return [found.as_dict() for found in findings]

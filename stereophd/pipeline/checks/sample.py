@@ -1,0 +1,185 @@
+"""A part of a log in memory, camera by camera, and the short one-camera tracks in it.
+
+Checks look at raw pixels and at the times of frames, before any filter. A one-camera track is a chain of detections of
+successive frames that are mutually nearest, within a gate that separates objects from clutter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.io.logs import Frame
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Frames of each camera that are kept.
+MOST_FRAMES = 3000
+# Candidate gates of a link, px.
+GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+# Frames of the shortest track that counts.
+LEAST_LENGTH = 6
+
+
+@dataclass(frozen=True)
+class CameraSample:
+    """Frames of one camera.
+
+    Attributes
+    ----------
+    camera : Camera
+    times : array (f,)
+        True times of the frames (by the clock of the configuration), s, rising.
+    frames : array (f,) of int
+        Frame numbers.
+    first : array (f + 1,) of int
+        The detections of frame k are those from ``first[k]`` to ``first[k + 1]``.
+    pixels : array (n, 2)
+        Distorted pixels.
+    """
+
+    camera: Camera
+    times: Array
+    frames: Integers
+    first: Integers
+    pixels: Array
+
+    @property
+    def detections_per_frame(self) -> float:
+        """Mean number of detections of a frame."""
+        return len(self.pixels) / max(1, len(self.times))
+
+    @cached_property
+    def interval_s(self) -> float:
+        """Median interval between successive frames, s; NaN with fewer than two frames."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else float("nan")
+
+    @cached_property
+    def frame_of(self) -> Integers:
+        """Frame of each detection (n,)."""
+        return np.repeat(np.arange(len(self.times)), np.diff(self.first))
+
+    @cached_property
+    def links(self) -> Integers:
+        """Next detection of each detection's one-camera track (n,); -1 where the track ends."""
+        return _link(self)
+
+    @cached_property
+    def linked(self) -> NDArray[np.bool_]:
+        """Whether each detection (n,) belongs to a chain of frames."""
+        linked = self.links >= 0
+        linked[self.links[linked]] = True
+        return linked
+
+    @property
+    def isolated_per_frame(self) -> float:
+        """Median number of detections of a frame that belong to no chain: the median leaves out fast movements."""
+        if not len(self.times):
+            return 0.0
+        return float(np.median(np.bincount(self.frame_of[~self.linked], minlength=len(self.times))))
+
+    @cached_property
+    def noise_px(self) -> float | None:
+        """Standard deviation of a detection about its one-camera track, px; None without long tracks.
+
+        From third differences, which a steady acceleration does not change; the median resists wrong links.
+        """
+        differences = [
+            np.diff(self.pixels[track], n=3, axis=0).ravel()
+            for track in self.tracks
+            if np.ptp(np.diff(self.times[self.frame_of[track]])) < 0.2 * self.interval_s
+        ]
+        if sum(map(len, differences)) < 60:
+            return None
+        # 1 + 9 + 9 + 1 = 20 times the variance of one detection
+        return float(np.median(np.abs(np.concatenate(differences))) / (0.6745 * np.sqrt(20.0)))
+
+    @cached_property
+    def tracks(self) -> tuple[Integers, ...]:
+        """Detections of every one-camera track of at least `LEAST_LENGTH` frames."""
+        following = self.links
+        starts = np.setdiff1d(np.flatnonzero(following >= 0), following[following >= 0])
+        found = []
+        for start in starts.tolist():
+            chain, k = [start], int(following[start])
+            while k >= 0:
+                chain.append(k)
+                k = int(following[k])
+            if len(chain) >= LEAST_LENGTH:
+                found.append(np.array(chain, dtype=np.int64))
+        return tuple(found)
+
+
+def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...], most: int = MOST_FRAMES) -> list[CameraSample]:
+    """Return the first frames of a log, at most `most` a camera on average.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        In the order of true time.
+    cameras : tuple of Camera
+    most : int
+
+    Returns
+    -------
+    list of CameraSample
+        One a camera, in order; those without frames are empty.
+    """
+    kept: list[list[Frame]] = [[] for _ in cameras]
+    for count, frame in enumerate(frames):
+        if count >= most * len(cameras):
+            break
+        kept[frame.camera].append(frame)
+    return [_of_camera(camera, own) for camera, own in zip(cameras, kept, strict=True)]
+
+
+def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
+    counts = np.array([len(frame.pixels) for frame in frames], dtype=np.int64)
+    return CameraSample(
+        camera,
+        np.array([frame.time_s for frame in frames], dtype=np.float64),
+        np.array([frame.frame for frame in frames], dtype=np.int64),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        np.concatenate([frame.pixels for frame in frames]) if frames else np.empty((0, 2)),
+    )
+
+
+def _nearest(sample: CameraSample, step: int) -> tuple[Integers, Integers, Array]:
+    """Return mutually nearest detections of frames k and k + step: first, second, distance in px."""
+    first, second, distances = [], [], []
+    for k in range(len(sample.times) - step):
+        a, b = sample.first[k], sample.first[k + 1]
+        c, d = sample.first[k + step], sample.first[k + step + 1]
+        if a == b or c == d:
+            continue
+        there, back = cKDTree(sample.pixels[c:d]), cKDTree(sample.pixels[a:b])
+        distance, index = there.query(sample.pixels[a:b])
+        _, returned = back.query(sample.pixels[c:d])
+        mutual = np.flatnonzero(returned[index] == np.arange(b - a))
+        first.append(a + mutual)
+        second.append(c + index[mutual])
+        distances.append(distance[mutual])
+    if not first:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
+    return np.concatenate(first), np.concatenate(second), np.concatenate(distances)
+
+
+def _link(sample: CameraSample) -> Integers:
+    """Link detections of successive frames within the gate that gains most over frames that lie far apart."""
+    following = np.full(len(sample.pixels), -1, dtype=np.int64)
+    first, second, distances = _nearest(sample, 1)
+    if not len(first):
+        return following
+    _, _, chance = _nearest(sample, max(2, min(len(sample.times) // 3, 200)))
+    expected = len(distances) / max(1, len(chance))
+    gains = [np.count_nonzero(distances <= gate) - expected * np.count_nonzero(chance <= gate) for gate in GATES_PX]
+    near = distances <= GATES_PX[int(np.argmax(gains))]
+    following[first[near]] = second[near]
+    return following

@@ -1,0 +1,238 @@
+"""Checks of the filter's settings against the objects that the log shows: depths, speeds, acceleration, region.
+
+Depths come from rays that meet, with what chance gives at shifted times taken off. Speeds come from one-camera tracks
+at these depths: across the line of sight, over whole tracks, so that the noise of single detections does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.model import Config
+from stereophd.core.single.settings import SingleSettings
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry import Geometry
+from stereophd.pipeline.checks.rays import distances
+from stereophd.pipeline.checks.sample import CameraSample
+
+Array = NDArray[np.float64]
+
+# Score of a pair whose depths count.
+LEAST_SCORE = 6.0
+# Share of the depths that the births must cover.
+LEAST_COVERED = 0.6
+# Factors between stated and measured spread of the speed, and of the acceleration, that are reported.
+SLOWER, FASTER, ACCELERATION_FACTOR, TOO_MUCH = 6.0, 30.0, 20.0, 60.0
+# Share of the detections that one-camera tracks must hold before settings are called too large.
+LEAST_HELD = 0.6
+# Tracks that a speed is estimated from, at least.
+LEAST_TRACKS = 4
+# Frames of a track from which an acceleration is estimated.
+ACCELERATION_LENGTH = 12
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the log shows of the objects.
+
+    Attributes
+    ----------
+    depths : array (3,) or None
+        Quantiles of 5, 50 and 95 % of the depth before the cameras, length.
+    depth_samples : array (n,)
+        Depths that represent the distribution, length.
+    speed : array (2,) or None
+        Root mean square of one component, and 95 % quantile of the speed across the line of sight, length/s.
+    acceleration : float or None
+        Standard deviation of the mean acceleration over 1 s, one component, length/s^2.
+    """
+
+    depths: Array | None
+    depth_samples: Array
+    speed: Array | None
+    acceleration: float | None
+
+
+def measure_scene(geometry: Geometry) -> Scene:
+    """Estimate depths, speeds and accelerations of the objects."""
+    samples = _depth_samples(geometry)
+    if not len(samples):
+        return Scene(None, samples, None, None)
+    depths = np.quantile(samples, [0.05, 0.5, 0.95])
+    speeds, accelerations = _track_motion(geometry.samples, float(depths[1]))
+    speed = None
+    if len(speeds) >= LEAST_TRACKS:
+        speed = np.array([np.sqrt((speeds**2).mean() / 2.0), np.quantile(speeds, 0.95)])
+    acceleration = None
+    if len(accelerations) >= LEAST_TRACKS:
+        variance = float(np.median(accelerations))
+        acceleration = float(np.sqrt(max(variance, 0.0)))
+    return Scene(depths, samples, speed, acceleration)
+
+
+def _depth_samples(geometry: Geometry) -> Array:
+    """Return 200 depths that represent the rays that meet, without those that meet by chance."""
+    found, chance = [], []
+    views = geometry.views
+    for pair, given in zip(geometry.pairs, geometry.given, strict=True):
+        if given.score < LEAST_SCORE:
+            continue
+        distance, depth = distances(pair, views[pair.a], views[pair.b])
+        best = distance.argmin(axis=2)[..., None]
+        near = np.take_along_axis(distance, best, axis=2)[..., 0] <= given.tolerance
+        at = np.take_along_axis(depth, best, axis=2)[..., 0]
+        usable = near & np.isfinite(at) & (at > 0.0)
+        found.append(at[0][usable[0]])
+        chance.append(at[1:][usable[1:]])
+    if not found or not sum(map(len, found)):
+        return np.empty(0)
+    positive, negative = np.concatenate(found), np.concatenate(chance)
+    shifts = max(1, geometry.pairs[0].pixels_b.shape[0] - 1)
+    depths = np.concatenate([positive, negative])
+    weights = np.concatenate([np.ones(len(positive)), np.full(len(negative), -1.0 / shifts)])
+    order = np.argsort(depths)
+    cumulative = np.maximum.accumulate(np.cumsum(weights[order]))
+    if cumulative[-1] <= 0.0:
+        return np.empty(0)
+    places = np.searchsorted(cumulative, cumulative[-1] * (np.arange(200) + 0.5) / 200)
+    return np.asarray(depths[order][np.minimum(places, len(depths) - 1)])
+
+
+def _track_motion(samples: list[CameraSample], depth: float) -> tuple[Array, Array]:
+    """Return speeds (t,), length/s, and squared accelerations (a,), (length/s^2)^2 of one component, of all tracks."""
+    speeds, accelerations = [], []
+    for sample in samples:
+        scale = depth / sample.camera.fx
+        noise = float(sample.camera.detector.sigma.mean())
+        for track in sample.tracks:
+            times, pixels = sample.times[sample.frame_of[track]], sample.pixels[track]
+            span = float(times[-1] - times[0])
+            if span <= 0.0:
+                continue
+            line = np.polyfit(times - times[0], pixels, 1)[0]
+            speeds.append(scale * float(np.hypot(*line)))
+            if len(track) >= ACCELERATION_LENGTH:
+                accelerations.append(scale**2 * _squared_acceleration(times, pixels, noise))
+    return np.array(speeds), np.array(accelerations)
+
+
+def _squared_acceleration(times: Array, pixels: Array, noise: float) -> float:
+    """Return the spectral density of the acceleration, px^2/s^3, from the velocities of the two halves of a track.
+
+    The mean velocities over two successive intervals of length h differ by a variance of 2/3 q h, plus noise.
+    """
+    half = len(times) // 2
+    h = 0.5 * float(times[-1] - times[0])
+    first = np.polyfit(times[:half], pixels[:half], 1)[0]
+    second = np.polyfit(times[half:], pixels[half:], 1)[0]
+    spread = float(((times[:half] - times[:half].mean()) ** 2).sum())
+    by_noise = 2.0 * noise**2 / max(spread, 1e-12)
+    return (float(((second - first) ** 2).mean()) - by_noise) / (2.0 / 3.0 * h)
+
+
+def expected_depths(config: Config, samples: list[CameraSample]) -> tuple[float, float]:
+    """Return the depths between which the filter's births lie, length; a wide range where it has none."""
+    settings = config.filter
+    if settings is not None and not isinstance(settings, SingleSettings):
+        birth = settings.birth
+        if birth.depth_range is not None:
+            return birth.depth_range
+        if birth.disparity is not None:
+            focal = samples[0].camera.fx * config.disparity.baseline
+            high = birth.disparity.mean_px + 2.0 * birth.disparity.std_px
+            low = max(birth.disparity.mean_px - 2.0 * birth.disparity.std_px, 0.1 * birth.disparity.mean_px)
+            return focal / high, focal / low
+    centres = np.array([sample.camera.pose.center for sample in samples])
+    size = max(float(np.ptp(centres, axis=0).max()), 1e-3)
+    return 0.5 * size, 20.0 * size
+
+
+def check_settings(config: Config, scene: Scene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
+    """Yield findings about births, motion and region."""
+    settings = config.filter
+    if settings is None or isinstance(settings, SingleSettings) or scene.depths is None:
+        return
+    low, high = expected_depths(config, samples)
+    covered = float(((scene.depth_samples >= 0.8 * low) & (scene.depth_samples <= 1.25 * high)).mean())
+    where = f"between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}"
+    if covered < LEAST_COVERED:
+        yield Finding(
+            "settings.depth_range", "warning",
+            f"rays meet at depths {where}, but filter.birth covers {low:.3g} to {high:.3g} {unit}: it seems to be in "
+            "another unit, or the centres of the cameras are",
+            f"{low:.4g} to {high:.4g}", f"{scene.depths[0]:.4g} to {scene.depths[2]:.4g}", None,
+            f"set filter.birth.depth_range to [{0.7 * scene.depths[0]:.3g}, {1.5 * scene.depths[2]:.3g}]",
+            "depth_range",
+        )  # fmt: skip
+    else:
+        yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}", round(covered, 3), 1.0)
+    yield from _region(config, scene, unit)
+    yield from _speeds(config, scene, samples, unit)
+
+
+def _held(sample: CameraSample) -> float:
+    """Return the share of the detections that are not expected to be clutter which one-camera tracks hold."""
+    expected = len(sample.pixels) - len(sample.times) * sample.camera.detector.clutter_per_frame
+    return sum(map(len, sample.tracks)) / max(expected, 1.0)
+
+
+def _region(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
+    region = config.region
+    if region is None or region.depth is None or scene.depths is None:
+        return
+    inside = float(((scene.depth_samples >= region.depth[0]) & (scene.depth_samples <= region.depth[1])).mean())
+    if inside < LEAST_COVERED:
+        yield Finding(
+            "settings.region", "warning",
+            f"rays meet at depths between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}, outside region.depth "
+            f"({region.depth[0]:g} to {region.depth[1]:g} {unit})",
+            round(inside, 3), 1.0, None, "set region to where objects can be, in the unit of the configuration",
+            "region",
+        )  # fmt: skip
+
+
+def _speeds(config: Config, scene: Scene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
+    settings, motion = config.filter, config.motion
+    assert settings is not None
+    assert not isinstance(settings, SingleSettings)
+    if scene.speed is None:
+        return
+    spread, fastest = float(scene.speed[0]), float(scene.speed[1])
+    stated = float(np.max(settings.birth.velocity_std))
+    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
+    if spread > SLOWER * stated or (held and spread < stated / FASTER):
+        yield Finding(
+            "settings.velocity_std", "warning",
+            f"the objects move at about {spread:.3g} {unit}/s an axis, but filter.birth.velocity_std is {stated:g}: it "
+            "seems to be in another unit, or the times are",
+            stated, round(spread, 6), None, f"set filter.birth.velocity_std near {1.5 * spread:.2g}", "velocity_std",
+        )  # fmt: skip
+    limit = getattr(motion, "max_speed", None)
+    if limit is not None and limit < 0.8 * fastest:
+        yield Finding(
+            "settings.max_speed", "warning",
+            f"objects move at up to {fastest:.3g} {unit}/s across the line of sight, but motion.max_speed is {limit:g}",
+            limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
+        )  # fmt: skip
+    stated_acceleration = float(np.max(getattr(motion, "acceleration_std", 0.0)))
+    found = scene.acceleration
+    if found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.1 * spread:
+        yield Finding(
+            "settings.acceleration_std", "warning",
+            f"the objects accelerate by about {found:.2g} {unit}/s^2, but motion.acceleration_std is "
+            f"{stated_acceleration:g}",
+            stated_acceleration, round(found, 6), None, f"set motion.acceleration_std near {found:.2g}",
+            "acceleration_std",
+        )  # fmt: skip
+    elif held and found is not None and stated_acceleration > TOO_MUCH * max(found, 0.1 * spread):
+        yield Finding(
+            "settings.acceleration_std", "warning",
+            f"motion.acceleration_std is {stated_acceleration:g} {unit}/s^2, but the objects accelerate by only about "
+            f"{found:.2g}: it seems to be in another unit",
+            stated_acceleration, round(found, 6), None, f"set motion.acceleration_std near {max(found, 1e-6):.2g}",
+            "acceleration_std",
+        )  # fmt: skip

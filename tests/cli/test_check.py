@@ -1,0 +1,45 @@
+"""``stereophd check`` on the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from stereophd.io.logs import LogWriter
+from tests.cli.conftest import Outcome
+
+
+def _normalised_log(path: Path) -> Path:
+    random = np.random.default_rng(1)
+    with LogWriter(path) as writer:
+        for frame in range(20):
+            for camera in ("left", "right"):
+                writer.write(float(frame), camera, frame, random.uniform(0, 1, (4, 2)))
+    return path
+
+
+def test_findings_are_printed_with_their_remedy(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:
+    log = _normalised_log(tmp_path / "log.parquet")
+    found = call("check", config, log)
+    assert found.code == 0
+    assert "WARNING" in found.out
+    assert "remedy: multiply u by the width" in found.out
+    assert call("check", config, log, "--strict").code == 1
+
+
+def test_json(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:
+    found = call("check", config, _normalised_log(tmp_path / "log.parquet"), "--json")
+    report = json.loads(found.out)
+    assert report["warnings"] == 2
+    causes = {one["camera"]: one["cause"] for one in report["checks"] if one["status"] == "warning"}
+    assert causes == {"left": "pixels_normalised", "right": "pixels_normalised"}
+    assert set(report["checks"][0]) >= {"name", "status", "value", "expected", "camera", "message", "remedy"}
+
+
+def test_a_log_that_is_missing(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:
+    found = call("check", config, tmp_path / "nothing.parquet")
+    assert found.code == 2
+    assert "nothing.parquet" in found.sentence

@@ -1,0 +1,119 @@
+"""Checks: correct set-ups pass, and the usual mistakes are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.io.logs import Frame
+from stereophd.pipeline.checks.alternatives import OPENGL
+from stereophd.pipeline.checks.files import check_files
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry import check_geometry, measure
+from stereophd.pipeline.checks.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.tracking import check_tracking
+
+DEPTHS = (3.0, 15.0)
+FRAMES, RATE = 40, 10.0
+
+
+def _camera(name: str, x: float, turn_deg: float) -> Camera:
+    pose = Pose(rotation_from_vector([0.1, np.deg2rad(turn_deg), 0.05]), [x, -1.0, 0.3])
+    return Camera(name, 800, 600, 650.0, 650.0, 399.5, 299.5, pose, Lens("none"), Detector([1.0, 1.0], 0.95, 1.0), RATE)
+
+
+CAMERAS = (_camera("left", -3.0, -20.0), _camera("right", 3.0, 20.0))
+
+
+def _frames(cameras: tuple[Camera, ...], shift_s: float = 0.0) -> list[Frame]:
+    """Four objects that turn, seen by both cameras with noise, misses and clutter; the second clock may be wrong."""
+    rng = np.random.default_rng(5)
+    start, frequency = rng.uniform([-2, -1, 6], [2, 1, 9], (4, 3)), rng.uniform(0.5, 1.2, 4)
+    frames = []
+    for k in range(FRAMES):
+        for c, camera in enumerate(cameras):
+            time = k / RATE + 0.03 * c
+            angle = frequency * time
+            points = start + 1.5 * np.column_stack([np.sin(angle), 0.3 * np.cos(2 * angle), np.cos(angle)])
+            pixels = camera.project(points)[rng.random(4) < 0.95]
+            clutter = rng.uniform([0, 0], [799, 599], (rng.poisson(1.0), 2))
+            found = np.concatenate([pixels + rng.normal(0, 1, pixels.shape), clutter])
+            frames.append(Frame(time + shift_s * c, c, k, found[camera.contains(found)]))
+    return frames
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[CameraSample]:
+    return sample_log(_frames(CAMERAS), CAMERAS)
+
+
+def _with(samples: list[CameraSample], *cameras: Camera) -> list[CameraSample]:
+    return [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
+
+
+def _geometry(samples: list[CameraSample], thorough: bool = False) -> list[Finding]:
+    return list(check_geometry(measure(samples, DEPTHS), thorough))
+
+
+def _turned(camera: Camera, rotation: np.ndarray, center: np.ndarray | None = None) -> Camera:
+    return replace(camera, pose=Pose(rotation, camera.pose.center if center is None else center))
+
+
+def test_a_correct_set_up_passes(samples: list[CameraSample]) -> None:
+    assert all(found.status == "ok" for found in [*_geometry(samples), *check_files(samples)])
+
+
+def test_one_camera_tracks_hold_the_objects(samples: list[CameraSample]) -> None:
+    for sample in samples:
+        assert sum(map(len, sample.tracks)) > 0.7 * 4 * 0.95 * FRAMES
+        assert sample.isolated_per_frame <= 2.0
+        assert sample.noise_px == pytest.approx(1.0, abs=0.4)
+
+
+MISTAKES = {
+    "rotation_transposed": lambda c: _turned(c, c.pose.rotation.T),
+    "center_is_translation": lambda c: _turned(c, c.pose.rotation, -c.pose.rotation @ c.pose.center),
+    "opengl_axes": lambda c: _turned(c, OPENGL @ c.pose.rotation),
+    "intrinsics_resolution": lambda c: replace(c, fx=2 * c.fx, fy=2 * c.fy, cx=2 * c.cx, cy=2 * c.cy),
+}
+
+
+@pytest.mark.parametrize("cause", MISTAKES)
+def test_a_mistake_is_named(samples: list[CameraSample], cause: str) -> None:
+    wrong = [MISTAKES[cause](camera) for camera in CAMERAS]
+    named = [found for found in _geometry(_with(samples, *wrong)) if found.status == "warning"]
+    assert [found.cause for found in named] == [cause]
+    assert named[0].remedy
+
+
+def test_a_clock_offset_is_measured() -> None:
+    named = _geometry(sample_log(_frames(CAMERAS, 0.7), CAMERAS), thorough=True)[0]
+    assert named.cause == "clock_offset"
+    assert "0.7" in named.message
+
+
+def test_times_in_milliseconds_and_frame_numbers(samples: list[CameraSample]) -> None:
+    for factor, cause in ((1000.0, "milliseconds"), (RATE, "frame_number_as_time")):
+        start = [sample.times[0] for sample in samples]
+        wrong = [replace(s, times=(s.times - t) * factor) for s, t in zip(samples, start, strict=True)]
+        assert {found.cause for found in check_files(wrong) if found.status == "warning"} == {cause}
+
+
+def test_normalised_pixels_are_named(samples: list[CameraSample]) -> None:
+    wrong = [replace(sample, pixels=sample.pixels / [800, 600]) for sample in samples]
+    assert {found.cause for found in check_files(wrong) if found.status == "warning"} == {"pixels_normalised"}
+
+
+def test_tracks_of_one_camera_are_reported() -> None:
+    def run(right: int) -> list[str | None]:
+        tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
+        counts = {"detections": 400, "frames": 200}
+        return [found.cause for found in check_tracking({"tracks": tracks}, counts, CAMERAS) if found.cause]
+
+    assert run(95) == []
+    assert run(0) == ["one_camera_tracks"]
