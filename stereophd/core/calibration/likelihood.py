@@ -1,8 +1,8 @@
 """Multi-object log-likelihood of a detection log given camera hypotheses (paper VII-B): the evidence.
 
 The log-likelihoods of the events, which the filter conditional on a hypothesis returns, add up to that of the
-log. With the PHD filter it is the paper's; with the PMB filter it is the Bethe value of the association problems,
-which is much smoother in the cameras.
+log. With the PHD filter it is the paper's; with the PMB filter it is the sum over all associations of each
+event (`stereophd.core.multi.exact_association`), which is much smoother in the cameras.
 
 Scale. Larger cameras, distances and speeds give the same images, so that detections say nothing of scale; the priors
 of the objects' depth and speed do, and strongly: each of n objects multiplies the evidence of cameras s times as far

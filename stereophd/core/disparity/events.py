@@ -97,6 +97,12 @@ class Rig:
             out[(cameras == camera) & (times == time_s)] = self.space(camera, time_s)
         return out
 
+    def views(self, time_s: float) -> Array:
+        """Packed spaces (c, 30) of all cameras at a time."""
+        if not self.moving:
+            return self.packed
+        return np.stack([self.space(camera, time_s) for camera in range(len(self.cameras))])
+
 
 def make_rig(
     cameras: Sequence[Camera],

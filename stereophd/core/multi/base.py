@@ -25,6 +25,7 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
@@ -79,6 +80,8 @@ class DisparityFilter(ABC):
         Shared by all components of a step.
     survival_per_s : float
         Probability that an object survives one second.
+    out_of_view_s : float
+        Time constant with which existence fades outside every view, s (`fade_out_of_view`).
     birth : BirthPrior
         Prior of new objects.
     hysteresis : Hysteresis
@@ -94,6 +97,7 @@ class DisparityFilter(ABC):
     motion: Motion
     sets: SampleSets
     survival_per_s: float
+    out_of_view_s: float
     birth: BirthPrior
     hysteresis: Hysteresis
     threads: int
@@ -130,11 +134,12 @@ class DisparityFilter(ABC):
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
         weights = mixture.weights * self.survival_per_s**elapsed
+        homes, intervals = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
         moved = move(
             mixture.means,
             mixture.covariances,
-            self.rig.spaces(mixture.cameras, mixture.times),
-            event.time_s - mixture.times,
+            homes,
+            intervals,
             self.rig.space(event.camera, event.time_s),
             self.motion,
             self.sets,
@@ -144,6 +149,9 @@ class DisparityFilter(ABC):
             self.threads,
             self.rig.region,
         )
+        views = self.rig.views(event.time_s)
+        motion = self.motion.arrays(intervals)
+        fade_out_of_view(weights, moved.status, mixture.means, homes, motion, views, elapsed, self.out_of_view_s)
         weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
         return Prediction(mixture.with_weights(weights), moved)
 

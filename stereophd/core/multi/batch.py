@@ -163,5 +163,7 @@ class FilterBatch:
         return PredictionNumbers(
             camera=int(event.camera),
             survival=float(template.survival_per_s**elapsed),
+            elapsed=float(elapsed),
+            out_of_view_s=float(template.out_of_view_s),
             shape_p_detect=float(p_detect) if template.split_missed else 0.0,
         )

@@ -21,6 +21,7 @@ from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, upda
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -46,12 +47,16 @@ class PredictionNumbers(NamedTuple):
         Of the event.
     survival : float
         Probability that an object survives since the last event.
+    elapsed, out_of_view_s : float
+        Time since the last event, s, and the time constant of `fade_out_of_view`.
     shape_p_detect : float
         Probability of detection for the shape of the missed part; 0 where it keeps its own.
     """
 
     camera: int
     survival: float
+    elapsed: float
+    out_of_view_s: float
     shape_p_detect: float
 
 
@@ -102,11 +107,13 @@ def predict(
         homes = np.empty((len(weights), PACKED_SIZE))
         for k in range(len(weights)):
             homes[k] = spaces[h, cameras[k]]
+        travel = slice_motion(motion, begins[h], ends[h])
         carry_components(
-            np.arange(len(weights)), means, covariances, homes, slice_motion(motion, begins[h], ends[h]),
+            np.arange(len(weights)), means, covariances, homes, travel,
             weights >= IMPORTANT_WEIGHT, looks.first, looks.second, spaces[h, numbers.camera],
             numbers.shape_p_detect, region, moved,
         )  # fmt: skip
+        fade_out_of_view(weights, moved.status, means, homes, travel, spaces[h], numbers.elapsed, numbers.out_of_view_s)
         all_weights[first:last] = surviving_weights(
             weights, tracks, cameras, moved.status, moved.inside, numbers.camera
         )

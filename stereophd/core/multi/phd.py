@@ -44,6 +44,7 @@ class PhdFilter(DisparityFilter):
             motion,
             sets,
             settings.survival_per_s,
+            settings.out_of_view_s,
             settings.birth,
             settings.extraction,
             threads,

@@ -2,10 +2,10 @@
 
 The track-oriented marginal filter (Williams 2015): each track is a Bernoulli component, a probability of
 existence and a mixture of the hypotheses that the data have not decided yet (most often one Gaussian: the
-pairing of detections of two cameras on one epipolar line stays open for a while); association marginals by
-loopy belief propagation; objects that were never detected are a Poisson intensity, uniform over the image
-(the observation-driven birth of the PHD filter), to which tracks that became improbable are recycled. The
-log-likelihood of an event is the Bethe value of its association problem.
+pairing of detections of two cameras on one epipolar line stays open for a while); association marginals exactly,
+cluster by cluster, and by loopy belief propagation for clusters too large; objects that were never detected are a
+Poisson intensity, uniform over the image (the observation-driven birth of the PHD filter), to which tracks that
+became improbable are recycled. The log-likelihood of an event is the value of its association problem.
 
 Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA and
 association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
@@ -58,6 +58,7 @@ class PmbFilter(DisparityFilter):
             motion,
             sets,
             settings.survival_per_s,
+            settings.out_of_view_s,
             settings.birth,
             settings.extraction,
             threads,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
-from stereophd.core.multi.belief import association_marginals
+from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.outcomes import allocate_outcomes, fill_missed
@@ -69,7 +69,7 @@ def update_tracks(
     mixture : GaussianMixture
         Missed components, detected ones, and one new track a detection, in this order.
     log_likelihood : float
-        Of the event's detections, per distorted pixel: the Bethe value of the association problem.
+        Of the event's detections, per distorted pixel: the value of the association problem.
     """
     weights, labels = mixture.weights, mixture.labels
     points, noises, areas, delays, _, _ = event

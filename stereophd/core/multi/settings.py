@@ -9,7 +9,15 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.prior import DepthRange, DisparityPrior, check_depth, disparity_moments
-from stereophd.core.settings import FINITE, PositiveFraction, PositiveLength, parameter, settings
+from stereophd.core.settings import (
+    FINITE,
+    NOT_NAN,
+    SMALLEST_TIME_S,
+    PositiveFraction,
+    PositiveLength,
+    parameter,
+    settings,
+)
 
 if TYPE_CHECKING:
     from stereophd.core.disparity.events import Rig
@@ -23,6 +31,13 @@ MISSED = (
     "what a miss says of a component that is partly in view. split: the part in view becomes less "
     "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
     "detectors miss an occluded object for many frames in a row, and each would squeeze the shape"
+)
+
+# A span of time above 0, or infinity, s.
+TimeConstant = Annotated[float, Interval(ge=SMALLEST_TIME_S), NOT_NAN]
+OUT_OF_VIEW = (
+    "time constant with which the existence of an object fades while it is outside every view, so that no false "
+    "track lives on there; .inf: it does not fade"
 )
 
 # More new objects in one frame than any image can hold.
@@ -109,6 +124,10 @@ class FilterSettings(Protocol):
     @property
     def survival_per_s(self) -> float:
         """Probability that an object survives one second."""
+
+    @property
+    def out_of_view_s(self) -> float:
+        """Time constant with which existence fades outside every view, s."""
 
     @property
     def birth(self) -> BirthPrior:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from stereophd.core.multi.settings import MISSED, BirthPrior, Hysteresis, Missed
+from stereophd.core.multi.settings import MISSED, OUT_OF_VIEW, BirthPrior, Hysteresis, Missed, TimeConstant
 from stereophd.core.settings import Count, NonNegative, Positive, PositiveFraction, parameter, settings
 
 if TYPE_CHECKING:
@@ -23,6 +23,12 @@ class PhdSettings:
         "probability that an object survives one second",
         default=0.99,
         advice="exp(-1 / mean time in view, in s): 0.95 for objects that stay for 20 s.",
+    )
+    out_of_view_s: TimeConstant = parameter(
+        OUT_OF_VIEW,
+        unit="s",
+        default=5.0,
+        advice="as long as an object may be hidden from every camera and still be the same one.",
     )
     birth: BirthPrior = parameter("prior of new objects")
     prune_weight: Positive = parameter(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Interval
 
-from stereophd.core.multi.settings import MISSED, BirthPrior, ExistenceHysteresis, Missed
+from stereophd.core.multi.settings import MISSED, OUT_OF_VIEW, BirthPrior, ExistenceHysteresis, Missed, TimeConstant
 from stereophd.core.settings import (
     FINITE,
     NOT_NAN,
@@ -34,6 +34,12 @@ class PmbSettings:
         "probability that an object survives one second",
         default=0.99,
         advice="exp(-1 / mean time in view, in s): 0.95 for objects that stay for 20 s.",
+    )
+    out_of_view_s: TimeConstant = parameter(
+        OUT_OF_VIEW,
+        unit="s",
+        default=5.0,
+        advice="as long as an object may be hidden from every camera and still be the same one.",
     )
     birth: BirthPrior = parameter("prior of new objects")
     recycle_below: Positive = parameter(
