@@ -23,7 +23,7 @@ from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.settings import BirthPrior, Hysteresis
+from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.samples import SampleSets
@@ -78,30 +78,16 @@ class DisparityFilter(ABC):
     motion : Motion
     sets : SampleSets
         Shared by all components of a step.
-    survival_per_s : float
-        Probability that an object survives one second.
-    out_of_view_s : float
-        Time constant with which existence fades outside every view, s (`fade_out_of_view`).
-    birth : BirthPrior
-        Prior of new objects.
-    hysteresis : Hysteresis
-        Which objects are reported.
+    settings : FilterSettings
     threads : int
         Threads of the sample trips; results do not depend on it.
-    split_missed : bool
-        Whether a component that is partly in view loses the part in view when it is missed (paper VI-C), or
-        keeps its shape and only becomes less probable.
     """
 
     rig: Rig
     motion: Motion
     sets: SampleSets
-    survival_per_s: float
-    out_of_view_s: float
-    birth: BirthPrior
-    hysteresis: Hysteresis
-    threads: int
-    split_missed: bool
+    settings: FilterSettings
+    threads: int = 1
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
@@ -121,6 +107,14 @@ class DisparityFilter(ABC):
         """The compiled update and reduction of many camera hypotheses (`stereophd.core.multi.batch_kernels`)."""
 
     @property
+    def split_missed(self) -> bool:
+        """Whether a component that is partly in view loses the part in view when it is missed (paper VI-C).
+
+        Otherwise it keeps its shape and only becomes less probable.
+        """
+        return self.settings.missed == "split"
+
+    @property
     def state_size(self) -> int:
         """Size of the states: 6, or 3 for static objects."""
         return self.motion.state_size
@@ -133,7 +127,7 @@ class DisparityFilter(ABC):
         """Let objects survive, move and come into the event's disparity space."""
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
-        weights = mixture.weights * self.survival_per_s**elapsed
+        weights = mixture.weights * self.settings.survival_per_s**elapsed
         homes, intervals = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
         moved = move(
             mixture.means,
@@ -151,14 +145,16 @@ class DisparityFilter(ABC):
         )
         views = self.rig.views(event.time_s)
         motion = self.motion.arrays(intervals)
-        fade_out_of_view(weights, moved.status, mixture.means, homes, motion, views, elapsed, self.out_of_view_s)
+        fade_out_of_view(
+            weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
+        )
         weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
         return Prediction(mixture.with_weights(weights), moved)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
         chosen = select_objects(
-            state.mixture, self.hysteresis, state.next_label, state.next_track, self.labels_may_split
+            state.mixture, self.settings.extraction, state.next_label, state.next_track, self.labels_may_split
         )
         state = FilterState(chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track)
         mixture, index = chosen.mixture, chosen.index
@@ -201,7 +197,7 @@ class DisparityFilter(ABC):
         Estimates
         """
         assert state.time_s is not None
-        faded = self.survival_per_s ** max(time_s - state.time_s, 0.0)
+        faded = self.settings.survival_per_s ** max(time_s - state.time_s, 0.0)
         later = replace(state, mixture=state.mixture.with_weights(state.mixture.weights * faded), time_s=time_s)
         _, estimates = self.extract(later)
         return replace(info, log_likelihood=0.0, cardinality_mean=info.cardinality_mean * faded), estimates
@@ -209,7 +205,7 @@ class DisparityFilter(ABC):
     def event_arrays(self, event: Event) -> EventArrays:
         """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
         space = self.rig.space(event.camera, event.time_s)
-        means, covariances = birth_moments(event, space, self.birth, self.state_size)
+        means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
         return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
 
     def event_numbers(self, event: Event, next_label: int) -> EventNumbers:
@@ -221,6 +217,6 @@ class DisparityFilter(ABC):
             next_label=next_label,
             p_detect=float(camera.detector.p_detect),
             clutter=float(camera.detector.clutter_per_frame),
-            births=float(self.birth.per_frame),
+            births=float(self.settings.birth.per_frame),
             area=float(camera.width * camera.height),
         )
