@@ -39,6 +39,8 @@ ANNEALED_LOSS = Loss(kernels.CAUCHY, 2.0)
 FITTED_LOSS = Loss(kernels.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
+# Iterations of an adjustment, and of one for the history where more than poses is unknown.
+MOST_ITERATIONS, HISTORY_ITERATIONS = 200, 10
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 
@@ -138,7 +140,10 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
         return None
     cameras = task.parameters.build(fit.adjustment.values)
     observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
-    return adjusted_to(task, fit, observations, fit.observations.trajectories[rows], fit.detections[rows], task.scale)
+    # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
+    most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
+    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
+    return adjusted_to(task, fit, observations, of_fit, detections, task.scale, most)
 
 
 def adjusted_to(
@@ -148,6 +153,7 @@ def adjusted_to(
     of_fit: Integers,
     detections: Integers,
     scale: ScaleMeasurement | None,
+    max_iterations: int = MOST_ITERATIONS,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there."""
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
@@ -156,7 +162,7 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
-    return _fit(task, problem, fit.adjustment.values, states, detections)
+    return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
 
 
 def marginal_fit(task: Task, fit: Fit) -> Fit:
@@ -170,9 +176,16 @@ def marginal_fit(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=found, observations=observations)
 
 
-def _fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
+def _fit(
+    task: Task,
+    problem: Problem,
+    values: Array,
+    states: Array,
+    detections: Integers,
+    max_iterations: int = MOST_ITERATIONS,
+) -> Fit:
     """Adjust, and time the detections by the cameras found."""
-    found = adjust(problem, values, states)
+    found = adjust(problem, values, states, max_iterations)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))
