@@ -6,7 +6,7 @@ essential matrix E of the pair and rays x_a, x_b at that time (b interpolated be
 
     r = x_b^T E x_a / |gradient of the numerator with respect to the four pixels|
 
-is the distance from that in pixels to first order (P. D. Sampson, 1982; R. Hartley and A. Zisserman, "Multiple CameraView
+is the distance from that in pixels to first order (P. D. Sampson, 1982; R. Hartley and A. Zisserman, "Multiple View
 Geometry in Computer Vision", section 11.4.3), free of scale. Cameras are drawn from the prior, tracks paired at the
 greatest total gain, the cameras moved to where the paired tracks meet (Gauss-Newton with the prior), with a
 tolerance that falls. The best of the draws is where the annealed alternation starts.
