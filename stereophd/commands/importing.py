@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -19,6 +18,7 @@ from stereophd.io.interchange.assembly import CameraSummary, write_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.camera_files import read_cameras
 from stereophd.io.interchange.registry import find
+from stereophd.io.json_text import write_json
 from stereophd.io.logs import LogReader
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.pipeline.checks.files import check_files
@@ -107,8 +107,7 @@ def import_recording(
             "labels": {str(number): label for number, label in recording.labels.items()},
             "provenance": record,
         }
-        text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        out.path(REPORT_FILE).write_text(text, encoding="utf-8")
+        write_json(out.path(REPORT_FILE), report)
     for sentence in recording.warnings:
         LOGGER.warning("%s", sentence)
     return report
