@@ -218,7 +218,8 @@ def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
             f"objects move at up to {fastest:.3g} {unit}/s across the line of sight, but motion.max_speed is {limit:g}",
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
         )  # fmt: skip
-    stated_acceleration = float(np.max(getattr(motion, "acceleration_std", 0.0)))
+    acceleration = getattr(motion, "acceleration_std", None)
+    stated_acceleration = 0.0 if acceleration is None else float(np.max(acceleration))
     found = scene.acceleration
     # gravity and the like the model explains itself
     explained = bool(motion.build().flow(np.ones(1)).drift.any())
