@@ -80,7 +80,7 @@ def _pass(multi_filter: DisparityFilter, stream: EventStream) -> tuple[list[Dete
         own_noise |= event.own_noise
         prediction = multi_filter.predict(state, event)
         sighting = observe(
-            sums[event.camera], prediction, event, camera, multi_filter.birth.per_frame, settled.labels(),
+            sums[event.camera], prediction, event, camera, prediction.births, settled.labels(),
             not event.own_noise,
         )  # fmt: skip
         state, info = multi_filter.update(state, prediction, event)
