@@ -22,6 +22,10 @@ class InputError(StereophdError, ValueError):
     exit_code = 2
 
 
+class SizeError(InputError):
+    """A run is so large that the user must confirm it."""
+
+
 class GateError(StereophdError):
     """The run is done, and a figure is above the limit that the user set (exit code 1)."""
 

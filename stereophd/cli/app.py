@@ -132,6 +132,9 @@ def _explain(error: Exception) -> int:
     if isinstance(error, OSError) and _is_users(error):
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
         return EXIT_USAGE
+    if isinstance(error, MemoryError):
+        print(f"error: not enough memory: {error or 'no details'}", file=sys.stderr)
+        return EXIT_USAGE
     text = " ".join(str(error).split()) or "no details"
     print(
         f"internal error: {type(error).__name__}: {text} (run with --debug for the traceback)",

@@ -35,6 +35,7 @@ def experiment_command(
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
+    force_size: options.ForceSize = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = 0,
@@ -47,7 +48,7 @@ def experiment_command(
 
     try:
         with progress_bar(session, "experiment") as progress:
-            results = experiment(loaded, out, jobs, dask, resume, force, progress)
+            results = experiment(loaded, out, jobs, dask, resume, force, progress, force_size)
     except (KeyboardInterrupt, SystemExit):
         count = finished_runs(loaded, out)
         if count:

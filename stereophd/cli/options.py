@@ -77,6 +77,7 @@ Seed = Annotated[
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
+ForceSize = Annotated[bool, typer.Option("--force-size", help="Run even if that takes very long or much room.")]
 # The values of the following four reach the session by their callbacks, and the commands through it.
 Json = Annotated[
     bool,

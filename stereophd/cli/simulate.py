@@ -23,6 +23,7 @@ def simulate_command(
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
+    force_size: options.ForceSize = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = 0,
@@ -34,5 +35,5 @@ def simulate_command(
     from stereophd.commands.simulate import simulate
 
     with progress_bar(session, "simulate") as progress:
-        summary = simulate(loaded, out, runs=runs, force=force, jobs=jobs, progress=progress)
+        summary = simulate(loaded, out, runs=runs, force=force, jobs=jobs, progress=progress, force_size=force_size)
     print_report(session, summary)

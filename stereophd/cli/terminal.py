@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from stereophd.cli import interrupts
+from stereophd.cli import interrupts, memory
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 
@@ -41,6 +41,7 @@ def begin(context: typer.Context) -> Session:
     logger.handlers = [handler]
     logger.setLevel(level)
     logger.propagate = False
+    memory.prepare()
     return session
 
 

@@ -30,6 +30,7 @@ from stereophd.experiments.engine.summary import QuantityCheck
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN
 from stereophd.io.atomic import OutputFolder, output_lock
 from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.sizes import check_size, size_of_experiment
 from stereophd.report.installed import can_draw
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def experiment(
     resume: bool = False,
     force: bool = False,
     progress: Progress | None = None,
+    force_size: bool = False,
 ) -> Results:
     """Run an experiment, and write ``runs.parquet``, ``summary.parquet``, ``timing.json`` and the figure.
 
@@ -68,6 +70,8 @@ def experiment(
         Whether results of an earlier experiment may be replaced.
     progress : callable, optional
         Called with the runs done and their total.
+    force_size : bool
+        Whether an experiment that takes very long is meant.
 
     Returns
     -------
@@ -88,6 +92,8 @@ def experiment(
         raise InputError(f"`jobs`: expected at least 1, found {jobs}")
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
+    size = size_of_experiment(loaded, settings.runs, len(parts))
+    check_size(size, f"{loaded.path}: experiment", out, force_size)
     store = PartStore(out, loaded)
     with output_lock(out):
         try:

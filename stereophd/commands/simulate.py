@@ -25,6 +25,7 @@ from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import TRUTH, TableWriter
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.sizes import check_size, size_of_simulation
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -50,6 +51,7 @@ def simulate(
     force: bool = False,
     jobs: int = 1,
     progress: Progress | None = None,
+    force_size: bool = False,
 ) -> dict[str, Any]:
     """Simulate the scene of a configuration and write ``detections.parquet truth.parquet cameras.yaml``.
 
@@ -68,6 +70,8 @@ def simulate(
         Processes for several runs; the files do not depend on it.
     progress : callable, optional
         Called with ``(done, total)``: frames of one run, runs of several.
+    force_size : bool
+        Whether a run that takes very long, or much room on the disk, is meant.
 
     Returns
     -------
@@ -86,6 +90,7 @@ def simulate(
         raise InputError(f"runs: expected at least 1, found {runs}")
     if jobs == 0:
         raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
+    check_size(size_of_simulation(loaded, runs or 1), f"{loaded.path}: simulate", out_dir, force_size)
     if runs is None:
         with OutputFolder(out_dir, FILES, force) as out:
             counts = [_simulate_run(loaded, 0, {name: out.path(name) for name in FILES}, progress)]

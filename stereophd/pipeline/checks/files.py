@@ -13,8 +13,8 @@ from stereophd.pipeline.checks.sample import CameraSample
 RATE_TOLERANCE = 0.02
 # A camera without a stated frame rate and with a longer interval seems to have its times in milliseconds, s.
 LONGEST_INTERVAL_S = 10.0
-# Detections that fill less than this share of both sides of the image, and this many detections at least.
-CORNER_SHARE, CORNER_COUNT = 0.55, 200
+# Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
+CORNER_SHARE, CORNER_COUNT = 0.55, 100
 # Standard deviations outside these limits are implausible, px.
 LEAST_SIGMA_PX, LARGEST_SIGMA_SHARE = 0.01, 0.05
 # Expected false detections of a frame over detections of a frame.
@@ -23,16 +23,25 @@ CLUTTER_FACTOR = 1.5
 ISOLATED_FACTOR, LEAST_ISOLATED = 5.0, 0.3
 # Measured over stated noise of a detection.
 NOISE_FACTOR = 4.0
-# Share of the longer period that the periods of two cameras must share.
-LEAST_OVERLAP = 0.5
+# Share of the shorter period that the periods of two cameras must share.
+LEAST_OVERLAP = 0.05
 # Field of view of a lens, degrees.
 WIDEST_VIEW_DEG = 150.0
 
 
-def check_files(samples: list[CameraSample]) -> Iterator[Finding]:
-    """Yield the findings about frames, pixels and detectors of every camera."""
+def check_files(samples: list[CameraSample], whole: bool = True) -> Iterator[Finding]:
+    """Yield the findings about frames, pixels and detectors of every camera.
+
+    Parameters
+    ----------
+    samples : list of CameraSample
+    whole : bool
+        Whether the samples are the whole log: only then a camera without frames is a finding.
+    """
     for sample in samples:
         if not len(sample.times):
+            if not whole:
+                continue
             yield Finding(
                 "log.frames", "warning", f"{sample.camera.name}: the log has no frame of this camera",
                 0, None, sample.camera.name, "check the name of the camera in the log", "camera_without_frames",
@@ -94,7 +103,8 @@ def _pixels(sample: CameraSample) -> Iterator[Finding]:
         )  # fmt: skip
         return
     filled = high / size
-    if len(sample.pixels) >= CORNER_COUNT and (filled < CORNER_SHARE).all() and camera.detector.clutter_per_frame > 0:
+    clutter = camera.detector.clutter_per_frame * len(sample.times)
+    if clutter >= CORNER_COUNT and (filled < CORNER_SHARE).all():
         yield Finding(
             "log.pixels", "warning",
             f"{camera.name}: the detections fill only {filled[0]:.0%} of the width and {filled[1]:.0%} of the height, "
@@ -178,15 +188,15 @@ def _periods(samples: list[CameraSample]) -> Iterator[Finding]:
         start = float(np.median([one.times[0] for one in others]))
         end = float(np.median([one.times[-1] for one in others]))
         shared = min(end, sample.times[-1]) - max(start, sample.times[0])
-        longest = max(end - start, sample.times[-1] - sample.times[0])
-        if shared < LEAST_OVERLAP * longest and (len(samples) > 2 or k == int(np.argmax(np.abs(middles)))):
+        shortest = max(min(end - start, sample.times[-1] - sample.times[0]), 1e-9)
+        if shared < LEAST_OVERLAP * shortest and (len(samples) > 2 or k == int(np.argmax(np.abs(middles)))):
             ratio = (sample.times[-1] - sample.times[0]) / max(end - start, 1e-300)
             odd = "runs at another rate" if abs(np.log(max(ratio, 1e-300))) > 0.5 else "is on another clock"
             yield Finding(
                 "log.periods", "warning",
                 f"{sample.camera.name}: its frames lie between {sample.times[0]:.6g} and {sample.times[-1]:.6g} s, "
                 f"those of the other cameras between {start:.6g} and {end:.6g} s: it {odd}",
-                round(max(shared, 0.0) / longest, 3), 1.0, sample.camera.name,
+                round(max(shared, 0.0) / shortest, 3), 1.0, sample.camera.name,
                 "check the unit of its times; give its clock (clock.offset_s, clock.rate)",
                 "clock_rate" if "rate" in odd else "clock_offset",
             )  # fmt: skip

@@ -33,10 +33,14 @@ LEAST_GAIN, LEAST_RATIO, LEAST_SCORE = 0.08, 1.4, 6.0
 # The same of a clock offset or rate: slow objects meet nearly as well at other times.
 LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
 # Below this score the rays meet by chance only, whatever the reason.
-CHANCE_SCORE = 2.5
-# Rays that meet within the tightest tolerance over those that meet at all, below which something is slightly wrong.
-SHARP_SHARE = 0.75
-SHARP = TOLERANCES[:1]
+CHANCE_SCORE, CHANCE_SHARE = 2.5, 0.4
+# Where chance alone gives so many partners, shifted times tell nothing.
+MOST_CHANCE = 0.6
+# Rays that meet within one standard deviation over those that meet within three (0.68 if all is right), below which
+# something is slightly wrong, and the tolerance at which alternatives are then compared.
+SHARP_SHARE = 0.55
+SHARP = (1.0,)
+LENS_CAUSES = ("lens_missing", "lens_sign")
 # A pair whose fields of view hardly overlap has nothing to be checked by.
 LEAST_EXPECTED = 0.15
 # Clock offsets that are tried: up to this many seconds, in this many steps; ratios of usual frame rates.
@@ -77,6 +81,8 @@ class Geometry:
         Wrong poses may promise nothing, so a pair that meets by chance only is suspicious in any case.
         """
         found, expected = self.given[k], self.expected[k]
+        if found.chance > MOST_CHANCE and found.share > MOST_CHANCE:
+            return False
         return found.score < SUSPICIOUS_SCORE or (
             expected >= LEAST_EXPECTED and found.excess < SUSPICIOUS_SHARE * expected
         )
@@ -87,7 +93,7 @@ class Geometry:
         pairs = [p for p, given in zip(self.pairs, self.given, strict=True) if given.score >= LEAST_SCORE]
         tight, wide = (
             [meeting(pair, views[pair.a], views[pair.b], (tolerance,)).excess for pair in pairs]
-            for tolerance in (TOLERANCES[0], TOLERANCES[-1])
+            for tolerance in (SHARP[0], TOLERANCES[0])
         )
         return any(t < SHARP_SHARE * w for t, w in zip(tight, wide, strict=True))
 
@@ -153,7 +159,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     if geometry.pairs and (suspicious or thorough):
         explanation = best_explanation(geometry, clocks_only=not suspicious)
     if explanation is None and geometry.is_blurred():
-        explanation = best_explanation(geometry, tolerances=SHARP)
+        explanation = best_explanation(geometry, tolerances=SHARP, causes=None if thorough else LENS_CAUSES)
     if explanation is not None:
         yield _named(geometry, explanation)
     for pair, found, expected in zip(geometry.pairs, geometry.given, geometry.expected, strict=True):
@@ -164,7 +170,13 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
         )
         if expected < LEAST_EXPECTED:
             yield Finding("geometry.rays", "not checked", f"{text}; their fields of view hardly overlap")
-        elif explanation is None and found.score < CHANCE_SCORE:
+        elif found.chance > MOST_CHANCE:
+            yield Finding("geometry.rays", "not checked", f"{text}; the objects hardly move, or are too many")
+        elif (
+            explanation is None
+            and found.score < CHANCE_SCORE
+            and found.share < found.chance + CHANCE_SHARE * expected * (1.0 - found.chance)
+        ):
             yield Finding(
                 "geometry.rays",
                 "warning",
@@ -199,7 +211,10 @@ def _named(geometry: Geometry, found: Explanation) -> Finding:
 
 
 def best_explanation(
-    geometry: Geometry, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
+    geometry: Geometry,
+    clocks_only: bool = False,
+    tolerances: tuple[float, ...] = TOLERANCES,
+    causes: tuple[str, ...] | None = None,
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
@@ -212,6 +227,8 @@ def best_explanation(
         Whether only clock offsets are tried.
     tolerances : tuple of float
         Tolerances of a meeting, in standard deviations.
+    causes : tuple of str, optional
+        Only alternatives of these causes are tried, and no clocks.
     """
     few = tuple(pair.thinned(FEW_DETECTIONS, FEW_SHIFTS) for pair in geometry.pairs)
     views = geometry.views

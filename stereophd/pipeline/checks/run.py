@@ -10,7 +10,7 @@ from stereophd.io.logs import LogReader
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.pipeline.checks.geometry import check_geometry, measure
-from stereophd.pipeline.checks.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.sample import MOST_FRAMES, CameraSample, sample_log
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 
 if TYPE_CHECKING:
@@ -46,17 +46,21 @@ def check_log(loaded: LoadedConfig, log_path: Path | str, thorough: bool = True)
     """
     cameras = loaded.build_cameras()
     reader = LogReader(log_path, cameras, "drop", float("inf"))
-    samples = sample_log(reader, cameras) if thorough else sample_log(reader, cameras, QUICK_FRAMES)
-    return check_samples(loaded, samples, thorough)
+    most = MOST_FRAMES if thorough else QUICK_FRAMES
+    samples = sample_log(reader, cameras, most)
+    whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
+    return check_samples(loaded, samples, thorough, whole)
 
 
-def check_samples(loaded: LoadedConfig, samples: list[CameraSample], thorough: bool) -> tuple[Finding, ...]:
-    """Check a part of a log that is in memory (see `check_log`)."""
+def check_samples(
+    loaded: LoadedConfig, samples: list[CameraSample], thorough: bool, whole: bool
+) -> tuple[Finding, ...]:
+    """Check a part of a log that is in memory (see `check_log`); `whole`: it is all of the log."""
     config = loaded.config
     estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
     findings = [
         found
-        for found in check_files(samples)
+        for found in check_files(samples, whole)
         if not (found.name.startswith("detector.") and found.camera in estimated)
     ]
     if any(found.cause == "pixels_normalised" for found in findings):

@@ -1,0 +1,178 @@
+"""How large a run is going to be, estimated before it begins.
+
+A run that does not fit into the memory or on the disk is refused. One that takes very long, or fills much of a disk,
+may be meant, but is more often a slip of a few digits: it begins only once that is confirmed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stereophd.core.simulation.timing import INSTANTS_PER_WINDOW
+from stereophd.errors import InputError, SizeError
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Beyond these a run must be confirmed.
+LONGEST_S, LARGEST_DISK_BYTES = 6 * 3600.0, 50e9
+
+# Measured with `simulate` on one core, for an estimate of the order of magnitude: time of a frame, a detection, an
+# object at an instant, a drawn object; bytes of the files; bytes in memory.
+_FRAME_S, _DETECTION_S, _STATE_S, _OBJECT_S = 4e-5, 1e-6, 3e-6, 1e-3
+_DETECTION_FILE, _TRUTH_FILE = 16.0, 40.0
+_LEAST_RUN_S, _RUN_FILE = 1e-3, 100.0
+_STATE_MEMORY, _DETECTION_MEMORY, _OBJECT_MEMORY, _RUN_MEMORY = 200.0, 150.0, 3000.0, 2000.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """Estimates for a run.
+
+    Attributes
+    ----------
+    seconds : float
+        Processor time.
+    memory_bytes, disk_bytes : float
+    cause : str
+        What the size comes from, for the message: numbers that the configuration states.
+    """
+
+    seconds: float
+    memory_bytes: float
+    disk_bytes: float
+    cause: str
+
+
+def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -> Size:
+    """Estimate the size of simulated scenes.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a ``simulate`` section and cameras.
+    runs : int
+        Number of scenes.
+    kept : bool
+        Whether their files are written.
+    """
+    settings = loaded.config.simulate
+    assert settings is not None
+    duration = settings.duration_s
+    rates = [camera.frame_rate_hz or settings.frame_rate_hz for camera in loaded.cameras.values()]
+    drawn = settings.objects
+    births = 0.0 if drawn is None else drawn.births_per_s * duration
+    count = len(settings.given) + (0 if drawn is None else drawn.count) + births
+    lifetime = duration if drawn is None or drawn.mean_lifetime_s is None else min(drawn.mean_lifetime_s, duration)
+    alive = count - births + births * min(1.0, lifetime / duration)
+    frames = duration * sum(rates)
+    clutter = sum(
+        duration * rate * camera.detector.clutter_per_frame
+        for rate, camera in zip(rates, loaded.cameras.values(), strict=True)
+    )
+    detections = frames * alive + clutter
+    truth = duration * (settings.truth_rate_hz or sum(rates)) * alive
+    share = min(1.0, INSTANTS_PER_WINDOW / max(frames, 1.0))
+    memory = share * (frames * alive * _STATE_MEMORY + detections * _DETECTION_MEMORY) + count * _OBJECT_MEMORY
+    seconds = frames * _FRAME_S + detections * _DETECTION_S + frames * alive * _STATE_S + count * _OBJECT_S
+    disk = detections * _DETECTION_FILE + truth * _TRUTH_FILE if kept else 0.0
+    cause = f"{runs:g} runs, {frames:.3g} frames, {count:.3g} objects and {clutter:.3g} false detections each"
+    return Size(runs * seconds, memory + runs * _RUN_MEMORY, runs * disk, cause)
+
+
+def size_of_experiment(loaded: LoadedConfig, runs: int, parts: int) -> Size:
+    """Estimate the least size of an experiment: its scenes, and the bookkeeping of its runs.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+    runs, parts : int
+        Number of runs of each part, and of parts: methods in cases.
+    """
+    total = runs * parts
+    scenes = Size(0.0, 0.0, 0.0, f"{total:.3g} runs")
+    if loaded.config.simulate is not None:
+        scenes = size_of_simulation(loaded, total, kept=False)
+    seconds = max(scenes.seconds, total * _LEAST_RUN_S)
+    return Size(seconds, scenes.memory_bytes + total * _RUN_MEMORY, total * _RUN_FILE, scenes.cause)
+
+
+def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> None:
+    """Refuse a run that does not fit, and one that is very large and not confirmed.
+
+    Parameters
+    ----------
+    size : Size
+    where : str
+        The configuration, for the message.
+    folder : path
+        Output folder.
+    confirmed : bool
+        Whether the user wants the run whatever it takes in time and on the disk.
+
+    Raises
+    ------
+    InputError
+        It does not fit into the memory or on the disk.
+    SizeError
+        It is very large, and not confirmed.
+    """
+    memory, disk = available_memory(), free_disk(Path(folder))
+    if size.memory_bytes > memory:
+        raise InputError(
+            f"{where}: expected a run that fits into the memory ({_bytes(memory)} available), found one of about "
+            f"{_bytes(size.memory_bytes)} ({size.cause})"
+        )
+    if size.disk_bytes > disk:
+        raise InputError(
+            f"{where}: expected a run that fits on the disk ({_bytes(disk)} free), found one of about "
+            f"{_bytes(size.disk_bytes)} ({size.cause})"
+        )
+    if not confirmed and (size.seconds > LONGEST_S or size.disk_bytes > LARGEST_DISK_BYTES):
+        raise SizeError(
+            f"{where}: this takes about {_time(size.seconds)} on one core and {_bytes(size.disk_bytes)} on the disk "
+            f"({size.cause})"
+        )
+
+
+def available_memory() -> float:
+    """Return the memory that this process may still use, in bytes; infinity where the system does not say."""
+    limits = [float("inf")]
+    with contextlib.suppress(OSError, ValueError, StopIteration):
+        with open("/proc/meminfo", encoding="ascii") as stream:
+            line = next(line for line in stream if line.startswith("MemAvailable"))
+        limits.append(1024.0 * float(line.split()[1]))
+    with contextlib.suppress(OSError, ValueError):  # a container; "max": no limit
+        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    if len(limits) == 1:
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            limits.append(float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE"))
+    return min(limits)
+
+
+def free_disk(folder: Path) -> float:
+    """Return the free room on the disk of a folder, or of the first folder above it that exists, in bytes."""
+    for place in (folder, *folder.absolute().parents):
+        with contextlib.suppress(OSError):
+            return float(shutil.disk_usage(place).free)
+    return float("inf")
+
+
+def _bytes(count: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000.0:
+            return f"{count:.3g} {unit}"
+        count /= 1000.0
+    return f"{count:.3g} TB"
+
+
+def _time(seconds: float) -> str:
+    for unit, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.3g} s"

@@ -1,0 +1,60 @@
+"""The size of a run is estimated before it begins: it is refused, or must be confirmed, if it is too large."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import stereophd.pipeline.sizes as sizes
+from stereophd.commands.experiment import experiment
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import load_config
+from stereophd.errors import InputError, SizeError
+from stereophd.pipeline.sizes import Size, check_size, size_of_simulation
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "multi_object.yaml"
+EXPERIMENT = CONFIG.parent / "figure4.yaml"
+
+
+def test_a_usual_scene_is_small() -> None:
+    size = size_of_simulation(load_config(CONFIG))
+    assert 0.001 < size.seconds < 1.0
+    assert size.memory_bytes < 1e8
+    # 100 frames of two cameras: 16 detections each, and six objects
+    assert 2e4 < size.disk_bytes < 2e5
+
+
+@pytest.mark.parametrize(
+    ("setting", "runs", "message"),
+    [
+        ("cameras.left.detector.clutter_per_frame=1e6 simulate.duration_s=1000", None, "fits into the memory"),
+        ("simulate.objects.count=1000000000", None, "fits into the memory"),
+        ("simulate.objects.births_per_s=1e9", None, "fits into the memory"),
+        ("simulate.duration_s=1e13", None, "fits on the disk"),
+        ("simulate.frame_rate_hz=1e8", None, "fits into the memory|fits on the disk"),
+        ("seed=1", 10**9, "fits into the memory|fits on the disk"),
+    ],
+)
+def test_what_does_not_fit_is_refused(tmp_path: Path, setting: str, runs: int | None, message: str) -> None:
+    with pytest.raises(InputError, match=f"simulate: expected a run that ({message})"):
+        simulate(load_config(CONFIG, setting.split()), tmp_path / "out", runs=runs, force_size=True)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_experiment_of_too_many_runs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="experiment: "):
+        experiment(load_config(EXPERIMENT, ["experiment.runs=1000000000"]), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_very_large_must_be_confirmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sizes, "available_memory", lambda: 1e9)
+    monkeypatch.setattr(sizes, "free_disk", lambda folder: 1e12)
+    large = Size(3 * 86400.0, 1e8, 4e10, "so many")
+    with pytest.raises(SizeError, match=r"x: this takes about 3 days on one core and 40 GB on the disk \(so many\)"):
+        check_size(large, "x", tmp_path, confirmed=False)
+    check_size(large, "x", tmp_path, confirmed=True)
+    check_size(Size(60.0, 1e8, 1e9, ""), "x", tmp_path, confirmed=False)
+    with pytest.raises(InputError, match=r"the memory \(1 GB available\), found one of about 2 GB"):
+        check_size(Size(1.0, 2e9, 0.0, ""), "x", tmp_path, confirmed=True)
