@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.projection import pinhole, projective
 
 Array = NDArray[np.float64]
 
@@ -37,14 +38,8 @@ WORST_CONDITION = 1e15
 
 def pixel_jacobian(camera: Camera, points: Array) -> Array:
     """Jacobian (n, 2, 3) of the undistorted pixel by the position (n, 3) in the world, px per length."""
-    local = camera.pose.to_camera(points)
-    slopes = local[:, :2] / local[:, 2:]
-    in_camera = np.zeros((len(local), 2, 3))
-    in_camera[:, 0, 0] = camera.fx
-    in_camera[:, 1, 1] = camera.fy
-    in_camera[:, 0, 2] = -camera.fx * slopes[:, 0]
-    in_camera[:, 1, 2] = -camera.fy * slopes[:, 1]
-    return np.asarray(in_camera / local[:, 2, None, None] @ camera.pose.rotation)
+    _, by_point = pinhole(camera.pose.to_camera(points), np.array([camera.fx, camera.fy]))
+    return np.asarray(by_point @ camera.pose.rotation)
 
 
 def detection_noise(camera: Camera, points: Array) -> Array:
@@ -72,12 +67,7 @@ def detection_information(camera: Camera, points: Array) -> Array:
 
 def world_jacobian(space: DisparitySpace, point: Array) -> Array:
     """Jacobian A (3, 3) of the position in the world by (u, v, d), at a point (3,) of the world."""
-    homogeneous = space.projective_matrix @ np.append(point, 1.0)
-    # y = h / s: dy/dx = (P - y p_4) / s
-    to_disparity = (
-        space.projective_matrix[:3, :3] - np.outer(homogeneous[:3] / homogeneous[3], space.projective_matrix[3, :3])
-    ) / homogeneous[3]
-    return np.asarray(np.linalg.inv(to_disparity))
+    return np.asarray(np.linalg.inv(projective(space.projective_matrix, point[None])[1][0]))
 
 
 def state_jacobian(space: DisparitySpace, state: Array) -> Array:

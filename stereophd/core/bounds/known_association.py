@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.settings import BirthPrior
 
@@ -132,7 +133,7 @@ def noiseless_paths(
         if not here.any():
             continue
         parameters, information = _fit(paths, data, parameters)
-        points, jacobian = _world(paths, parameters)
+        points, jacobian = projective(paths.to_world, parameters[:, :3])
         reach, keep, drift = motion.flow(time_s - paths.start_s[here])
         states[k, here, 3:] = keep[:, None] * parameters[here, 3:] + drift[:, 3:]
         states[k, here, :3] = points[here] + reach[:, None] * parameters[here, 3:] + drift[:, :3]
@@ -162,16 +163,6 @@ def _begin(
     return _Paths(start_s, to_world, disparity, std, prior.velocity_std, motion), parameters
 
 
-def _world(paths: _Paths, parameters: Array) -> tuple[Array, Array]:
-    """World position (n, 3) at the first detection, and its Jacobian (n, 3, 3) in (u, v, d)."""
-    matrix, points = paths.to_world, parameters[:, :3]
-    homogeneous = np.einsum("nij,nj->ni", matrix[:, :3, :3], points) + matrix[:, :3, 3]
-    scale = np.einsum("nj,nj->n", matrix[:, 3, :3], points) + matrix[:, 3, 3]
-    world = homogeneous / scale[:, None]
-    jacobian = (matrix[:, :3, :3] - world[:, :, None] * matrix[:, 3, None, :3]) / scale[:, None, None]
-    return world, jacobian
-
-
 def _fit(paths: _Paths, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array]:
     """Minimise the cost of every object; return the parameters (n, 6) and the information (n, 6, 6) there."""
     damping = np.full(len(parameters), FIRST_DAMPING)
@@ -197,14 +188,10 @@ def _fit(paths: _Paths, data: AssociatedDetections, parameters: Array) -> tuple[
 def _normal_equations(paths: _Paths, data: AssociatedDetections, parameters: Array) -> tuple[Array, Array, Array]:
     """Cost (n,), descent direction (n, 6) and information (n, 6, 6) at these parameters."""
     count = len(parameters)
-    world, to_world = _world(paths, parameters)
+    world, to_world = projective(paths.to_world, parameters[:, :3])
     flow = paths.motion.flow(data.time_s - paths.start_s[data.row])
     points = world[data.row] + flow.reach[:, None] * parameters[data.row, 3:] + flow.drift[:, :3]
-    homogeneous = np.einsum("mij,mj->mi", data.projection[:, :, :3], points) + data.projection[:, :, 3]
-    pixels = homogeneous[:, :2] / homogeneous[:, 2:]
-    slope = (data.projection[:, :2, :3] - pixels[:, :, None] * data.projection[:, 2, None, :3]) / homogeneous[
-        :, 2, None, None
-    ]
+    pixels, slope = projective(data.projection, points)
     slope = data.whitening @ slope
     residual = np.einsum("mij,mj->mi", data.whitening, data.points - pixels)
     jacobian = np.concatenate([slope @ to_world[data.row], flow.reach[:, None, None] * slope], axis=2)

@@ -31,11 +31,11 @@ from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.batch import BatchState, FilterBatch
+from stereophd.core.numerics.resampling import systematic
 from stereophd.core.numerics.weights import (
     effective_sample_size,
     normalised,
     step_generator,
-    systematic_resample,
     weighted_mean_covariance,
 )
 
@@ -157,7 +157,7 @@ def step(
     effective = effective_sample_size(log_weights)
     resampled = effective < settings.resample_below * len(values)
     if resampled:
-        chosen = systematic_resample(log_weights, rng)
+        chosen = systematic(np.exp(log_weights), rng.random(1))
         values, filters = roughened(values[chosen], settings.roughening, rng), filters.take(chosen)
         log_weights = np.full(len(values), -np.log(len(values)))
     after = SequentialState(values, log_weights, filters, state.log_evidence + log_likelihood)

@@ -30,11 +30,11 @@ from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.settings import TemperedSettings
 from stereophd.core.calibration.tempered_state import TemperedInfo, TemperedResult, TemperedState
+from stereophd.core.numerics.resampling import systematic
 from stereophd.core.numerics.weights import (
     effective_sample_size,
     normalised,
     step_generator,
-    systematic_resample,
     weighted_mean_covariance,
 )
 
@@ -111,7 +111,7 @@ class TemperedSampler:
         gain = self.parameters.log_prior(state.values) + state.log_likelihoods - self.log_proposal(state.values)
         rise = temperature_rise(gain, 1.0 - state.temperature, self.settings.resample_below)
         log_weights, total = normalised(rise * gain)
-        chosen = systematic_resample(log_weights, rng)
+        chosen = systematic(np.exp(log_weights), rng.random(1))
         temperature = 1.0 if rise >= 1.0 - state.temperature else state.temperature + rise
         after = replace(
             state,

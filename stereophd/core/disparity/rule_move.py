@@ -24,7 +24,7 @@ from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, Moved
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.linear_algebra import cholesky, condition
+from stereophd.core.numerics.linear_algebra import cholesky, condition, squared_distance
 from stereophd.core.numerics.moments import weighted_moments
 
 Array = NDArray[np.float64]
@@ -126,12 +126,9 @@ def _nonlinearity(images: Array, factor: Array) -> float:
     size, count = images.shape
     half = (count - 1) // 2
     total = 0.0
-    even = np.empty(size)
+    even, scratch = np.empty(size), np.empty(size)
     for i in range(half):
         for a in range(size):
-            value = 0.5 * (images[a, i] + images[a, half + i]) - images[a, count - 1]
-            for b in range(a):
-                value -= factor[a, b] * even[b]
-            even[a] = value / factor[a, a]
-            total += even[a] * even[a]
+            even[a] = 0.5 * (images[a, i] + images[a, half + i]) - images[a, count - 1]
+        total += squared_distance(even, factor, scratch)
     return float(math.sqrt(total) / half)

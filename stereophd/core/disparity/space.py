@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.layout import PACKED_SIZE as CAMERA_SIZE
+from stereophd.core.geometry.projection import projective
 
 Array = NDArray[np.float64]
 
@@ -117,15 +118,7 @@ class DisparitySpace:
 
 def _project(matrix: Array, states: Array) -> Array:
     """Apply a homography (4, 4) to points (n, 3), and its differential to velocities, if (n, 6)."""
-    points = states[:, :3]
-    homogeneous = points @ matrix[:3, :3].T + matrix[:3, 3]
-    scale = points @ matrix[3, :3] + matrix[3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mapped = homogeneous / scale[:, None]
-        if states.shape[1] == 3:
-            return np.asarray(mapped)
-        # quotient rule: d(h / s) = (dh - (h / s) ds) / s
-        velocity = states[:, 3:]
-        scale_rate = velocity @ matrix[3, :3]
-        rate = (velocity @ matrix[:3, :3].T - mapped * scale_rate[:, None]) / scale[:, None]
-    return np.concatenate([mapped, rate], axis=1)
+    mapped, derivative = projective(matrix, states[:, :3])
+    if states.shape[1] == 3:
+        return mapped
+    return np.concatenate([mapped, np.einsum("nij,nj->ni", derivative, states[:, 3:])], axis=1)

@@ -24,7 +24,7 @@ from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.settings import BirthPrior, Hysteresis
+from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.undetected import Undetected, expected_births, view_overlap
 from stereophd.core.multi.visibility import fade_out_of_view
@@ -88,30 +88,16 @@ class DisparityFilter(ABC):
     motion : Motion
     sets : SampleSets
         Shared by all components of a step.
-    survival_per_s : float
-        Probability that an object survives one second.
-    out_of_view_s : float
-        Time constant with which existence fades outside every view, s (`fade_out_of_view`).
-    birth : BirthPrior
-        Prior of new objects.
-    hysteresis : Hysteresis
-        Which objects are reported.
+    settings : FilterSettings
     threads : int
         Threads of the sample trips; results do not depend on it.
-    split_missed : bool
-        Whether a component that is partly in view loses the part in view when it is missed (paper VI-C), or
-        keeps its shape and only becomes less probable.
     """
 
     rig: Rig
     motion: Motion
     sets: SampleSets
-    survival_per_s: float
-    out_of_view_s: float
-    birth: BirthPrior
-    hysteresis: Hysteresis
-    threads: int
-    split_missed: bool
+    settings: FilterSettings
+    threads: int = 1
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
@@ -131,6 +117,14 @@ class DisparityFilter(ABC):
         """The compiled update and reduction of many camera hypotheses (`stereophd.core.multi.batch_kernels`)."""
 
     @property
+    def split_missed(self) -> bool:
+        """Whether a component that is partly in view loses the part in view when it is missed (paper VI-C).
+
+        Otherwise it keeps its shape and only becomes less probable.
+        """
+        return self.settings.missed == "split"
+
+    @property
     def state_size(self) -> int:
         """Size of the states: 6, or 3 for static objects."""
         return self.motion.state_size
@@ -143,7 +137,7 @@ class DisparityFilter(ABC):
         """Let objects survive, move and come into the event's disparity space."""
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
-        weights = mixture.weights * self.survival_per_s**elapsed
+        weights = mixture.weights * self.settings.survival_per_s**elapsed
         homes, intervals = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
         moved = move(
             mixture.means,
@@ -161,24 +155,26 @@ class DisparityFilter(ABC):
         )
         views = self.rig.views(event.time_s)
         motion = self.motion.arrays(intervals)
-        fade_out_of_view(weights, moved.status, mixture.means, homes, motion, views, elapsed, self.out_of_view_s)
+        fade_out_of_view(
+            weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
+        )
         weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
         births, undetected = self.expected_births(state.undetected, elapsed, event)
         return Prediction(mixture.with_weights(weights), moved, births, undetected)
 
     @cached_property
     def _overlap(self) -> Array:
-        return view_overlap(self.rig, self.birth)
+        return view_overlap(self.rig, self.settings.birth)
 
     def expected_births(self, undetected: Undetected | None, elapsed: float, event: Event) -> tuple[float, Undetected]:
         """Expected number of undetected objects in view of an event, and what it leaves of them."""
         detector = self.rig.cameras[event.camera].detector
-        return expected_births(undetected, self.birth, self._overlap, elapsed, event, detector)
+        return expected_births(undetected, self.settings.birth, self._overlap, elapsed, event, detector)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
         chosen = select_objects(
-            state.mixture, self.hysteresis, state.next_label, state.next_track, self.labels_may_split
+            state.mixture, self.settings.extraction, state.next_label, state.next_track, self.labels_may_split
         )
         state = replace(state, mixture=chosen.mixture, next_label=chosen.next_label, next_track=chosen.next_track)
         mixture, index = chosen.mixture, chosen.index
@@ -221,7 +217,7 @@ class DisparityFilter(ABC):
         Estimates
         """
         assert state.time_s is not None
-        faded = self.survival_per_s ** max(time_s - state.time_s, 0.0)
+        faded = self.settings.survival_per_s ** max(time_s - state.time_s, 0.0)
         later = replace(state, mixture=state.mixture.with_weights(state.mixture.weights * faded), time_s=time_s)
         _, estimates = self.extract(later)
         return replace(info, log_likelihood=0.0, cardinality_mean=info.cardinality_mean * faded), estimates
@@ -229,7 +225,7 @@ class DisparityFilter(ABC):
     def event_arrays(self, event: Event) -> EventArrays:
         """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
         space = self.rig.space(event.camera, event.time_s)
-        means, covariances = birth_moments(event, space, self.birth, self.state_size)
+        means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
         return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
 
     def event_numbers(self, event: Event, next_label: int, births: float) -> EventNumbers:

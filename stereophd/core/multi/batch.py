@@ -166,9 +166,9 @@ class FilterBatch:
         p_detect = template.rig.cameras[event.camera].detector.p_detect
         return PredictionNumbers(
             camera=int(event.camera),
-            survival=float(template.survival_per_s**elapsed),
+            survival=float(template.settings.survival_per_s**elapsed),
             elapsed=float(elapsed),
-            out_of_view_s=float(template.out_of_view_s),
+            out_of_view_s=float(template.settings.out_of_view_s),
             shape_p_detect=float(p_detect) if template.split_missed else 0.0,
         )
 

@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.motion.base import Motion
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_intensities
@@ -27,31 +26,16 @@ from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.undetected import reduction_for_births
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class PhdFilter(DisparityFilter):
-    """The PHD filter; see `DisparityFilter` for `rig`, `motion`, `sets` and `threads`."""
+    """The PHD filter; see `DisparityFilter` for its other fields."""
 
     settings: PhdSettings
-
-    def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PhdSettings, threads: int = 1) -> None:
-        super().__init__(
-            rig,
-            motion,
-            sets,
-            settings.survival_per_s,
-            settings.out_of_view_s,
-            settings.birth,
-            settings.extraction,
-            threads,
-            settings.missed == "split",
-        )
-        object.__setattr__(self, "settings", settings)
 
     @cached_property
     def reduction(self) -> PhdReduction:

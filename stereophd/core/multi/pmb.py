@@ -21,9 +21,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.motion.base import Motion
 from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_track_sets
@@ -35,15 +34,14 @@ from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.multi.undetected import reduction_for_births
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class PmbFilter(DisparityFilter):
-    """The PMB filter; see `DisparityFilter` for `rig`, `motion`, `sets` and `threads`.
+    """The PMB filter; see `DisparityFilter` for its other fields.
 
     In the state's mixture a label is a track and its weight the existence; components labelled -1 are
     the intensity of undetected objects.
@@ -52,20 +50,6 @@ class PmbFilter(DisparityFilter):
     settings: PmbSettings
 
     labels_may_split: ClassVar[bool] = False
-
-    def __init__(self, rig: Rig, motion: Motion, sets: SampleSets, settings: PmbSettings, threads: int = 1) -> None:
-        super().__init__(
-            rig,
-            motion,
-            sets,
-            settings.survival_per_s,
-            settings.out_of_view_s,
-            settings.birth,
-            settings.extraction,
-            threads,
-            settings.missed == "split",
-        )
-        object.__setattr__(self, "settings", settings)
 
     @cached_property
     def reduction(self) -> PmbReduction:

@@ -21,9 +21,9 @@ from stereophd.core.multi.mixture import (
     take_components,
 )
 from stereophd.core.multi.pmb_update import group
-from stereophd.core.multi.reduce import merge_sorted, squared_distance
+from stereophd.core.multi.reduce import merge_sorted
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.linear_algebra import cholesky
+from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

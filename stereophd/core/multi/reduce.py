@@ -7,23 +7,10 @@ from numpy.typing import NDArray
 
 from stereophd.core.multi.mixture import GaussianMixture, take_components
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.linear_algebra import cholesky
+from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@compiled
-def squared_distance(difference: Array, factor: Array, scratch: Array) -> float:
-    """Squared Mahalanobis distance of a difference (d,), given the Cholesky factor (d, d)."""
-    total = 0.0
-    for a in range(difference.shape[0]):
-        value = difference[a]
-        for b in range(a):
-            value -= factor[a, b] * scratch[b]
-        scratch[a] = value / factor[a, a]
-        total += scratch[a] * scratch[a]
-    return total
 
 
 @compiled

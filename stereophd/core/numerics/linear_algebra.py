@@ -78,3 +78,16 @@ def condition(matrix: Array, factor: Array) -> bool:
             return True
         raised *= 10.0
     return False
+
+
+@compiled
+def squared_distance(difference: Array, factor: Array, scratch: Array) -> float:
+    """Squared Mahalanobis distance of a difference (d,), given the Cholesky factor (d, d)."""
+    total = 0.0
+    for a in range(difference.shape[0]):
+        value = difference[a]
+        for b in range(a):
+            value -= factor[a, b] * scratch[b]
+        scratch[a] = value / factor[a, a]
+        total += scratch[a] * scratch[a]
+    return total

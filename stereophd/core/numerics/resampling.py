@@ -35,10 +35,13 @@ def _pick(weights: Array, points: Array, out: Integers) -> None:
 
 @compiled
 def systematic(weights: Array, uniform: Array) -> Integers:
-    """One uniform number shifts a comb of n teeth. Weights (n,) sum to 1; of `uniform` the first is used."""
+    """One uniform number shifts a comb of n teeth. Of `uniform` the first is used; weights (n,) need not sum to 1.
+
+    Every particle is drawn floor(n w) or ceil(n w) times (J. Carpenter, P. Clifford and P. Fearnhead, 1999).
+    """
     count = len(weights)
     out = np.empty(count, dtype=np.int64)
-    _pick(weights, (np.arange(count) + uniform[0]) / count, out)
+    _pick(weights, (np.arange(count) + uniform[0]) / count * weights.sum(), out)
     return out
 
 

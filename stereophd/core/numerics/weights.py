@@ -1,4 +1,4 @@
-"""Weights of particles: normalisation, effective size, moments, systematic resampling, random streams."""
+"""Weights of particles: normalisation, effective size, moments, random streams."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def normalised(log_weights: Array) -> tuple[Array, float]:
@@ -33,17 +32,6 @@ def weighted_mean_covariance(values: Array, log_weights: Array) -> tuple[Array, 
     mean = weights @ values
     centred = values - mean
     return mean, (weights[:, None] * centred).T @ centred
-
-
-def systematic_resample(log_weights: Array, rng: np.random.Generator) -> Integers:
-    """Indices (k,) of particles drawn with normalised log-weights (k,), by systematic resampling.
-
-    Every particle is drawn floor(k w) or ceil(k w) times (J. Carpenter, P. Clifford and P. Fearnhead, 1999).
-    """
-    count = len(log_weights)
-    edges = np.cumsum(np.exp(log_weights))
-    places = (rng.random() + np.arange(count)) / count * edges[-1]
-    return np.asarray(np.minimum(np.searchsorted(edges, places, side="right"), count - 1), dtype=np.int64)
 
 
 def step_generator(seed: np.random.SeedSequence, step: int) -> np.random.Generator:

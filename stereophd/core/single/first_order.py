@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.geometry.projection import pinhole
 
 Array = NDArray[np.float64]
 
@@ -31,11 +32,9 @@ def project(camera: Array, point: Array) -> tuple[Array, Array]:
     Defined up to the scale of the point (the Jacobian is that of the scale given), and behind the camera
     too; infinite or NaN at depth 0.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x, y = point[0] / point[2], point[1] / point[2]
-        jacobian = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]]) / point[2]
     focal = camera[[FX, FY]]
-    return focal * (x, y) + camera[[CX, CY]], focal[:, None] * jacobian
+    slopes, jacobian = pinhole(point[None], focal)
+    return slopes[0] * focal + camera[[CX, CY]], jacobian[0]
 
 
 def ray(camera: Array, pixel: Array) -> Array:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back
 
@@ -138,10 +139,7 @@ def _detections(camera: Camera, event: Event, state: Array, covariance: Array) -
         return 0.0, np.zeros(len(event.points))
     delays = np.zeros(len(event.points)) if event.delays is None else event.delays
     positions = state[:3] + delays[:, None] * state[3:]
-    projection = camera.projection_matrix
-    images = positions @ projection[:, :3].T + projection[:, 3]
-    points = images[:, :2] / images[:, 2:]
-    jacobians = (projection[None, :2, :3] - points[:, :, None] * projection[None, 2:, :3]) / images[:, 2, None, None]
+    points, jacobians = projective(camera.projection_matrix, positions)
     spread = jacobians @ covariance[:3, :3] @ np.swapaxes(jacobians, 1, 2) + event.covariances
     errors = event.points - points
     distances = np.einsum("mi,mi->m", errors, np.linalg.solve(spread, errors[:, :, None])[:, :, 0])

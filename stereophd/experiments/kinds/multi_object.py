@@ -124,7 +124,7 @@ def _known(
             if first[row] is None:
                 first[row] = DisparitySpace(camera.at(time_s), baseline, rectification), time_s, point
     detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-    states, covariances, seen = noiseless_paths(detections, first, multi_filter.birth, times_s, motion)
+    states, covariances, seen = noiseless_paths(detections, first, multi_filter.settings.birth, times_s, motion)
     exists = np.zeros(seen.shape, dtype=bool)
     exists[truth.scan, np.searchsorted(labels, truth.label)] = True
     scan, row = np.nonzero(seen & exists)

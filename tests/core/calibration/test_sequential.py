@@ -15,7 +15,8 @@ from stereophd.core.calibration.sequential import SequentialInfo, SequentialSett
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.multi.batch import FilterBatch
 from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.numerics.weights import step_generator, systematic_resample
+from stereophd.core.numerics.resampling import systematic
+from stereophd.core.numerics.weights import step_generator
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
 
 SEED = np.random.SeedSequence(11)
@@ -49,7 +50,7 @@ def textbook(
         evidence += np.log(weights @ likelihoods)
         weights = weights * likelihoods / (weights @ likelihoods)
         if 1.0 / (weights**2).sum() < settings.resample_below * count:
-            chosen = systematic_resample(np.log(weights), rng)
+            chosen = systematic(weights, rng.random(1))
             values, states = values[chosen], [states[k] for k in chosen]
             jitter = settings.roughening * np.ptp(values, axis=0) * count ** (-1.0 / size)
             values, weights = values + jitter * rng.standard_normal(values.shape), np.full(count, 1.0 / count)

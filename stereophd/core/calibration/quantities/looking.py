@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.quantities.base import View
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.projection import pinhole
 
 Array = NDArray[np.float64]
 
@@ -35,21 +36,17 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
         turns = rotations(-elapsed[:, None] * pose.rotation_rate)
         points = product(turns, points)
     visible = points[:, 2] > 0.0
-    inverse = 1.0 / np.where(visible, points[:, 2], 1.0)
-    undistorted = points[:, :2] * inverse[:, None]
-    by_point = np.zeros((len(points), 2, 3))
-    if camera.lens.code == 0:
-        distorted = undistorted
-        by_point[:, 0, 0], by_point[:, 1, 1] = camera.fx * inverse, camera.fy * inverse
-        by_point[:, 0, 2] = -camera.fx * undistorted[:, 0] * inverse
-        by_point[:, 1, 2] = -camera.fy * undistorted[:, 1] * inverse
-    else:
+    depths = np.where(visible, points[:, 2], 1.0)
+    focal = np.array([camera.fx, camera.fy])
+    undistorted, by_point = pinhole(np.column_stack([points[:, :2], depths]), focal)
+    distorted = undistorted
+    if camera.lens.code != 0:
         visible &= np.einsum("ni,ni->n", undistorted, undistorted) <= camera.lens.max_radius**2
         distorted, jacobian = camera.lens.distort(np.where(visible[:, None], undistorted, 0.0))
-        scaled = jacobian * np.array([camera.fx, camera.fy])[:, None] * inverse[:, None, None]
+        scaled = jacobian * focal[:, None] * (1.0 / depths)[:, None, None]
         by_point[:, :, :2] = scaled
         by_point[:, :, 2] = -np.einsum("nij,nj->ni", scaled, undistorted)
-    pixels = distorted * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    pixels = distorted * focal + [camera.cx, camera.cy]
     axes = pose.rotation if turns is None else turns @ pose.rotation
     by_world = row_product(by_point, axes)
     motion = np.einsum("nij,nj->ni", by_world, velocities - pose.velocity)

@@ -1,0 +1,65 @@
+"""Projections with their derivatives: of points in a camera's axes, and by projective matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def pinhole(points: FloatArray, focal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Project points in a camera's axes onto the plane at depth 1, with the derivative of their pixels.
+
+    Defined behind the camera too; infinite or NaN at depth 0.
+
+    Parameters
+    ----------
+    points : array (n, 3)
+        In the camera's axes, up to scale: the derivative is that at the scale given.
+    focal : array (2,)
+        fx and fy, px.
+
+    Returns
+    -------
+    slopes : array (n, 2)
+        x / z and y / z.
+    by_point : array (n, 2, 3)
+        Derivative of the undistorted pixel, px per unit of the points.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = 1.0 / points[:, 2]
+        slopes = points[:, :2] * inverse[:, None]
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0], by_point[:, 1, 1] = focal[0] * inverse, focal[1] * inverse
+        by_point[:, :, 2] = -focal * slopes * inverse[:, None]
+    return slopes, by_point
+
+
+def projective(matrix: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Map points by a projective matrix, with the derivative.
+
+    With the rows P and p of the matrix the image is ``y = P (x, 1) / s``, ``s = p (x, 1)``, and its derivative
+    ``(P - y p) / s``.
+
+    Parameters
+    ----------
+    matrix : array (k + 1, 4), or one for each point (n, k + 1, 4)
+        From homogeneous points to homogeneous images: a camera's projection, or a map between spaces.
+    points : array (n, 3)
+
+    Returns
+    -------
+    images : array (n, k)
+        Infinite or NaN where s is 0.
+    derivative : array (n, k, 3)
+    """
+    if matrix.ndim == 2:
+        homogeneous = points @ matrix[:, :3].T + matrix[:, 3]
+        matrix = matrix[None]
+    else:
+        homogeneous = np.einsum("nij,nj->ni", matrix[:, :, :3], points) + matrix[:, :, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        images = homogeneous[:, :-1] / homogeneous[:, -1:]
+        slopes = matrix[:, :-1, :3] - images[:, :, None] * matrix[:, -1, None, :3]
+        return images, np.asarray(slopes / homogeneous[:, -1, None, None])
