@@ -47,20 +47,41 @@ SCENES = {
     "births 0.05 /s, mean life 40 s": ["simulate.objects.births_per_s=0.05", "simulate.objects.mean_lifetime_s=40"],
     "three cameras": [f"cameras.upper={UPPER}"],
     "four cameras": [f"cameras.upper={UPPER}", f"cameras.lower={LOWER}"],
+    "velocity forgotten in 3 s, 2 Hz, 30 s": [
+        "motion={model: damped_velocity, time_constant_s: 3, acceleration_std: 1.2, max_speed: 8}",
+        "simulate.duration_s=30",
+        "simulate.frame_rate_hz=2",
+        "simulate.acceleration_std=1.2",
+    ],
+    "balls in flight, 100 Hz, 0.5 s": [
+        "motion={model: ballistic, gravity: [0, 981, 0], acceleration_std: 5, max_speed: 800}",
+        "simulate.duration_s=0.5",
+        "simulate.frame_rate_hz=100",
+        "simulate.objects.velocity_std=150",
+        "filter.birth.velocity_std=150",
+    ],
 }
 FILTERS = {
     "PHD": [],
     "PMB": ["filter.kind=pmb"],
     "PMB, smoothed": ["filter.kind=pmb", "report.smooth={}"],
 }
+# What a scene's motion is worth: the same logs tracked with constant velocity and as much white acceleration.
+WITHOUT = {
+    "velocity forgotten in 3 s, 2 Hz, 30 s": "motion={model: constant_velocity, acceleration_std: 1.2, max_speed: 8}",
+    "balls in flight, 100 Hz, 0.5 s": "motion={model: constant_velocity, acceleration_std: 300, max_speed: 800}",
+}
 
 
-def figures(scene: list[str], runs: int, folder: Path) -> dict[str, np.ndarray]:
+def figures(title: str, runs: int, folder: Path) -> dict[str, np.ndarray]:
     """Figures (`FIGURES`) of every filter (runs x figures) on a scene."""
+    scene, filters = SCENES[title], dict(FILTERS)
+    if title in WITHOUT:
+        filters["PMB, constant velocity"] = ["filter.kind=pmb", WITHOUT[title]]
     simulate(load_config(CONFIG, scene, seed=20_261_121), folder / "logs", runs=runs, force=True)
     logs = sorted((folder / "logs").iterdir())
     return {
-        name: np.array([score([*scene, *settings], log, folder) for log in logs]) for name, settings in FILTERS.items()
+        name: np.array([score([*scene, *settings], log, folder) for log in logs]) for name, settings in filters.items()
     }
 
 
@@ -106,7 +127,7 @@ def main() -> None:
         return
     for title in options.scenes:
         with tempfile.TemporaryDirectory() as folder:
-            print_rows(title, figures(SCENES[title], options.runs, Path(folder)))
+            print_rows(title, figures(title, options.runs, Path(folder)))
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def import_command(
 
 def _lines(report: dict[str, Any], out: Path) -> list[str]:
     """Return what a person reads of an import."""
-    lines = [with_flags(f"{sentence[:1].upper()}{sentence[1:]}.") for sentence in report["assumed"]]
+    lines = [with_flags(f"assumed: {sentence}") for sentence in report["assumed"]]
     for name, row in report["cameras"].items():
         size = " x ".join(map(str, row["image_size_px"])) + " px" if "image_size_px" in row else "no camera"
         if "frames" not in row:

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 from pydantic import model_validator
 
 from stereophd.config.base import Model, OneOf, Range3
-from stereophd.core.motion.settings import DEFAULT, MotionSettings, motion_models
 from stereophd.core.multi.kinds import filters
 from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.settings import Length, PositiveLength, parameter
@@ -53,4 +52,3 @@ def _filters() -> dict[str, Any]:
 
 
 Filter = Annotated[FilterSettings | SingleSettings, OneOf(_filters, "kind")]
-Motion = Annotated[MotionSettings, OneOf(motion_models, "model", DEFAULT)]

@@ -16,7 +16,8 @@ from stereophd.config.base import Model, Units
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.cameras import CameraConfig
 from stereophd.config.experiment import ExperimentConfig
-from stereophd.config.filter import DisparityConfig, Filter, Motion, RegionConfig
+from stereophd.config.filter import DisparityConfig, Filter, RegionConfig
+from stereophd.config.motion import Motion
 from stereophd.config.report import InputConfig, ReportConfig
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from annotated_types import Interval
 from pydantic import model_validator
 
 from stereophd.config.base import Model, Range3
+from stereophd.config.motion import Motion
 from stereophd.core.settings import (
     FINITE,
     LARGEST_COUNT,
@@ -57,6 +59,11 @@ class SimulateConfig(Model):
     acceleration_std: Length | tuple[Length, Length, Length] = parameter(
         "process noise, as motion.acceleration_std", default=0.0, unit="length/s^2"
     )
+    motion: Motion | None = parameter(
+        "how the objects move; default the model of the section motion, its noise replaced by acceleration_std (of "
+        "static, constant_velocity)",
+        default=None,
+    )
     truth_rate_hz: Rate | None = parameter(
         "of truth.parquet; default every distinct frame time", default=None, unit="Hz"
     )
@@ -66,4 +73,6 @@ class SimulateConfig(Model):
     def _some_objects(self) -> SimulateConfig:
         if self.objects is None and not self.given:
             raise ValueError("expected objects or given, found neither")
+        if self.motion is not None and np.any(self.acceleration_std):
+            raise ValueError("expected motion or acceleration_std, which is that of motion, found both")
         return self

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from stereophd.config.model import Config
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.models import ConstantVelocity, Motion
 from stereophd.core.simulation.detections import Scene
 from stereophd.core.simulation.drawing import Drawing, draw_objects
 from stereophd.core.simulation.objects import MovingObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid
 from stereophd.errors import InputError
+
+
+def scene_motion(config: Config) -> Motion:
+    """Return how the objects of the ``simulate`` section of a configuration move."""
+    settings = config.simulate
+    assert settings is not None
+    if settings.motion is not None:
+        return settings.motion.build()
+    tracked: Any = config.motion
+    motion: Motion = replace(tracked, acceleration_std=settings.acceleration_std).build()
+    # with a static model given objects keep the velocities that they are given
+    return motion if motion.moves else ConstantVelocity(settings.acceleration_std)
 
 
 def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedSequence) -> Scene:
@@ -41,7 +55,7 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     )
     truth = None if settings.truth_rate_hz is None else Schedule(settings.truth_rate_hz, start_s, end_s)
     grid = TimeGrid(schedules, truth)
-    motion = ConstantVelocity(settings.acceleration_std)
+    motion = scene_motion(config)
     given_seed, drawn_seed = seed.spawn(2)
     objects = _given_objects(settings, grid.start_s, given_seed)
     if settings.objects is not None:

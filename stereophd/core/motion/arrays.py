@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.numerics.compilation import compiled
-
 Array = NDArray[np.float64]
 
 
@@ -44,30 +42,3 @@ class MotionArrays(NamedTuple):
     drift: Array
     noise_std: Array
     max_speed: float
-
-
-@compiled
-def slice_motion(motion: MotionArrays, first: int, last: int) -> MotionArrays:
-    """Return views of consecutive intervals."""
-    return MotionArrays(
-        motion.reach[first:last], motion.keep[first:last], motion.position_noise[first:last],
-        motion.velocity_noise[first:last], motion.with_velocity[first:last], motion.alone[first:last],
-        motion.drift[first:last], motion.noise_std, motion.max_speed,
-    )  # fmt: skip
-
-
-@compiled
-def walk(start: Array, motion: MotionArrays, position_noise: Array, velocity_noise: Array) -> Array:
-    """States (n, 6) of one object after each of n successive intervals, from the state `start` (6,).
-
-    `position_noise` and `velocity_noise` (n, 3) are what the noise adds in each interval.
-    """
-    out = np.empty((len(motion.reach), 6))
-    state = start.copy()
-    for k in range(len(motion.reach)):
-        for a in range(3):
-            velocity = state[3 + a]
-            state[a] += motion.reach[k] * velocity + position_noise[k, a] + motion.drift[k, a]
-            state[3 + a] = motion.keep[k] * velocity + velocity_noise[k, a] + motion.drift[k, 3 + a]
-        out[k] = state
-    return out

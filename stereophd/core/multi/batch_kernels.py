@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
 from stereophd.core.disparity.sample_move import Look, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
-from stereophd.core.motion.arrays import MotionArrays, slice_motion
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
@@ -58,6 +58,16 @@ class PredictionNumbers(NamedTuple):
     elapsed: float
     out_of_view_s: float
     shape_p_detect: float
+
+
+@compiled
+def slice_motion(motion: MotionArrays, first: int, last: int) -> MotionArrays:
+    """Return views of consecutive intervals."""
+    return MotionArrays(
+        motion.reach[first:last], motion.keep[first:last], motion.position_noise[first:last],
+        motion.velocity_noise[first:last], motion.with_velocity[first:last], motion.alone[first:last],
+        motion.drift[first:last], motion.noise_std, motion.max_speed,
+    )  # fmt: skip
 
 
 @compiled

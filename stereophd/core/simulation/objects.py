@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.motion.arrays import walk
 from stereophd.core.motion.base import Motion
 from stereophd.core.simulation.timing import FloatArray, TimeGrid
+from stereophd.core.simulation.walk import walk
 
 BoolArray = NDArray[np.bool_]
 

@@ -22,7 +22,7 @@ from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_fra
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
 from stereophd.pipeline.build import build_filter
-from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.simulation import build_scene, scene_motion
 from stereophd.pipeline.stream import EventStream, frames_in_order
 from stereophd.pipeline.tracking.run import reported_records
 
@@ -40,7 +40,7 @@ def check(loaded: LoadedConfig) -> None:
     if config.simulate is None:
         raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
     build_filter(config, cameras, loaded.path)
-    if _scenario(loaded).tracker == "known_association" and np.any(config.simulate.acceleration_std):
+    if _scenario(loaded).tracker == "known_association" and scene_motion(config).noisy:
         raise InputError(
             f"{loaded.path}: simulate.acceleration_std: expected 0 with the tracker known_association, which fits "
             "paths without noise, found another value"

@@ -26,6 +26,7 @@ from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.models import Static
+from stereophd.core.simulation.walk import walk
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings
@@ -249,15 +250,10 @@ def _state_prior_information(scenario: TrackingProblem) -> Array:
 
 def draw_trajectory(scenario: TrackingProblem, rng: np.random.Generator) -> Array:
     """Draw the states (k, 6) of the object at the scenario's events."""
-    states = [np.asarray(scenario.start, dtype=float)]
-    shocks = rng.standard_normal((len(scenario.times) - 1, 2, 3)) * scenario.motion.noise_std
-    for dt, (with_velocity, alone) in zip(np.diff(scenario.times).tolist(), shocks, strict=True):
-        state = scenario.motion.transition(dt).matrix @ states[-1]
-        # white acceleration: the factor of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]]
-        state[:3] += dt**1.5 * (0.5 * with_velocity + alone / np.sqrt(12.0))
-        state[3:] += dt**0.5 * with_velocity
-        states.append(state)
-    return np.array(states)
+    start, intervals = np.array(scenario.start, dtype=float), np.diff(scenario.times)
+    normal = rng.standard_normal((len(intervals), 2, 3))
+    later = walk(start, scenario.motion.arrays(intervals), *scenario.motion.shocks(intervals, normal))
+    return np.concatenate([start[None], later])
 
 
 def last_events(times: Array) -> NDArray[np.intp]:

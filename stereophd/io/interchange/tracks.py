@@ -107,7 +107,7 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Floats, dict[int
     if options.rate_hz is not None:
         rate = options.rate_hz
         first, last = np.ceil(every[0] * rate - REGULAR), np.floor(every[-1] * rate + REGULAR)
-        times = np.arange(first, last + 1) / rate
+        times = (np.arange(first, last + 1) + 0.0) / rate
         if not len(times):
             raise InputError(f"rate: expected a rate at which the tracks have a frame, found {rate:g} Hz")
     else:

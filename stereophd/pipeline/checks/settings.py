@@ -220,7 +220,10 @@ def _speeds(config: Config, scene: Scene, samples: list[CameraSample], unit: str
         )  # fmt: skip
     stated_acceleration = float(np.max(getattr(motion, "acceleration_std", 0.0)))
     found = scene.acceleration
-    if found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.1 * spread:
+    # gravity and the like the model explains itself
+    explained = bool(motion.build().flow(np.ones(1)).drift.any())
+    too_small = found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.1 * spread
+    if found is not None and too_small and not explained:
         yield Finding(
             "settings.acceleration_std", "warning",
             f"the objects accelerate by about {found:.2g} {unit}/s^2, but motion.acceleration_std is "

@@ -1,0 +1,73 @@
+"""Free fall disturbed by white acceleration: `Ballistic`. Balls and other objects thrown; there is no drag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stereophd.core.motion.base import Flow
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.settings import PerAxis, acceleration_parameter, speed_parameter
+from stereophd.core.settings import Length, PositiveLength, Vector3, parameter, settings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ballistic(ConstantVelocity):
+    """`ConstantVelocity` under a constant known acceleration.
+
+    Interpolation between two states needs no term for it: a cubic through two states of a parabola is the parabola.
+
+    Parameters
+    ----------
+    acceleration_std, max_speed
+        As of `ConstantVelocity`; the noise stands for what gravity leaves out, such as drag.
+    gravity : (3,) array_like
+        In the axes of the world, length/s^2.
+
+    Raises
+    ------
+    ValueError
+        If gravity is not three finite numbers; otherwise as `ConstantVelocity`.
+    """
+
+    gravity: ArrayLike = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        gravity = np.asarray(self.gravity, dtype=np.float64)
+        if gravity.shape != (3,) or not np.isfinite(gravity).all():
+            raise ValueError(f"motion: expected three finite numbers as gravity, found {self.gravity!r}")
+        object.__setattr__(self, "gravity", tuple(gravity.tolist()))
+
+    def flow(self, dt: Array) -> Flow:
+        """Return the mean motion over intervals (...): a parabola."""
+        reach, keep, _ = super().flow(dt)
+        gravity, time = np.asarray(self.gravity), np.asarray(dt)[..., None]
+        return Flow(reach, keep, np.concatenate([0.5 * time**2 * gravity, time * gravity], axis=-1))
+
+
+@settings
+class BallisticSettings:
+    """Free fall disturbed by white acceleration: balls and other objects thrown."""
+
+    model: Literal["ballistic"] = parameter("the motion model", default="ballistic")
+    gravity: Vector3 = parameter(
+        "gravity in the axes of the world",
+        unit="length/s^2",
+        advice="[0, 9.81, 0] where the unit of length is m and y points down. Calibration takes it as exact: it then "
+        "measures the scale of the scene.",
+    )
+    acceleration_std: Length | PerAxis = acceleration_parameter()
+    max_speed: PositiveLength | None = speed_parameter()
+
+    def build(self) -> Ballistic:
+        """Return the motion model."""
+        return Ballistic(self.acceleration_std, self.max_speed, self.gravity)
+
+
+SETTINGS = BallisticSettings

@@ -1,0 +1,108 @@
+"""A velocity that decays while white acceleration feeds it: `DampedVelocity`.
+
+The velocity is an Ornstein-Uhlenbeck process, ``dv = -v / T dt + dW``, the position its integral: animals that turn,
+drones that hover. Left alone its standard deviation on each axis comes to ``acceleration_std sqrt(T / 2)``. Exact
+discretisation: X. R. Li and V. P. Jilkov, "Survey of maneuvering target tracking, part I: dynamic models", IEEE Trans.
+Aerospace and Electronic Systems 39 (4), 2003 (there one derivative higher, as R. A. Singer's model of acceleration).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stereophd.core.motion.base import Flow, Motion, Noise, accelerations, check_speed
+from stereophd.core.motion.settings import PerAxis, acceleration_parameter, speed_parameter
+from stereophd.core.settings import Length, PositiveDuration, PositiveLength, parameter, settings
+
+Array = NDArray[np.float64]
+
+# Backward over more time constants the uncertainty leaves the range of numbers.
+MOST_TIME_CONSTANTS = 50.0
+# Below this part of the time constant the variance of the position is summed as a series: its closed form cancels.
+SERIES_BELOW = 0.5
+# Coefficients of x^3, x^4, ... of x - (1 - e^-x) - (1 - e^-x)^2 / 2.
+SERIES = np.array([(-1.0) ** n * (2.0 - 2.0 ** (n - 1)) / math.factorial(n) for n in range(3, 20)])
+
+
+@dataclass(frozen=True)
+class DampedVelocity(Motion):
+    """Velocity that decays with a time constant, disturbed by white acceleration on each axis of the world.
+
+    Parameters
+    ----------
+    acceleration_std : float or (3,) array_like
+        Standard deviation of the mean acceleration over 1 s, length/s^2, as of `ConstantVelocity`.
+    time_constant_s : float
+        Time after which 1/e of the velocity remains, s.
+    max_speed : float or None
+        Physical limit on the speed, length/s, for those who draw samples.
+
+    Raises
+    ------
+    ValueError
+        If acceleration_std is not finite numbers >= 0, or another value is not positive.
+    """
+
+    acceleration_std: ArrayLike
+    time_constant_s: float
+    max_speed: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "acceleration_std", accelerations(self.acceleration_std))
+        check_speed(self.max_speed)
+        if not self.time_constant_s > 0.0:
+            raise ValueError(f"motion: expected a positive time_constant_s, found {self.time_constant_s}")
+
+    @property
+    def noise_std(self) -> Array:
+        """`acceleration_std` (3,), length/s^2."""
+        return np.array(self.acceleration_std, dtype=np.float64)
+
+    def flow(self, dt: Array) -> Flow:
+        """Return the mean motion over intervals (...): e^-x of the velocity remains, x in time constants."""
+        x = self._time_constants(dt)
+        reach = -self.time_constant_s * np.expm1(-x)
+        return Flow(reach, np.exp(-x), np.zeros((*np.shape(dt), 6)))
+
+    def noise(self, dt: Array) -> Noise:
+        """Return the covariance of unit noise over intervals (...).
+
+        With x in time constants T and e = 1 - e^-x: ``T^3 (x - e - e^2 / 2)``, ``T^2 e^2 / 2`` and
+        ``T (1 - e^-2x) / 2``, backward with the signs of a covariance.
+        """
+        x, scale = self._time_constants(dt), self.time_constant_s
+        e = -np.expm1(-x)
+        series = x**3 * np.polynomial.polynomial.polyval(np.clip(x, -SERIES_BELOW, SERIES_BELOW), SERIES)
+        position = np.asarray(np.where(abs(x) < SERIES_BELOW, series, x - e - e**2 / 2.0), dtype=np.float64)
+        velocity = np.asarray(abs(np.expm1(-2.0 * x)) / 2.0, dtype=np.float64)
+        return Noise(scale**3 * abs(position), np.sign(x) * scale**2 * e**2 / 2.0, scale * velocity)
+
+    def _time_constants(self, dt: Array) -> Array:
+        return np.maximum(np.asarray(dt) / self.time_constant_s, -MOST_TIME_CONSTANTS)
+
+
+@settings
+class DampedVelocitySettings:
+    """A velocity that decays while white acceleration feeds it: animals that turn, drones that hover."""
+
+    model: Literal["damped_velocity"] = parameter("the motion model", default="damped_velocity")
+    time_constant_s: PositiveDuration = parameter(
+        "time after which 1/e of the velocity remains",
+        unit="s",
+        advice="The time over which an object forgets where it was going. Its speed on each axis settles at "
+        "acceleration_std sqrt(time_constant_s / 2).",
+    )
+    acceleration_std: Length | PerAxis = acceleration_parameter()
+    max_speed: PositiveLength | None = speed_parameter()
+
+    def build(self) -> DampedVelocity:
+        """Return the motion model."""
+        return DampedVelocity(self.acceleration_std, self.time_constant_s, self.max_speed)
+
+
+SETTINGS = DampedVelocitySettings
