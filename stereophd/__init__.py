@@ -93,15 +93,17 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'stereophd' has no attribute {name!r}")
-    from importlib import import_module
+if not TYPE_CHECKING:  # type checkers report names that do not exist
 
-    value = getattr(import_module(f"stereophd.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first used."""
+        if name not in _HOMES:
+            raise AttributeError(f"module 'stereophd' has no attribute {name!r}")
+        from importlib import import_module
+
+        value = getattr(import_module(f"stereophd.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -13,6 +13,7 @@ from stereophd.config.filter import RegionConfig
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.core.disparity.events import make_rig
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.kinds.pmb import PmbSettings
@@ -30,6 +31,20 @@ if TYPE_CHECKING:
 LOGGER = logging.getLogger("stereophd")
 
 
+def build_motion(config: Config, path: Path | str) -> Motion:
+    """Return the motion model of a configuration.
+
+    Raises
+    ------
+    InputError
+        Objects move, and the configuration (read from `path`) does not state how much they accelerate.
+    """
+    try:
+        return config.motion.build()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
     """Return the multi-object filter that a configuration describes.
 
@@ -43,7 +58,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
     if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
-    motion = config.motion.build()
+    motion = build_motion(config, path)
     seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
     sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
