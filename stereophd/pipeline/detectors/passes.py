@@ -90,7 +90,7 @@ class _Watched:
         prediction = self._filter.predict(state, event)
         sighting = observe(
             sums[event.camera], prediction, event, self.rig.cameras[event.camera].at(event.time_s),
-            self._filter.settings.birth.per_frame, settled.labels(), not event.own_noise,
+            prediction.births, settled.labels(), not event.own_noise,
         )  # fmt: skip
         state, info = self._filter.update(state, prediction, event)
         state, estimates = self._filter.extract(state)
