@@ -6,12 +6,13 @@ DEMO := out/quickstart
 PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
 
-.PHONY: help demo test lint format bench schema reference venv clean
+.PHONY: help demo test lint fuzz format bench schema reference venv clean
 
 help:
 	@echo "make demo   simulate, track and evaluate a small scene, with pictures, in $(DEMO)"
 	@echo "make test   run the tests"
 	@echo "make lint   ruff, mypy and the import contracts"
+	@echo "make fuzz   random configurations and damaged files, for hours (EXAMPLES=100000)"
 	@echo "make bench  speed benchmarks (minutes)"
 	@echo "make schema write configs/schema.json anew"
 	@echo "make reference write the reference in docs/configuration.md anew"
@@ -34,6 +35,11 @@ lint: $(VENV)/.installed-all
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Random configurations, logs and damaged files, for hours: make fuzz EXAMPLES=100000
+EXAMPLES ?= 2000
+fuzz: $(VENV)/.installed-all
+	STEREOPHD_FUZZ_EXAMPLES=$(EXAMPLES) $(BIN)/python -m pytest tests/fuzz -p no:randomly
 
 format: $(VENV)/.installed-all
 	$(BIN)/ruff check --fix .

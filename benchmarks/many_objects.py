@@ -80,7 +80,7 @@ def room(objects: int, frames: int) -> dict[str, Any]:
         "filter": {
             "kind": "pmb",
             "survival_per_s": 0.99,
-            "birth": {"per_frame": 0.5, "depth_range": [6.0, 21.0], "velocity_std": 0.5},
+            "birth": {"per_s": 0.5, "depth_range": [6.0, 21.0], "velocity_std": 0.5},
         },
         "simulate": {
             "duration_s": duration_s,

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from stereophd.commands.calibrate import calibrate
+    from stereophd.commands.check import check
     from stereophd.commands.evaluate import evaluate
     from stereophd.commands.evaluate_cameras import evaluate_calibration
     from stereophd.commands.experiment import experiment
@@ -46,6 +47,7 @@ _HOMES = {
     "Record": "pipeline.tracking.loop",
     "StereophdError": "errors",
     "calibrate": "commands.calibrate",
+    "check": "commands.check",
     "evaluate": "commands.evaluate",
     "evaluate_calibration": "commands.evaluate_cameras",
     "experiment": "commands.experiment",
@@ -76,6 +78,7 @@ __all__ = [
     "StereophdError",
     "__version__",
     "calibrate",
+    "check",
     "evaluate",
     "evaluate_calibration",
     "experiment",
@@ -93,15 +96,17 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'stereophd' has no attribute {name!r}")
-    from importlib import import_module
+if not TYPE_CHECKING:  # type checkers report names that do not exist
 
-    value = getattr(import_module(f"stereophd.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first used."""
+        if name not in _HOMES:
+            raise AttributeError(f"module 'stereophd' has no attribute {name!r}")
+        from importlib import import_module
+
+        value = getattr(import_module(f"stereophd.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -67,7 +67,7 @@ Set = Annotated[
         "--set",
         autocompletion=_complete_set,
         metavar="KEY=VALUE",
-        help="Change a value of the configuration, such as --set filter.birth.per_frame=0.2 (repeatable).",
+        help="Change a value of the configuration, such as --set filter.birth.per_s=0.2 (repeatable).",
         show_default=False,
     ),
 ]

@@ -179,5 +179,5 @@ def _track(
     report = loaded.config.report
     multi_filter = pmb_filter(loaded, cameras)
     stream = open_stream(loaded.config, cameras, log_path)
-    records = reported_records(multi_filter, multi_filter.motion, stream, report)
+    records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     return write_tracks(records, out, metadata, cameras, report.max_position_std)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -19,7 +18,13 @@ from stereophd.io.interchange.assembly import CameraSummary, write_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.camera_files import read_cameras
 from stereophd.io.interchange.registry import find
+from stereophd.io.json_text import write_json
+from stereophd.io.logs import LogReader
 from stereophd.io.provenance import provenance, to_metadata
+from stereophd.pipeline.checks.files import check_files
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
+from stereophd.pipeline.checks.sample import sample_log
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 FILES = (DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE)
@@ -59,7 +64,7 @@ def import_recording(
     -------
     dict
         The report, as in ``report.json``: counts by camera, and under ``assumed`` and ``warnings`` the sentences about
-        what the sources do not say.
+        what the sources do not say, and under ``checks`` the findings of `stereophd.pipeline.checks.files`.
 
     Raises
     ------
@@ -88,6 +93,7 @@ def import_recording(
             assert recording.length_unit is not None
             write_cameras(out.path(CAMERAS_FILE), cameras, recording.length_unit, record)
         _check(recording, summaries)
+        findings = _check_files(cameras, summaries, out.path(DETECTIONS_FILE)) if summaries else []
         report = {
             "report_version": REPORT_VERSION,
             "command": "import",
@@ -95,13 +101,13 @@ def import_recording(
             "length_unit": recording.length_unit,
             "assumed": recording.assumed,
             "warnings": recording.warnings,
+            "checks": report_findings(tuple(findings)),
             "detections": sum(summary.detections for summary in summaries.values()) if summaries else None,
             "cameras": _camera_rows(cameras, summaries),
             "labels": {str(number): label for number, label in recording.labels.items()},
             "provenance": record,
         }
-        text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        out.path(REPORT_FILE).write_text(text, encoding="utf-8")
+        write_json(out.path(REPORT_FILE), report)
     for sentence in recording.warnings:
         LOGGER.warning("%s", sentence)
     return report
@@ -161,6 +167,22 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
     if spans and max(first for first, _ in spans.values()) > min(last for _, last in spans.values()):
         listed = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
         warn(f"the cameras have no time in common ({listed}): check rates, offsets and the unit of times")
+
+
+def _check_files(
+    cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary], log: Path
+) -> list[Finding]:
+    """Return the findings about frames, pixels and cameras that `check` has of the log by itself."""
+    built = tuple(camera.build(name) for name, camera in cameras.items() if name in summaries)
+    if not built:
+        return []
+    samples = sample_log(LogReader(log, built, "drop", float("inf")), built, QUICK_FRAMES)
+    estimated = [name for name, camera in cameras.items() if camera.detector.estimate]
+    return [
+        found
+        for found in check_files(samples, whole=False)
+        if not (found.name.startswith("detector.") and found.camera in estimated)
+    ]
 
 
 def _camera_rows(

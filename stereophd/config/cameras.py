@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from stereophd.config.base import Model, OneOf, Units
 from stereophd.core.geometry.camera import Camera, Clock, Detector
@@ -49,6 +49,29 @@ class IntrinsicsConfig(Model):
     fy: PositivePixels = parameter("focal length along v", unit="px")
     cx: Pixel = parameter("principal point along u, from the centre of the top-left pixel", unit="px")
     cy: Pixel = parameter("principal point along v, from the centre of the top-left pixel", unit="px")
+
+
+class UnknownFocalConfig(Model):
+    """Intrinsics of which nothing is known: the focal length starts at the width of the image."""
+
+    focal: Literal["unknown"] = parameter("the focal length is unknown: calibrate with a wide focal_std")
+    cx: Pixel | None = parameter("principal point along u; default: the middle of the image", default=None, unit="px")
+    cy: Pixel | None = parameter("principal point along v; default: the middle of the image", default=None, unit="px")
+
+
+def _parse_intrinsics(value: Any, info: ValidationInfo) -> Any:
+    """Turn an unknown focal length into intrinsics to start from."""
+    size = info.data.get("image_size_px")
+    if not isinstance(value, dict) or "focal" not in value or size is None:
+        return value
+    given = UnknownFocalConfig.model_validate(value)
+    width, height = size
+    return {
+        "fx": float(width),
+        "fy": float(width),
+        "cx": 0.5 * (width - 1.0) if given.cx is None else given.cx,
+        "cy": 0.5 * (height - 1.0) if given.cy is None else given.cy,
+    }
 
 
 class PoseConfig(Model):
@@ -157,7 +180,10 @@ class CameraConfig(Model):
     """One camera, as in ``cameras.yaml``."""
 
     image_size_px: tuple[ImageSize, ImageSize] = parameter("width and height", unit="px")
-    intrinsics: IntrinsicsConfig = parameter("pinhole intrinsics", unit="px")
+    intrinsics: Annotated[
+        IntrinsicsConfig,
+        BeforeValidator(_parse_intrinsics, json_schema_input_type=IntrinsicsConfig | UnknownFocalConfig),
+    ] = parameter("pinhole intrinsics; focal: unknown starts at the width of the image (calibrate)", unit="px")
     pose: PoseConfig = parameter("where the camera stands and looks")
     detector: Annotated[
         DetectorConfig,

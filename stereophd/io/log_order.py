@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from stereophd.io.log_rows import Floats
+from stereophd.io.table_reading import check_texts
 from stereophd.io.tables import FLOAT, STRING, damaged_is_input_error, open_parquet
 
 # Two narrow columns: larger pieces than a reader of all columns takes.
@@ -43,9 +44,13 @@ def _is_ordered(path: Path) -> bool:
 
 def _is_ordered_within_cameras(path: Path) -> bool:
     latest: dict[str, float] = {}
+    start = 0
     for batch in _pieces(path, ["time_s", "camera"]):
         times = _times(batch)
-        cameras = batch.column("camera").cast(STRING).dictionary_encode()
+        names = batch.column("camera").cast(STRING)
+        check_texts(names, "camera", path, start)
+        start += len(batch)
+        cameras = names.dictionary_encode()
         codes = cameras.indices.fill_null(-1).to_numpy(zero_copy_only=False)
         for code, name in enumerate(cameras.dictionary.to_pylist()):
             mine = times[(codes == code) & np.isfinite(times)]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from stereophd.io.table_reading import check_texts
 from stereophd.io.tables import DETECTIONS, FLOAT, INTEGER
 
 Floats = NDArray[np.float64]
@@ -75,7 +77,7 @@ class Decoded:
     names: pa.Array
 
 
-def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int]) -> Decoded:
+def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: Path | str = "log") -> Decoded:
     """Turn a piece of a log into arrays.
 
     Parameters
@@ -86,14 +88,19 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int]) -> Dec
         Index of the first row in the file.
     cameras
         Name -> index.
+    path
+        The log, for messages.
 
     Raises
     ------
+    InputError
+        The name of a camera is not text.
     pyarrow.ArrowException
         A value does not fit the type of its column.
     """
     kinds = {**REQUIRED, **OPTIONAL}
     column = {name: batch.column(name).cast(kinds[name]) for name in batch.schema.names}
+    check_texts(column["camera"], "camera", path, start)
     null = {name: _is_null(array) for name, array in column.items()}
     sigma = object_id = None
     if "sigma_u_px" in column:

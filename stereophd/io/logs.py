@@ -201,7 +201,7 @@ class LogReader:
         start = 0
         for batch in self._batches():
             with damaged_is_input_error(self.path):
-                piece = decode(batch, start, self._index)
+                piece = decode(batch, start, self._index, self.path)
             rows = piece.rows
             start += len(rows)
             # In a pass for one camera only its own rows count; rows of no camera count in the first.

@@ -66,6 +66,41 @@ def damaged_is_input_error(path: Path | str) -> Iterator[None]:
         raise InputError(f"{path}: the file is damaged or truncated: {_first_line(error)}") from error
 
 
+def check_texts(column: pa.Array | pa.ChunkedArray, name: str, path: Path | str, start: int = 0) -> None:
+    """Check that all texts of a column are UTF-8, as Parquet requires and other programs may not know.
+
+    Parameters
+    ----------
+    column
+        Strings.
+    name, path, start
+        The column, the file, and the index of the first row in it, for the message.
+
+    Raises
+    ------
+    InputError
+        A text is not UTF-8.
+    """
+    for chunk in column.chunks if isinstance(column, pa.ChunkedArray) else [column]:
+        try:
+            chunk.validate(full=True)
+        except pa.ArrowInvalid:
+            texts = chunk.cast(pa.binary())
+            row = next(row for row, text in enumerate(texts) if not _is_utf8(text.as_py()))
+            raise InputError(
+                f"{path}: row {start + row}: column {name}: expected text in UTF-8, found {texts[row].as_py()[:40]!r}"
+            ) from None
+        start += len(chunk)
+
+
+def _is_utf8(text: bytes | None) -> bool:
+    try:
+        (text or b"").decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
 def _is_text(kind: pa.DataType) -> bool:
     if pa.types.is_dictionary(kind):
         kind = kind.value_type
@@ -168,6 +203,10 @@ def read_table(
             row = table.column(name).is_null().index(True).as_py()
             raise InputError(f"{path}: row {row}: column {name}: expected a value, found null")
     try:
-        return table.cast(pa.schema(fields, metadata=schema.metadata))
+        table = table.cast(pa.schema(fields, metadata=schema.metadata))
+        for field in fields:
+            if pa.types.is_string(field.type):
+                check_texts(table.column(field.name), field.name, path)
+        return table
     except pa.ArrowException as error:
         raise InputError(f"{path}: {_first_line(error)}") from error

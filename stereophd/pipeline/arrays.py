@@ -41,7 +41,7 @@ def make_filter(
     threads : int
         Threads of the sample trips; results do not depend on it.
     **settings
-        Keys of the section ``filter``, such as ``birth={"per_frame": 0.05, ...}``.
+        Keys of the section ``filter``, such as ``birth={"per_s": 0.05, ...}``.
 
     Returns
     -------

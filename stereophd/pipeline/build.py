@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +13,12 @@ from stereophd.config.filter import RegionConfig
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.core.disparity.events import make_rig
+from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.multi.undetected import LEAST_PRUNING
 from stereophd.core.numerics.random_streams import FILTER_SAMPLES
 from stereophd.core.numerics.samples import draw_sample_sets
 from stereophd.core.single.settings import SingleSettings
@@ -24,6 +27,22 @@ from stereophd.pipeline.tracking.loop import ReportTimes
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def build_motion(config: Config, path: Path | str) -> Motion:
+    """Return the motion model of a configuration.
+
+    Raises
+    ------
+    InputError
+        Objects move, and the configuration (read from `path`) does not state how much they accelerate.
+    """
+    try:
+        return config.motion.build()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
@@ -39,7 +58,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
     if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
-    motion = config.motion.build()
+    motion = build_motion(config, path)
     seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
     sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
@@ -60,16 +79,29 @@ def build_labelled_filter(
 
 
 def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], path: Path | str) -> None:
-    """Refuse births so rare that every newborn component would be dropped at once."""
+    """Refuse births so rare that every newborn component would be dropped at once; warn of the old key."""
+    birth = settings.birth
+    key, rate = ("per_s", birth.per_s) if birth.per_frame is None else ("per_frame", birth.per_frame)
     for camera in cameras:
-        born = camera.detector.p_detect * settings.birth.per_frame
+        born = camera.detector.p_detect * rate
         existence = born / (born + camera.detector.clutter_per_frame)
-        if existence < settings.prune_weight:
+        if existence < LEAST_PRUNING * settings.prune_weight:
             raise InputError(
-                f"{path}: filter.birth.per_frame: expected births that outlive prune_weight "
-                f"{settings.prune_weight:g}, found {settings.birth.per_frame:g}: beside the clutter of "
+                f"{path}: filter.birth.{key}: expected births that outlive prune_weight "
+                f"{settings.prune_weight:g}, found {rate:g}: beside the clutter of "
                 f"{camera.name} a newborn weighs {existence:.2g}"
             )
+    if birth.per_frame is not None:
+        rates = [camera.frame_rate_hz for camera in cameras if camera.frame_rate_hz is not None]
+        value = f"{birth.per_frame:g} times the frames a second of one camera"
+        if rates:
+            value = f"{birth.per_frame * sum(rates) / len(rates):.3g} ({value})"
+        LOGGER.warning(
+            "%s: filter.birth.per_frame: births then depend on the frame rate and on the number of cameras; write "
+            "filter.birth.per_s: %s",
+            path,
+            value,
+        )
 
 
 def report_times(config: ReportConfig) -> ReportTimes:

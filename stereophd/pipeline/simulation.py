@@ -24,7 +24,12 @@ def scene_motion(config: Config) -> Motion:
     settings = config.simulate
     assert settings is not None
     if settings.motion is not None:
-        return settings.motion.build()
+        own: Any = settings.motion
+        # a scene has no noise that it does not state
+        if own.acceleration_std is None:
+            own = replace(own, acceleration_std=0.0)
+        built: Motion = own.build()
+        return built
     tracked: Any = config.motion
     motion: Motion = replace(tracked, acceleration_std=settings.acceleration_std).build()
     # with a static model given objects keep the velocities that they are given

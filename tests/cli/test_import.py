@@ -46,6 +46,7 @@ def test_a_table_and_a_calibration_become_a_log_and_cameras(call: Call, tmp_path
     )
     assert json.loads(forced.out)["cameras"]["right"]["detections"] == 2
     assert json.loads(forced.out)["length_unit"] == "cm"
+    assert isinstance(json.loads(forced.out)["checks"], list)
 
 
 def test_wrong_words_are_named(call: Call, tmp_path: Path) -> None:

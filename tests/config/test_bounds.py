@@ -14,7 +14,7 @@ from stereophd.errors import InputError
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "quickstart.yaml"
 # Numbers that no bound can name: infinity has a meaning there, or they only scale a figure's axis.
-UNBOUNDED = {"PmbSettings.hypothesis_distance"}
+UNBOUNDED = {"PmbSettings.hypothesis_distance", "PhdSettings.out_of_view_s", "PmbSettings.out_of_view_s"}
 
 CAMERA = "cameras.left"
 SINGLE = "filter={kind: single, prior: {depth_range: [1, 9], velocity_std: 1}}"
@@ -74,7 +74,7 @@ def test_every_numeric_key_has_both_bounds() -> None:
         (f"{CAMERA}.image_size_px=[{10**30}, 480]", "image_size_px.0: expected a number <= 1000000"),
         (f"{CAMERA}.intrinsics.cx=1e300", "intrinsics.cx: expected a number <= 1e+09"),
         (f"{CAMERA}.intrinsics.fx=1e-300", "intrinsics.fx: expected a number >= 1e-09"),
-        ("filter.birth.per_frame=1e15", "filter.birth.per_frame: expected a number <= 1e+06"),
+        ("filter.birth.per_s=1e15", "filter.birth.per_s: expected a number <= 1e+06"),
         ("filter.extraction.confirm=.inf", "filter.extraction.confirm: expected a number <= 1, found Infinity"),
         ("filter.birth.velocity_std=.nan", "filter.birth.velocity_std: expected a number"),
         ("motion.acceleration_std=1e300", "motion.acceleration_std: expected a number <= 1e+15"),

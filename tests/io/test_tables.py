@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stereophd.errors import InputError
+from stereophd.io.log_rows import decode
 from stereophd.io.tables import COVARIANCE, DETECTIONS, SCANS, TRACKS, TRUTH, TableWriter, read_table
 
 POSITIONS = {"time_s": "float64", "object_id": "int64", "x": "float64"}
@@ -235,3 +236,20 @@ def test_covariances_of_another_size_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "t.parquet", {"covariance": pa.array([[1.0] * 9], pa.list_(pa.float64(), 9))})
     with pytest.raises(InputError, match="column covariance: expected type"):
         read_table(path, {"covariance": COVARIANCE})
+
+
+def not_utf8(texts: list[bytes]) -> pa.Array:
+    """Return a column of strings as another program may write it."""
+    array = pa.array(texts, pa.binary())
+    return pa.Array.from_buffers(pa.string(), len(array), array.buffers())
+
+
+def test_text_that_is_not_utf8_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "table.parquet"
+    pq.write_table(pa.table({"camera": not_utf8([b"left", b"right", b"\xed\xa0\x80"])}), path)
+    with pytest.raises(InputError, match=r"row 2: column camera: expected text in UTF-8, found b'\\xed\\xa0\\x80'"):
+        read_table(path, {"camera": pa.string()})
+    rows = {"time_s": [0.0, 0.0], "frame": [0, 0], "u_px": [1.0, 1.0], "v_px": [1.0, 1.0]}
+    batch = pa.record_batch({**rows, "camera": not_utf8([b"left", b"\xff"])})
+    with pytest.raises(InputError, match=r"log.parquet: row 8: column camera: expected text in UTF-8, found b'\\xff'"):
+        decode(batch, 7, {"left": 0}, "log.parquet")

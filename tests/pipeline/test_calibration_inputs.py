@@ -44,6 +44,13 @@ def test_all_quantities_have_priors_and_guesses() -> None:
     assert (drawn < 5.0).all()
 
 
+def test_an_unknown_focal_length_starts_at_the_width_of_the_image() -> None:
+    camera = loaded("cameras.right.intrinsics={focal: unknown}").build_cameras()[1]
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (800.0, 800.0, 399.5, 299.5)
+    with pytest.raises(InputError, match="focal"):
+        loaded("cameras.right.intrinsics={focal: wide}")
+
+
 def test_rates_of_a_moving_camera() -> None:
     parameters, _ = build_parameters(
         loaded("calibration.priors.right.velocity_std=0.1", "calibration.priors.right.rotation_rate_std_deg_s=0.1")

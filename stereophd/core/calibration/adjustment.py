@@ -18,7 +18,7 @@ whose inverse at the optimum is the covariance of the camera parameters, the tra
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,6 @@ from stereophd.core.calibration.trajectories import (
     slopes,
 )
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.lens import Lens
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -61,13 +60,11 @@ class Observations:
     times : array (n,)
         True times by the clocks and readouts of the prior mean, s.
     points, precisions : arrays (n, 2), (n, 2, 2)
-        Pixels and their inverse covariances: raw, or undistorted.
+        Raw pixels and their inverse covariances.
     log_times : array (n,)
         Times of the frames on the cameras' own clocks, s.
     rows : array (n,)
         Row of each detection over the height of the image.
-    undistorted : bool
-        Whether the pixels are those of pinhole cameras without a lens.
     """
 
     trajectories: Integers
@@ -77,7 +74,6 @@ class Observations:
     precisions: Array
     log_times: Array
     rows: Array
-    undistorted: bool = False
 
     def __len__(self) -> int:
         return len(self.times)
@@ -250,9 +246,8 @@ class Linearisation:
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1]))
         for camera, here in zip(cameras, self.members, strict=True):
-            seeing = replace(camera, lens=Lens()) if observations.undistorted else camera
             view = look(
-                seeing, world[here], velocities[here], times[here], observations.log_times[here],
+                camera, world[here], velocities[here], times[here], observations.log_times[here],
                 observations.rows[here],
             )  # fmt: skip
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible

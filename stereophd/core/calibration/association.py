@@ -14,7 +14,6 @@ from stereophd.core.calibration.recording import Scans
 from stereophd.core.calibration.trajectories import Knots, interpolation, positions
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.lens import Lens
 from stereophd.core.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
@@ -144,7 +143,6 @@ def fitted_detections(
     states: Array,
     padding: float,
     counts: Integers,
-    raw: bool = False,
 ) -> tuple[Integers, Integers]:
     """Give fitted trajectories their detections, those with the most so far first.
 
@@ -159,8 +157,6 @@ def fitted_detections(
         A trajectory goes on without noise for this time before its first and after its last detection, s.
     counts : array (j,)
         Detections of each trajectory so far.
-    raw : bool
-        Whether distances are measured in raw pixels; else in undistorted ones.
 
     Returns
     -------
@@ -169,10 +165,7 @@ def fitted_detections(
     """
     owner = np.full(len(scans.points), -1)
     times, of_camera = scans.detection_times, scans.cameras[scans.event_of]
-    pixels, precisions = scans.points, scans.precisions
-    if raw:
-        pixels, precisions = scans.recording.pixels[scans.source], np.zeros((len(scans.source), 2, 2))
-        precisions[:, [0, 1], [0, 1]] = scans.recording.sigma[scans.source] ** -2.0
+    pixels, sigma = scans.recording.pixels[scans.source], scans.recording.sigma[scans.source]
     for j in np.argsort(-counts, kind="stable"):
         start, end = knots.spans[j]
         open_ = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
@@ -181,11 +174,10 @@ def fitted_detections(
         for number, camera in enumerate(cameras):
             here = np.flatnonzero(of_camera[open_] == number)
             still, nothing = np.zeros((len(here), 3)), np.zeros(len(here))
-            seeing = camera if raw else replace(camera, lens=Lens())
-            view = look(seeing, points[here], still, times[open_[here]], nothing, nothing)
+            view = look(camera, points[here], still, times[open_[here]], nothing, nothing)
             seen = here[view.visible]
             difference[seen] = pixels[open_[seen]] - view.pixels[view.visible]
-        distance = np.einsum("ni,nij,nj->n", difference, precisions[open_], difference)
+        distance = ((difference / sigma[open_]) ** 2).sum(axis=1)
         near = np.flatnonzero(distance < FITTED_GATE)
         # the nearest of each event
         near = near[np.lexsort((distance[near], scans.event_of[open_[near]]))]

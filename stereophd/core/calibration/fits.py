@@ -16,6 +16,7 @@ from stereophd.core.calibration.association import (
     track_detections,
     with_cameras,
 )
+from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
 from stereophd.core.calibration.scale import ScaleMeasurement
@@ -36,6 +37,10 @@ Integers = NDArray[np.int64]
 # are rather false ones (at that distance a normal density is down to this part of its peak).
 ANNEALED_LOSS = Loss(kernels.CAUCHY, 2.0)
 FITTED_LOSS = Loss(kernels.FLOOR, 1e-3)
+# Spread of the draws about clock offsets that motion shows, in parts of the prior's.
+SEARCHED_PART = 0.1
+# Iterations of an adjustment, and of one for the history where more than poses is unknown.
+MOST_ITERATIONS, HISTORY_ITERATIONS = 200, 10
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 
@@ -46,6 +51,7 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
         return None
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
+    draws[1:] = with_clocks(task, draws[1:])
     pairing = best_pairing(task.parameters, task.pairs, draws)
     if pairing is None:
         return None
@@ -64,6 +70,17 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return _fit(task, problem, pairing.values, states, detections)
+
+
+def with_clocks(task: Task, draws: Array) -> Array:
+    """Give every other one of draws (k, m) the clock offsets that the motion shows, as far apart as those are sure."""
+    places, found = offset_places(task.parameters), task.clocks
+    draws = draws.copy()
+    for camera in np.flatnonzero(found.scores > 0.0):
+        place = places[camera]
+        mean = task.parameters.prior_mean[place]
+        draws[::2, place] = found.offsets[camera] + SEARCHED_PART * (draws[::2, place] - mean)
+    return draws
 
 
 def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
@@ -95,8 +112,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False) -> Fit | None:
     noise = _noise(task, fit)
     # over this time the noise of the motion moves an object by its detection's noise
     padding = task.filter.motion.straying_time(noise)
-    raw = not task.parameters.only_moves
-    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts, raw)
+    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
     of_camera = scans.cameras[scans.event_of[detections]]
     chosen = shared(trajectories, of_camera, task.settings.min_detections)
     if not len(chosen):
@@ -124,7 +140,10 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
         return None
     cameras = task.parameters.build(fit.adjustment.values)
     observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
-    return adjusted_to(task, fit, observations, fit.observations.trajectories[rows], fit.detections[rows], task.scale)
+    # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
+    most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
+    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
+    return adjusted_to(task, fit, observations, of_fit, detections, task.scale, most)
 
 
 def adjusted_to(
@@ -134,6 +153,7 @@ def adjusted_to(
     of_fit: Integers,
     detections: Integers,
     scale: ScaleMeasurement | None,
+    max_iterations: int = MOST_ITERATIONS,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there."""
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
@@ -142,7 +162,7 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
-    return _fit(task, problem, fit.adjustment.values, states, detections)
+    return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
 
 
 def marginal_fit(task: Task, fit: Fit) -> Fit:
@@ -156,9 +176,16 @@ def marginal_fit(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=found, observations=observations)
 
 
-def _fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
+def _fit(
+    task: Task,
+    problem: Problem,
+    values: Array,
+    states: Array,
+    detections: Integers,
+    max_iterations: int = MOST_ITERATIONS,
+) -> Fit:
     """Adjust, and time the detections by the cameras found."""
-    found = adjust(problem, values, states)
+    found = adjust(problem, values, states, max_iterations)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))

@@ -182,18 +182,6 @@ class Scans:
         place[self.source] = np.arange(len(self.source))
         return np.asarray(place[detections])
 
-    def observations(
-        self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0
-    ) -> Observations:
-        """Undistorted pixels of detections (of the recording) of trajectories, their noise inflated."""
-        at = self.places(detections)
-        raw = self.recording.observations(cameras, trajectories, detections)
-        precisions = self.precisions[at] / inflation**2
-        return Observations(
-            trajectories, raw.cameras, self.detection_times[at], self.points[at], precisions,
-            raw.log_times, raw.rows, undistorted=True,
-        )  # fmt: skip
-
 
 def _events_of(
     recording: Recording, camera: Camera, number: int, frames: Integers, times: Array

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.adjustment import Adjustment, Observations
+from stereophd.core.calibration.clock_search import ClockOffsets, search_offsets
 from stereophd.core.calibration.pairing import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.track_rays import RawTracks
 from stereophd.core.calibration.trajectories import Knots
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb import PmbFilter
@@ -46,6 +48,8 @@ class Task:
         Which of them may be one object.
     scale : ScaleMeasurement or None
     settings : AnnealedSettings
+    clocks : ClockOffsets
+        Offsets of unknown clocks by the motion that the tracks show.
     """
 
     parameters: ParameterSet
@@ -59,6 +63,7 @@ class Task:
     pairs: TrackPairs
     scale: ScaleMeasurement | None
     settings: AnnealedSettings
+    clocks: ClockOffsets
 
     @property
     def followed(self) -> float:
@@ -80,9 +85,11 @@ class Task:
         tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
         tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
         pairs = make_pairs(parameters, tracking, tracks)
+        clocks = search_offsets(parameters, RawTracks.of(recording, tracks))
         return Task(
-            parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings
-        )
+            parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings,
+            clocks,
+        )  # fmt: skip
 
     def all_scans(self, cameras: Sequence[Camera]) -> Scans:
         """Return the events of all frames by these cameras."""
@@ -96,8 +103,7 @@ class Task:
         self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0
     ) -> Observations:
         """Return detections of the recording that belong to trajectories, timed by cameras, their noise inflated."""
-        source = self.scans if self.parameters.only_moves else self.recording
-        return source.observations(cameras, trajectories, detections, inflation)
+        return self.recording.observations(cameras, trajectories, detections, inflation)
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,7 @@ def rule_components(
     factor = np.empty((size, size))
     scratch = np.empty((size, size))
     noise = np.empty((6, count if size == 6 else 0))
+    reach, keep, position_noise, velocity_noise, with_velocity_parts, alone_parts, drift, _, max_speed = motion
     with_velocity = alone = np.nan
     todo = np.empty(len(means), dtype=np.intp)
     n_todo = 0
@@ -94,12 +95,12 @@ def rule_components(
         if covariances[k, 2, 2] > (widest * means[k, 2]) ** 2 or not cholesky(covariances[k], factor):
             continue
         if size == 6:
-            if motion.with_velocity[k] != with_velocity or motion.alone[k] != alone:
-                with_velocity, alone = motion.with_velocity[k], motion.alone[k]
+            if with_velocity_parts[k] != with_velocity or alone_parts[k] != alone:
+                with_velocity, alone = with_velocity_parts[k], alone_parts[k]
                 motion_noise(points, axes, with_velocity, alone, noise)
             moving_trips(
-                means[k], factor, points, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
-                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, images,
+                means[k], factor, points, noise, position_noise[k], velocity_noise[k], homes[k],
+                destination, reach[k], keep[k], drift[k], max_speed, images,
             )  # fmt: skip
         else:
             static_trips(means[k], factor, points, homes[k], destination, images)

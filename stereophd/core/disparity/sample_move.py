@@ -122,6 +122,7 @@ def move_components(
     scratch = np.empty((size, size))
     axes = noise_axes(destination, motion.noise_std)
     noise = np.empty((6, count if size == 6 else 0))
+    reach, keep, position_noise, velocity_noise, with_velocity_parts, alone_parts, drift, _, max_speed = motion
     with_velocity = alone = np.nan
     for k in which:
         status[k] = OUT_OF_VIEW
@@ -131,12 +132,12 @@ def move_components(
             continue
         if size == 6:
             # of many models the noise has one shape for all intervals
-            if motion.with_velocity[k] != with_velocity or motion.alone[k] != alone:
-                with_velocity, alone = motion.with_velocity[k], motion.alone[k]
+            if with_velocity_parts[k] != with_velocity or alone_parts[k] != alone:
+                with_velocity, alone = with_velocity_parts[k], alone_parts[k]
                 motion_noise(samples, axes, with_velocity, alone, noise)
             moving_trips(
-                means[k], factor, samples, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
-                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, points,
+                means[k], factor, samples, noise, position_noise[k], velocity_noise[k], homes[k],
+                destination, reach[k], keep[k], drift[k], max_speed, points,
             )  # fmt: skip
         else:
             static_trips(means[k], factor, samples, homes[k], destination, points)

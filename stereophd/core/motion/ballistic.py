@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from stereophd.core.motion.base import Flow
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.core.motion.settings import PerAxis, acceleration_parameter, speed_parameter
-from stereophd.core.settings import Length, PositiveLength, Vector3, parameter, settings
+from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
+from stereophd.core.settings import PositiveLength, Vector3, parameter, settings
 
 Array = NDArray[np.float64]
 
@@ -62,12 +62,12 @@ class BallisticSettings:
         advice="[0, 9.81, 0] where the unit of length is m and y points down. Calibration takes it as exact: it then "
         "measures the scale of the scene.",
     )
-    acceleration_std: Length | PerAxis = acceleration_parameter()
+    acceleration_std: Acceleration = acceleration_parameter()
     max_speed: PositiveLength | None = speed_parameter()
 
     def build(self) -> Ballistic:
         """Return the motion model."""
-        return Ballistic(self.acceleration_std, self.max_speed, self.gravity)
+        return Ballistic(stated(self.acceleration_std), self.max_speed, self.gravity)
 
 
 SETTINGS = BallisticSettings

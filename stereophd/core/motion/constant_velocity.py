@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stereophd.core.motion.base import Flow, Motion, Noise, NoiseFactor, accelerations, check_speed
-from stereophd.core.motion.settings import PerAxis, acceleration_parameter, speed_parameter
-from stereophd.core.settings import Length, PositiveLength, parameter, settings
+from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
+from stereophd.core.settings import PositiveLength, parameter, settings
 
 Array = NDArray[np.float64]
 
@@ -114,12 +114,12 @@ class ConstantVelocitySettings:
     """Constant velocity disturbed by white acceleration."""
 
     model: Literal["constant_velocity"] = parameter("the motion model", default="constant_velocity")
-    acceleration_std: Length | PerAxis = acceleration_parameter()
+    acceleration_std: Acceleration = acceleration_parameter()
     max_speed: PositiveLength | None = speed_parameter()
 
     def build(self) -> ConstantVelocity:
         """Return the motion model."""
-        return ConstantVelocity(self.acceleration_std, self.max_speed)
+        return ConstantVelocity(stated(self.acceleration_std), self.max_speed)
 
 
 SETTINGS = ConstantVelocitySettings

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stereophd.core.motion.base import Flow, Motion, Noise, accelerations, check_speed
-from stereophd.core.motion.settings import PerAxis, acceleration_parameter, speed_parameter
-from stereophd.core.settings import Length, PositiveDuration, PositiveLength, parameter, settings
+from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
+from stereophd.core.settings import PositiveDuration, PositiveLength, parameter, settings
 
 Array = NDArray[np.float64]
 
@@ -97,12 +97,12 @@ class DampedVelocitySettings:
         advice="The time over which an object forgets where it was going. Its speed on each axis settles at "
         "acceleration_std sqrt(time_constant_s / 2).",
     )
-    acceleration_std: Length | PerAxis = acceleration_parameter()
+    acceleration_std: Acceleration = acceleration_parameter()
     max_speed: PositiveLength | None = speed_parameter()
 
     def build(self) -> DampedVelocity:
         """Return the motion model."""
-        return DampedVelocity(self.acceleration_std, self.time_constant_s, self.max_speed)
+        return DampedVelocity(stated(self.acceleration_std), self.time_constant_s, self.max_speed)
 
 
 SETTINGS = DampedVelocitySettings

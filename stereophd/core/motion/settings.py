@@ -7,23 +7,42 @@ from typing import Any, Protocol
 
 from stereophd.core.motion.base import Motion
 from stereophd.core.settings import Length, members, parameter
+from stereophd.errors import InputError
 
 # The model of a configuration that names none.
 DEFAULT = "constant_velocity"
 
 PerAxis = tuple[Length, Length, Length]
+# None: not stated. Nothing is assumed in its place, for with 0 every track breaks where its object turns.
+Acceleration = Length | PerAxis | None
 
 
 def acceleration_parameter() -> Any:
     """Declare `acceleration_std` of a model."""
     return parameter(
         "white acceleration in the world, one value or one per axis: standard deviation of the mean acceleration "
-        "over 1 s (spectral density acceleration_std^2 times 1 s)",
-        default=0.0,
+        "over 1 s (spectral density acceleration_std^2 times 1 s); track and calibrate need it",
+        default=None,
         unit="length/s^2",
         advice="by how much the velocity of an object changes within a second: configs/drone.yaml has 2.5 m/s^2. "
         "Too small: tracks break where objects turn. Too large: depth and velocity settle late.",
     )
+
+
+def stated(acceleration_std: Acceleration) -> Length | PerAxis:
+    """Return the acceleration of a model whose objects move.
+
+    Raises
+    ------
+    InputError
+        None is stated.
+    """
+    if acceleration_std is None:
+        raise InputError(
+            "motion.acceleration_std: expected by how much the velocity of objects changes in a second (length/s^2; "
+            "0 only for objects that never turn), found none"
+        )
+    return acceleration_std
 
 
 def speed_parameter() -> Any:

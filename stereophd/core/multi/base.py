@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.undetected import Undetected, expected_births, view_overlap
 from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.samples import SampleSets
 
@@ -46,6 +48,8 @@ class FilterState:
         Events so far: picks the sample set.
     next_label, next_track : int
         First unused label and identity.
+    undetected : Undetected, optional
+        Objects that no camera has detected yet; None before the first event.
     """
 
     mixture: GaussianMixture
@@ -53,6 +57,7 @@ class FilterState:
     n_events: int
     next_label: int
     next_track: int
+    undetected: Undetected | None = None
 
     @property
     def labels(self) -> Integers:
@@ -62,10 +67,15 @@ class FilterState:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The surviving components, at home and carried into the event's disparity space."""
+    """The surviving components, at home and carried into the event's disparity space.
+
+    With them the expected number of undetected objects in view (`births`), and what the event leaves of them.
+    """
 
     mixture: GaussianMixture
     moved: Moved
+    births: float
+    undetected: Undetected
 
 
 @dataclass(frozen=True)
@@ -149,14 +159,24 @@ class DisparityFilter(ABC):
             weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
         )
         weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
-        return Prediction(mixture.with_weights(weights), moved)
+        births, undetected = self.expected_births(state.undetected, elapsed, event)
+        return Prediction(mixture.with_weights(weights), moved, births, undetected)
+
+    @cached_property
+    def _overlap(self) -> Array:
+        return view_overlap(self.rig, self.settings.birth)
+
+    def expected_births(self, undetected: Undetected | None, elapsed: float, event: Event) -> tuple[float, Undetected]:
+        """Expected number of undetected objects in view of an event, and what it leaves of them."""
+        detector = self.rig.cameras[event.camera].detector
+        return expected_births(undetected, self.settings.birth, self._overlap, elapsed, event, detector)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
         chosen = select_objects(
             state.mixture, self.settings.extraction, state.next_label, state.next_track, self.labels_may_split
         )
-        state = FilterState(chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track)
+        state = replace(state, mixture=chosen.mixture, next_label=chosen.next_label, next_track=chosen.next_track)
         mixture, index = chosen.mixture, chosen.index
         cameras, times = mixture.cameras[index], mixture.times[index]
         means, covariances = world_moments(
@@ -208,8 +228,8 @@ class DisparityFilter(ABC):
         means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
         return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
 
-    def event_numbers(self, event: Event, next_label: int) -> EventNumbers:
-        """Return the place of an event, the rates of its detector, and the first unused label, for compiled code."""
+    def event_numbers(self, event: Event, next_label: int, births: float) -> EventNumbers:
+        """Return the place of an event, its rates, and the first unused label, for compiled code."""
         camera = self.rig.cameras[event.camera]
         return EventNumbers(
             camera=int(event.camera),
@@ -217,6 +237,6 @@ class DisparityFilter(ABC):
             next_label=next_label,
             p_detect=float(camera.detector.p_detect),
             clutter=float(camera.detector.clutter_per_frame),
-            births=float(self.settings.birth.per_frame),
+            births=births,
             area=float(camera.width * camera.height),
         )

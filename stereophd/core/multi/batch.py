@@ -20,6 +20,7 @@ from stereophd.core.disparity.sample_move import Look
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.batch_kernels import Looks, PredictionNumbers, predict
 from stereophd.core.multi.mixture import GaussianMixture, concatenate, empty_mixture
+from stereophd.core.multi.undetected import Undetected, reduction_for_births
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -45,6 +46,8 @@ class BatchState:
         Events so far: picks the sample set.
     next_label : int
         First unused label, the same in all hypotheses.
+    undetected : Undetected, optional
+        Objects that no camera has detected yet, the same in all hypotheses; None before the first event.
     """
 
     begins: Integers
@@ -53,6 +56,7 @@ class BatchState:
     time_s: float | None
     n_events: int
     next_label: int
+    undetected: Undetected | None = None
 
     @property
     def size(self) -> int:
@@ -128,7 +132,9 @@ class FilterBatch:
             Of the event's detections.
         """
         template, mixture = self.template, state.mixture
-        arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label)
+        births, undetected = template.expected_births(state.undetected, _elapsed(state, event), event)
+        arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label, births)
+        reduction = reduction_for_births(template.reduction, births, template.rig.cameras[event.camera].detector)
         looks, prediction = self._looks(state), self._prediction_numbers(state, event)
         motion = template.motion.arrays(event.time_s - mixture.times)
         region = NO_REGION if template.rig.region is None else template.rig.region
@@ -137,9 +143,7 @@ class FilterBatch:
             part = slice(first, first + CHUNK)
             begins, ends = state.begins[part], state.ends[part]
             weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, prediction, region)
-            return template.update_hypotheses(
-                begins, ends, mixture, weights, moved, arrays, numbers, template.reduction
-            )
+            return template.update_hypotheses(begins, ends, mixture, weights, moved, arrays, numbers, reduction)
 
         starts = range(0, state.size, CHUNK)
         results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))
@@ -147,7 +151,7 @@ class FilterBatch:
         begins = np.concatenate([[0], ends[:-1]])
         label = state.next_label + len(event.points)
         components = concatenate([components for _, components, _ in results])
-        after = BatchState(begins, ends, components, event.time_s, state.n_events + 1, label)
+        after = BatchState(begins, ends, components, event.time_s, state.n_events + 1, label, undetected)
         return after, np.concatenate([values for _, _, values in results])
 
     def _looks(self, state: BatchState) -> Looks:
@@ -158,7 +162,7 @@ class FilterBatch:
 
     def _prediction_numbers(self, state: BatchState, event: Event) -> PredictionNumbers:
         template = self.template
-        elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
+        elapsed = _elapsed(state, event)
         p_detect = template.rig.cameras[event.camera].detector.p_detect
         return PredictionNumbers(
             camera=int(event.camera),
@@ -167,3 +171,8 @@ class FilterBatch:
             out_of_view_s=float(template.settings.out_of_view_s),
             shape_p_detect=float(p_detect) if template.split_missed else 0.0,
         )
+
+
+def _elapsed(state: BatchState, event: Event) -> float:
+    """Time since the last event, s."""
+    return 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)

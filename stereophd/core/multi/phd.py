@@ -24,6 +24,7 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
+from stereophd.core.multi.undetected import reduction_for_births
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -52,13 +53,15 @@ class PhdFilter(DisparityFilter):
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event: eq. (5), then reduction."""
+        detector = self.rig.cameras[event.camera].detector
+        reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, detected = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label), self.reduction,
+            self.event_numbers(event, state.next_label, prediction.births), reduction,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
-            FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track),
+            FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
             Info(log_likelihood, float(reduced.weights.sum()), reduced.size, detected),
         )
 

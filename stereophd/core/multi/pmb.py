@@ -32,6 +32,7 @@ from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
+from stereophd.core.multi.undetected import reduction_for_births
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -62,13 +63,15 @@ class PmbFilter(DisparityFilter):
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
+        detector = self.rig.cameras[event.camera].detector
+        reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, detected, expected = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label), self.reduction,
+            self.event_numbers(event, state.next_label, prediction.births), reduction,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
-            FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track),
+            FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
             Info(log_likelihood, expected, reduced.size, detected),
         )
 

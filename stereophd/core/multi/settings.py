@@ -13,6 +13,7 @@ from stereophd.core.settings import (
     FINITE,
     NOT_NAN,
     SMALLEST_TIME_S,
+    NonNegative,
     PositiveFraction,
     PositiveLength,
     parameter,
@@ -40,7 +41,7 @@ OUT_OF_VIEW = (
     "track lives on there; .inf: it does not fade"
 )
 
-# More new objects in one frame than any image can hold.
+# More new objects in one frame, or a second, than any image can hold.
 BirthRate = Annotated[float, Interval(ge=1e-30, le=1e6), FINITE]
 # A weight is an expected number of objects: no threshold is beyond a thousand in one component.
 WeightThreshold = Annotated[float, Interval(ge=1e-30, le=1e3), FINITE]
@@ -50,11 +51,21 @@ WeightThreshold = Annotated[float, Interval(ge=1e-30, le=1e3), FINITE]
 class BirthPrior:
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
-    per_frame: BirthRate = parameter(
-        "expected number of new objects a frame, uniform over the image",
+    per_s: BirthRate = parameter(
+        "expected number of objects a second that appear in the view of a camera, uniform over its image",
+        unit="1/s",
         default=0.1,
-        advice="new objects per second, divided by the frames of all cameras per second. Larger: "
-        "tracks start earlier, and more of them are false.",
+        advice="new objects of a minute divided by 60. Larger: tracks start earlier, and more of them are false.",
+    )
+    initial: NonNegative | None = parameter(
+        "expected number of objects in view of a camera at its first frame; without it, the detections of that frame "
+        "beyond clutter",
+        default=None,
+    )
+    per_frame: BirthRate | None = parameter(
+        "old form of per_s: expected number of new objects in each frame, whatever the frame rate and the number of "
+        "cameras; in place of per_s and initial",
+        default=None,
     )
     disparity: DisparityPrior | None = parameter(
         "prior of the disparity, px at the baseline",
@@ -76,6 +87,8 @@ class BirthPrior:
 
     def __post_init__(self) -> None:
         check_depth(self.disparity, self.depth_range)
+        if self.per_frame is not None and self.initial is not None:
+            raise ValueError("expected per_s and initial, found per_frame and initial")
 
     def disparity_moments(self, space: NDArray[np.float64]) -> tuple[float, float]:
         """Mean and standard deviation of the disparity (px) in a packed space (30,)."""

@@ -28,6 +28,7 @@ from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import (
     CalibrationProblem,
@@ -87,7 +88,7 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
 def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
     """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
     scene, guessed, parameters, reference, true = _setting(loaded, number)
-    motion, scale = loaded.config.motion.build(), build_scale(guessed, parameters)
+    motion, scale = build_motion(loaded.config, loaded.path), build_scale(guessed, parameters)
     objects, cameras, at, positions = scene_positions(scene)
     bounds = []
     for time_s in _times(loaded).tolist():

@@ -24,6 +24,7 @@ from stereophd.experiments.single_object.move_comparison import (
     reference_moments,
 )
 from stereophd.io.provenance import canonical_json
+from stereophd.pipeline.build import build_motion
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -35,7 +36,8 @@ NOT_IN_REFERENCE = ("moments", "filter")
 
 
 def check(loaded: LoadedConfig) -> None:
-    """Raise `InputError` unless the cameras are there."""
+    """Raise `InputError` unless the cameras are there, and the motion is stated."""
+    build_motion(loaded.config, loaded.path)
     names = [camera.name for camera in loaded.build_cameras()]
     for key in ("home", "destination"):
         name = getattr(_settings(loaded), key)

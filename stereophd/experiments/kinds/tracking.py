@@ -17,6 +17,7 @@ from stereophd.experiments.single_object.series import (
     series_of_errors,
     single_config,
 )
+from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.tracking.single import estimator_settings
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless there is an estimator and a prior of its velocity."""
     prior = single_config(loaded).prior
-    if not loaded.config.motion.build().moves:
+    if not build_motion(loaded.config, loaded.path).moves:
         raise InputError(f"{loaded.path}: motion.model: expected the motion of a moving object, found static")
     if prior.velocity_std is None and prior.disparity_velocity_std_px_s is None:
         raise InputError(
@@ -78,7 +79,7 @@ def _scenario(loaded: LoadedConfig) -> TrackingProblem:
     return TrackingProblem(
         rig,
         np.array([*settings.position, *settings.velocity]),
-        loaded.config.motion.build(),
+        build_motion(loaded.config, loaded.path),
         single_config(loaded).prior,
         times,
         np.tile(np.arange(count), settings.steps),

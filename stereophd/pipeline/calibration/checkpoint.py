@@ -9,6 +9,8 @@ from typing import Any
 from stereophd.core.calibration.sequential import SequentialInfo, SequentialState
 from stereophd.core.calibration.task import Start
 from stereophd.core.calibration.tempered_state import TemperedInfo, TemperedState
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.settings import motion_models
 from stereophd.errors import InputError
 from stereophd.io.atomic import atomic_write, temporary_beside
 from stereophd.io.checkpoints import is_checkpoint, read_checkpoint, write_checkpoint
@@ -18,6 +20,18 @@ CHECKPOINT_EVERY_S = 60.0
 
 # What the methods keep.
 KEPT = (Start, SequentialState, SequentialInfo, TemperedState, TemperedInfo)
+
+
+def _motions() -> list[type]:
+    """Classes of all motion models: the trajectories of a start hold theirs."""
+    motion_models()
+    found: list[type] = []
+    waiting: list[type] = [Motion]
+    while waiting:
+        kinds: list[type] = waiting.pop().__subclasses__()
+        found += kinds
+        waiting += kinds
+    return found
 
 
 class Checkpoint:
@@ -46,7 +60,7 @@ class Checkpoint:
         if resume:
             if not path.exists():
                 raise InputError(f"nothing to resume: expected a checkpoint {path}, found none")
-            self._parts = read_checkpoint(path, identity, KEPT)
+            self._parts = read_checkpoint(path, identity, (*KEPT, *_motions()))
         elif path.exists() and not is_checkpoint(path):
             raise InputError(
                 f"{path}: the checkpoint of this run has this name; expected none, or a checkpoint of an earlier run, "

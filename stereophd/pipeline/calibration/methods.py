@@ -20,6 +20,7 @@ from stereophd.core.calibration.annealed import (
     run_start,
     start_values,
 )
+from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.fits import fit_until
 from stereophd.core.calibration.known_scale import measured_scale, rescaled
 from stereophd.core.calibration.posterior import laplace_draws
@@ -58,6 +59,8 @@ def annealed_outcome(
     starts = _all_starts(loaded, task, checkpoint, jobs, progress)
     best = best_of(starts)
     details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
+    if (offset_places(problem.parameters) >= 0).any():
+        details["clocks"] = _clock_report(task)
     size = problem.parameters.size
     if best is None or best.fit is None:
         often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
@@ -142,6 +145,18 @@ def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: d
     if measured is None:
         return task, fit
     return replace(task, scale=measured), rescaled(task, fit, measured)
+
+
+def _clock_report(task: Task) -> dict[str, Any]:
+    """Offsets of unknown clocks by the speed profiles of one-camera tracks, and what motion does not show."""
+    out: dict[str, Any] = {}
+    for camera, place, offset, score in zip(
+        task.parameters.cameras, offset_places(task.parameters), task.clocks.offsets, task.clocks.scores, strict=True
+    ):
+        if place >= 0:
+            shown = bool(score > 0.0)
+            out[camera.name] = {"shown_by_motion": shown, "offset_s": float(offset) if shown else None, "score": score}
+    return out
 
 
 def _start_report(problem: CalibrationProblem, start: Start, best: Start | None) -> dict[str, Any]:

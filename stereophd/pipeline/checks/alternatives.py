@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
-from stereophd.pipeline.checks.rays import View
+from stereophd.pipeline.checks.rays import Reading
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Alternative:
     text : str
         The mistake in words, as in "cam1: the rotation is transposed".
     remedy : str
-    apply : callable (Camera) -> View or None
+    apply : callable (Camera) -> Reading or None
         The camera that was meant, given the stated one; None if it cannot be this mistake.
     alone : bool
         Whether the mistake shows only if one camera is affected, not all of them.
@@ -49,17 +49,19 @@ class Alternative:
     cause: str
     text: str
     remedy: str
-    apply: Callable[[Camera], View | None]
+    apply: Callable[[Camera], Reading | None]
     alone: bool = False
 
 
-def _posed(camera: Camera, rotation: Array, center: Array) -> View:
+def _posed(camera: Camera, rotation: Array, center: Array) -> Reading:
     pose = camera.pose
-    return View(replace(camera, pose=Pose(rotation, center, pose.velocity, pose.rotation_rate, pose.time_s)))
+    return Reading(replace(camera, pose=Pose(rotation, center, pose.velocity, pose.rotation_rate, pose.time_s)))
 
 
 def _pose_alternatives() -> Iterator[Alternative]:
-    def moved(rotation: Callable[[Array], Array], center: Callable[[Array, Array], Array]) -> Callable[[Camera], View]:
+    def moved(
+        rotation: Callable[[Array], Array], center: Callable[[Array, Array], Array]
+    ) -> Callable[[Camera], Reading]:
         return lambda camera: _posed(
             camera, rotation(camera.pose.rotation), center(camera.pose.rotation, camera.pose.center)
         )
@@ -102,7 +104,7 @@ def _pose_alternatives() -> Iterator[Alternative]:
     )  # fmt: skip
 
 
-def _radians(camera: Camera) -> View | None:
+def _radians(camera: Camera) -> Reading | None:
     """Return the camera whose rotation vector, read as degrees, was in radians."""
     vector = rotation_to_vector(camera.pose.rotation)
     if not 0.0 < np.rad2deg(np.linalg.norm(vector)) <= 2.0 * np.pi:
@@ -110,16 +112,18 @@ def _radians(camera: Camera) -> View | None:
     return _posed(camera, rotation_from_vector(np.rad2deg(vector)), camera.pose.center)
 
 
-def _with_unit(factor: float, camera: Camera) -> View:
+def _with_unit(factor: float, camera: Camera) -> Reading:
     return _posed(camera, camera.pose.rotation, factor * camera.pose.center)
 
 
-def _scaled(camera: Camera, focal: float, point: float) -> View:
-    return View(replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx * point, cy=camera.cy * point))
+def _scaled(camera: Camera, focal: float, point: float) -> Reading:
+    return Reading(
+        replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx * point, cy=camera.cy * point)
+    )
 
 
-def _millimetres(over_width: float) -> Callable[[Camera], View | None]:
-    def apply(camera: Camera) -> View | None:
+def _millimetres(over_width: float) -> Callable[[Camera], Reading | None]:
+    def apply(camera: Camera) -> Reading | None:
         if camera.fx > MILLIMETRES_BELOW * camera.width:
             return None
         return _scaled(camera, over_width * camera.width / camera.fx, 1.0)
@@ -127,10 +131,10 @@ def _millimetres(over_width: float) -> Callable[[Camera], View | None]:
     return apply
 
 
-def _with_lens(change: Callable[[Lens], Lens | None]) -> Callable[[Camera], View | None]:
-    def apply(camera: Camera) -> View | None:
+def _with_lens(change: Callable[[Lens], Lens | None]) -> Callable[[Camera], Reading | None]:
+    def apply(camera: Camera) -> Reading | None:
         lens = change(camera.lens)
-        return None if lens is None else View(replace(camera, lens=lens))
+        return None if lens is None else Reading(replace(camera, lens=lens))
 
     return apply
 
@@ -187,11 +191,11 @@ def _image_alternatives() -> Iterator[Alternative]:
 
     yield Alternative(
         "v_from_below", "v seems to be counted from the bottom of the image", "write v_px = height - 1 - v",
-        lambda camera: View(camera, from_below),
+        lambda camera: Reading(camera, from_below),
     )  # fmt: skip
     yield Alternative(
         "u_v_swapped", "u and v seem to be exchanged", "exchange the columns u_px and v_px",
-        lambda camera: View(camera, swapped),
+        lambda camera: Reading(camera, swapped),
     )  # fmt: skip
 
 

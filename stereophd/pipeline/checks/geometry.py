@@ -15,7 +15,7 @@ from stereophd.pipeline.checks.rays import (
     TOLERANCES,
     Candidates,
     Meeting,
-    View,
+    Reading,
     candidates,
     distances,
     expected_excess,
@@ -71,9 +71,9 @@ class Geometry:
     expected: tuple[float, ...]
 
     @property
-    def views(self) -> list[View]:
+    def views(self) -> list[Reading]:
         """The cameras as stated."""
-        return [View(sample.camera) for sample in self.samples]
+        return [Reading(sample.camera) for sample in self.samples]
 
     def is_suspicious(self, k: int) -> bool:
         """Whether fewer rays of pair k meet than the configuration promises, or no more than by chance.
@@ -140,7 +140,7 @@ def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: 
         found = candidates(samples, a, b, most)
         if found is not None:
             pairs.append(found)
-    given = [meeting(pair, View(samples[pair.a].camera), View(samples[pair.b].camera)) for pair in pairs]
+    given = [meeting(pair, Reading(samples[pair.a].camera), Reading(samples[pair.b].camera)) for pair in pairs]
     expected = [expected_excess(pair, samples, depths) for pair in pairs]
     return Geometry(samples, tuple(pairs), tuple(given), tuple(expected))
 
@@ -271,7 +271,7 @@ class Trial:
     scope : tuple of int
         Cameras that are changed.
     cause, text, remedy : str
-    views : list of View
+    views : list of Reading
     samples : list of CameraSample or None
         With other times; None: as they are.
     """
@@ -280,7 +280,7 @@ class Trial:
     cause: str
     text: str
     remedy: str
-    views: list[View]
+    views: list[Reading]
     samples: list[CameraSample] | None = None
 
     def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
@@ -319,8 +319,8 @@ def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
     for a, b in combinations(everything, 2):
         views = geometry.views
         first, second = geometry.samples[a].camera, geometry.samples[b].camera
-        views[a] = View(replace(second, detector=first.detector))
-        views[b] = View(replace(first, detector=second.detector))
+        views[a] = Reading(replace(second, detector=first.detector))
+        views[b] = Reading(replace(first, detector=second.detector))
         yield Trial(
             (a, b), "cameras_exchanged", "their entries seem to be exchanged",
             "exchange the entries of the two cameras", views,
@@ -376,7 +376,7 @@ def _best_shift(geometry: Geometry, concerned: list[int], camera: int) -> float 
     for k in concerned:
         pair = geometry.pairs[k]
         few = pair.thinned(SHIFT_DETECTIONS, 0)
-        first, second = View(geometry.samples[pair.a].camera), View(geometry.samples[pair.b].camera)
+        first, second = Reading(geometry.samples[pair.a].camera), Reading(geometry.samples[pair.b].camera)
         for i, shift in enumerate(shifts.tolist()):
             # moving A's clock by s means looking at B at t + s
             at = few.times + shift if camera == pair.a else few.times - shift

@@ -38,7 +38,7 @@ def unchanged(camera: Camera, pixels: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class View:
+class Reading:
     """A camera, and how the pixels of the log are to be read.
 
     Attributes
@@ -161,7 +161,7 @@ def pixels_at(sample: CameraSample, times: Array) -> Array:
     return found
 
 
-def distances(found: Candidates, first: View, second: View) -> tuple[Array, Array]:
+def distances(found: Candidates, first: Reading, second: Reading) -> tuple[Array, Array]:
     """Return distances in standard deviations, and depths before A, both (1 + s, n, k).
 
     Infinite where the rays do not meet in front of both cameras.
@@ -203,7 +203,7 @@ def _depths(directions_a: Array, directions_b: Array, offset: Array) -> tuple[Ar
     return depth_a, parallel | ((depth_a > 0.0) & (depth_b > 0.0))
 
 
-def meeting(found: Candidates, first: View, second: View, tolerances: tuple[float, ...] = TOLERANCES) -> Meeting:
+def meeting(found: Candidates, first: Reading, second: Reading, tolerances: tuple[float, ...] = TOLERANCES) -> Meeting:
     """Return how often the rays meet, at the tolerance with the highest score."""
     least = distances(found, first, second)[0].min(axis=2)
     best: Meeting | None = None
@@ -233,7 +233,7 @@ def expected_excess(found: Candidates, samples: list[CameraSample], depths: tupl
     first, second = samples[found.a], samples[found.b]
     rate = first.detections_per_frame
     objects = float(np.clip(1.0 - first.camera.detector.clutter_per_frame / max(rate, 1e-9), 0.0, 1.0))
-    rays = View(first.camera).rays(found.pixels_a)
+    rays = Reading(first.camera).rays(found.pixels_a)
     directions = rays @ first.camera.pose.rotation
     seen = [
         second.camera.in_view(first.camera.pose.center + depth * directions)

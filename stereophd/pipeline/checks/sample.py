@@ -162,7 +162,8 @@ def _nearest(sample: CameraSample, step: int) -> tuple[Integers, Integers, Array
         there, back = cKDTree(sample.pixels[c:d]), cKDTree(sample.pixels[a:b])
         distance, index = there.query(sample.pixels[a:b])
         _, returned = back.query(sample.pixels[c:d])
-        mutual = np.flatnonzero(returned[index] == np.arange(b - a))
+        found = index < d - c  # of a pixel so far away that its distances overflow, the tree finds nothing
+        mutual = np.flatnonzero(found & (returned[np.where(found, index, 0)] == np.arange(b - a)))
         first.append(a + mutual)
         second.append(c + index[mutual])
         distances.append(distance[mutual])

@@ -36,7 +36,7 @@ ACCELERATION_LENGTH = 12
 
 
 @dataclass(frozen=True)
-class Scene:
+class MeasuredScene:
     """What the log shows of the objects.
 
     Attributes
@@ -57,11 +57,11 @@ class Scene:
     acceleration: float | None
 
 
-def measure_scene(geometry: Geometry) -> Scene:
+def measure_scene(geometry: Geometry) -> MeasuredScene:
     """Estimate depths, speeds and accelerations of the objects."""
     samples = _depth_samples(geometry)
     if not len(samples):
-        return Scene(None, samples, None, None)
+        return MeasuredScene(None, samples, None, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
     speeds, accelerations = _track_motion(geometry.samples, float(depths[1]))
     speed = None
@@ -71,7 +71,7 @@ def measure_scene(geometry: Geometry) -> Scene:
     if len(accelerations) >= LEAST_TRACKS:
         variance = float(np.median(accelerations))
         acceleration = float(np.sqrt(max(variance, 0.0)))
-    return Scene(depths, samples, speed, acceleration)
+    return MeasuredScene(depths, samples, speed, acceleration)
 
 
 def _depth_samples(geometry: Geometry) -> Array:
@@ -151,7 +151,7 @@ def expected_depths(config: Config, samples: list[CameraSample]) -> tuple[float,
     return 0.5 * size, 20.0 * size
 
 
-def check_settings(config: Config, scene: Scene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
+def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
     """Yield findings about births, motion and region."""
     settings = config.filter
     if settings is None or isinstance(settings, SingleSettings) or scene.depths is None:
@@ -180,7 +180,7 @@ def _held(sample: CameraSample) -> float:
     return sum(map(len, sample.tracks)) / max(expected, 1.0)
 
 
-def _region(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
+def _region(config: Config, scene: MeasuredScene, unit: str) -> Iterator[Finding]:
     region = config.region
     if region is None or region.depth is None or scene.depths is None:
         return
@@ -195,7 +195,7 @@ def _region(config: Config, scene: Scene, unit: str) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _speeds(config: Config, scene: Scene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
+def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
     settings, motion = config.filter, config.motion
     assert settings is not None
     assert not isinstance(settings, SingleSettings)
@@ -218,7 +218,8 @@ def _speeds(config: Config, scene: Scene, samples: list[CameraSample], unit: str
             f"objects move at up to {fastest:.3g} {unit}/s across the line of sight, but motion.max_speed is {limit:g}",
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
         )  # fmt: skip
-    stated_acceleration = float(np.max(getattr(motion, "acceleration_std", 0.0)))
+    acceleration = getattr(motion, "acceleration_std", None)
+    stated_acceleration = 0.0 if acceleration is None else float(np.max(acceleration))
     found = scene.acceleration
     # gravity and the like the model explains itself
     explained = bool(motion.build().flow(np.ones(1)).drift.any())

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.base import DisparityFilter, FilterState
+from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.pipeline.detectors.statistics import DetectorEstimate, DetectorSums, estimate_detector, observe
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.loop import FORGET_EVERY, Attribution
+from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
 
 # Frames of a pass: more say nothing new, and time stays bounded for logs of any length.
 MOST_FRAMES = 20_000
@@ -67,43 +69,63 @@ class _Settled:
         self._waiting = {label: waiting for label, waiting in self._waiting.items() if label in labels}
 
 
-def _pass(multi_filter: DisparityFilter, stream: EventStream) -> tuple[list[DetectorSums], bool]:
-    """Run over the log once; return the sums of every camera, and whether the log states its own noise."""
-    cameras = multi_filter.rig.cameras
-    index = {camera.name: k for k, camera in enumerate(cameras)}
-    sums = [DetectorSums() for _ in cameras]
-    settled, attribution = _Settled(), Attribution()
-    state = multi_filter.init()
-    own_noise = False
-    for number, event in enumerate(islice(stream, MOST_FRAMES)):
-        camera = cameras[event.camera].at(event.time_s)
-        own_noise |= event.own_noise
-        prediction = multi_filter.predict(state, event)
+class _Watched:
+    """A filter in the loop that also notes what every event says of the detectors."""
+
+    def __init__(self, multi_filter: DisparityFilter) -> None:
+        self.rig = multi_filter.rig
+        self.sums = [DetectorSums() for _ in multi_filter.rig.cameras]
+        self.own_noise = False
+        self._filter = multi_filter
+        self._settled = _Settled()
+
+    def init(self) -> FilterState:
+        """Return the state before the first event."""
+        return self._filter.init()
+
+    def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
+        """Return the state after an event, which is observed between its prediction and its update."""
+        sums, settled = self.sums, self._settled
+        self.own_noise |= event.own_noise
+        prediction = self._filter.predict(state, event)
         sighting = observe(
-            sums[event.camera], prediction, event, camera, multi_filter.settings.birth.per_frame, settled.labels(),
-            not event.own_noise,
+            sums[event.camera], prediction, event, self.rig.cameras[event.camera].at(event.time_s),
+            prediction.births, settled.labels(), not event.own_noise,
         )  # fmt: skip
-        state, info = multi_filter.update(state, prediction, event)
-        state, estimates = multi_filter.extract(state)
+        state, info = self._filter.update(state, prediction, event)
+        state, estimates = self._filter.extract(state)
         probabilities = zip(sighting.detected.tolist(), sighting.missed.tolist(), strict=True)
         for label, (detected, missed) in zip(sighting.labels.tolist(), probabilities, strict=True):
             settled.count(label, event.camera, detected, missed, sums)
         for label in info.detected.tolist():
             settled.seen_by.setdefault(label, set()).add(event.camera)
         settled.confirmed.update(estimates.labels.tolist())
-        mine = sums[event.camera]
-        mine.frames += 1
-        mine.detections += len(event.points)
-        for counts in attribution.update(camera.name, info.detected, estimates).values():
+        if (state.n_events - 1) % FORGET_EVERY == 0:
+            self._forget(set(state.labels.tolist()))
+        return state, info, estimates
+
+    def forecast(self, state: FilterState, info: Info, time_s: float) -> tuple[Info, Estimates]:
+        """Return the objects at a time between two events."""
+        return self._filter.forecast(state, info, time_s)
+
+    def _forget(self, alive: set[int]) -> None:
+        """Forget all labels but these."""
+        self._settled.keep(alive)
+        for each in self.sums:
+            each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
+
+
+def _pass(multi_filter: DisparityFilter, stream: EventStream) -> tuple[list[DetectorSums], bool]:
+    """Run over the log once; return the sums of every camera, and whether the log states its own noise."""
+    watched = _Watched(multi_filter)
+    sums = {camera.name: own for camera, own in zip(multi_filter.rig.cameras, watched.sums, strict=True)}
+    for record in run_estimator(watched, islice(stream, MOST_FRAMES)):
+        sums[record.camera].frames += 1
+        sums[record.camera].detections += record.n_detections
+        for counts in record.attributed.values():
             for name, count in counts.items():
-                sums[index[name]].attributed += count
-        if number % FORGET_EVERY == 0:
-            alive = set(state.mixture.labels.tolist())
-            settled.keep(alive)
-            for each in sums:
-                each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
-            attribution.keep(state.mixture.labels)
-    return sums, own_noise
+                sums[name].attributed += count
+    return watched.sums, watched.own_noise
 
 
 def estimate_detectors(

@@ -14,7 +14,7 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.tables import SCANS, TRACKS, TableWriter
-from stereophd.pipeline.build import build_filter, build_labelled_filter, report_times
+from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
@@ -89,7 +89,7 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
     if not isinstance(config.filter, SingleSettings):
         multi_filter = build_filter(config, cameras, loaded.path, threads)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
-    motion = config.motion.build()
+    motion = build_motion(config, loaded.path)
     estimator = build_single(config, motion, cameras, loaded.path)
     if estimated_cameras(loaded):
         raise InputError(f"{loaded.path}: detector: expected given where filter.kind is single, found estimate")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import IMAGES, RATIO, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import IMAGES, RATIO, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.array([np.log(other.fy / other.fx / (camera.fy / camera.fx))])
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """The pixel moves along v only."""
     along = view.camera.fy * view.distorted[:, 1]
     return np.stack([np.zeros_like(along), along], axis=1)[:, :, None]

@@ -36,7 +36,7 @@ MOVES, IMAGES, TIMES = "moves", "images", "times"
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """What one camera sees of n points of trajectories at the times of its detections.
 
     Attributes
@@ -134,7 +134,7 @@ class Quantity:
     description: str
     apply: Callable[[Camera, Array], Camera]
     difference: Callable[[Camera, Camera], Array]
-    derivative: Callable[[View, Array], Array]
+    derivative: Callable[[CameraView, Array], Array]
     entry: Callable[[Camera], Mapping[str, Any]]
     affects: str
     available: Callable[[Camera], tuple[str, ...]]

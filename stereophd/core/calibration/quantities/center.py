@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import LENGTH, MOVES, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import LENGTH, MOVES, CameraView, Quantity, all_of
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
@@ -31,7 +31,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.asarray(other.pose.at(camera.pose.time_s).center - camera.pose.center)
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """Moving the camera moves the point the other way."""
     return -view.by_world
 

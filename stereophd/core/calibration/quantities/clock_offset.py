@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import SECONDS, TIMES, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import SECONDS, TIMES, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera, Clock
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.array([other.clock.offset_s - camera.clock.offset_s])
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """A later true time moves the objects on."""
     return np.asarray(view.by_time[:, :, None])
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import IMAGES, RATIO, Quantity, View
+from stereophd.core.calibration.quantities.base import IMAGES, RATIO, CameraView, Quantity
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS
 
@@ -38,7 +38,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.array([getattr(other.lens, name) - getattr(camera.lens, name) for name in DISTORTION])
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """Derivative of the distorted point with respect to each coefficient, in pixels."""
     lens = view.camera.lens
     x, y = view.undistorted[:, 0], view.undistorted[:, 1]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import View
+from stereophd.core.calibration.quantities.base import CameraView
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole
 
 Array = NDArray[np.float64]
 
 
-def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> View:
+def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
     """Project points of trajectories into a camera.
 
     Parameters
@@ -52,7 +52,7 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
     motion = np.einsum("nij,nj->ni", by_world, velocities - pose.velocity)
     if turns is not None:
         motion += np.einsum("nij,nj->ni", by_point, np.cross(points, pose.rotation_rate))
-    return View(
+    return CameraView(
         camera, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world, motion,
         pixels,
     )  # fmt: skip
@@ -73,12 +73,12 @@ def row_product(rows: Array, matrices: Array) -> Array:
     )
 
 
-def turned(view: View, axes: Array) -> Array:
+def turned(view: CameraView, axes: Array) -> Array:
     """Derivative (n, 2, 3) of the pixels for turns of the point's coordinates: point -> point - [point]_x axes d.
 
     Parameters
     ----------
-    view : View
+    view : CameraView
     axes : array (3, 3) or (n, 3, 3)
         Its columns turn with the three values.
     """

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import IMAGES, PIXELS, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import IMAGES, PIXELS, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.array([other.cx - camera.cx, other.cy - camera.cy])
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """All pixels move alike."""
     return np.broadcast_to(np.eye(2), (len(view.pixels), 2, 2))
 

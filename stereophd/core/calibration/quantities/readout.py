@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import SECONDS, TIMES, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import SECONDS, TIMES, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.array([other.readout_s - camera.readout_s])
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """The time of a detection changes by its row over the height."""
     return np.asarray((view.rows[:, None] * view.by_time)[:, :, None])
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import MOVES, RADIANS, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import MOVES, RADIANS, CameraView, Quantity, all_of
 from stereophd.core.calibration.quantities.looking import left_jacobians, rotations, turned
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
@@ -36,7 +36,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return rotation_to_vector(other.pose.at(camera.pose.time_s).rotation @ camera.pose.rotation.T)
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """d (point in the camera) / d v = -[point]_x turn J_left(v)."""
     axes = left_jacobians(values[None])[0]
     return turned(view, axes if view.turns is None else view.turns @ axes)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import MOVES, RADIANS_PER_SECOND, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import MOVES, RADIANS_PER_SECOND, CameraView, Quantity, all_of
 from stereophd.core.calibration.quantities.looking import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
@@ -31,7 +31,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.asarray(other.pose.rotation_rate - camera.pose.rotation_rate)
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """d (point in the camera) / d w = (t - t_0) [point]_x J_left(-(t - t_0) w)."""
     elapsed = view.elapsed[:, None]
     axes = left_jacobians(-elapsed * view.camera.pose.rotation_rate)

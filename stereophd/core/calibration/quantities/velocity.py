@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import LENGTH_PER_SECOND, MOVES, Quantity, View, all_of
+from stereophd.core.calibration.quantities.base import LENGTH_PER_SECOND, MOVES, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 
@@ -30,7 +30,7 @@ def difference(camera: Camera, other: Camera) -> Array:
     return np.asarray(other.pose.velocity - camera.pose.velocity)
 
 
-def derivative(view: View, values: Array) -> Array:
+def derivative(view: CameraView, values: Array) -> Array:
     """The centre moves by the velocity times the time since that of the pose."""
     return -view.elapsed[:, None, None] * view.by_world
 

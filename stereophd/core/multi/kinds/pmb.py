@@ -48,7 +48,8 @@ class PmbSettings:
     prune_weight: Positive = parameter(
         "components of that intensity below this weight are dropped",
         default=1e-4,
-        advice="below the existence of a new track, per_frame * p_detect / clutter_per_frame.",
+        advice="lower keeps more alternatives and takes more time; newborns that are light because frames follow each "
+        "other closely lower it by themselves.",
     )
     merge_distance: NonNegative = parameter(
         "squared Mahalanobis distance, in both covariances, below which two tracks are one", default=4.0

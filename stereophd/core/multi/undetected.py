@@ -1,0 +1,133 @@
+"""Expected number of objects that no camera has detected yet: births per second, and those present at the start (ours).
+
+Objects appear at a rate b in the view of every camera, and a camera that looks detects each of those in its view with
+probability p_D. Of the n_k undetected objects in the view of camera k, a frame of camera c leaves
+
+    n_k (1 - p_D o_kc),
+
+where o_kc is the share of the objects in view of k that are in view of c as well. Between events n_k grows by b times
+the elapsed time. So an object is born once, whatever the frame rates are and however many cameras look: a single camera
+with p_D near 1 has b objects times the time since its last frame to expect, and cameras that look at one place share
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.geometry.camera import Detector
+from stereophd.core.multi.settings import BirthPrior
+
+Array = NDArray[np.float64]
+
+Reduction = TypeVar("Reduction", bound=NamedTuple)
+
+# Places in the image (across, down) and quantiles of the disparity that measure how far views overlap.
+OVERLAP_GRID = (12, 9)
+OVERLAP_DISPARITIES = 8
+# Fewest objects at the start where their number is estimated: the first frame may have missed some.
+LEAST_INITIAL = 0.1
+# Newborns of frames that follow each other closely are light: the pruning weight is at most this share of theirs, down
+# to this part of what the settings say.
+NEWBORN_SHARE = 0.1
+LEAST_PRUNING = 1e-3
+
+
+@dataclass(frozen=True)
+class Undetected:
+    """Objects never detected so far.
+
+    Attributes
+    ----------
+    counts : array (c,)
+        Expected number in the view of each camera, of those that appeared since the start.
+    initial_share : array (c,)
+        Of those in view of a camera at the start, the share that the others left; 0 once the camera has had a frame.
+    """
+
+    counts: Array
+    initial_share: Array
+
+
+def expected_births(
+    before: Undetected | None, prior: BirthPrior, overlap: Array, elapsed: float, event: Event, detector: Detector
+) -> tuple[float, Undetected]:
+    """Expected number of undetected objects in view of an event, and what the event leaves of them.
+
+    Parameters
+    ----------
+    before : Undetected or None
+        After the last event; None before the first.
+    prior : BirthPrior
+    overlap : array (c, c)
+        `view_overlap` of the cameras.
+    elapsed : float
+        Time since the last event, s.
+    event : Event
+    detector : Detector
+        Of the event's camera.
+    """
+    cameras = len(overlap)
+    before = before or Undetected(np.zeros(cameras), np.ones(cameras))
+    if prior.per_frame is not None:
+        return float(prior.per_frame), before
+    initial = prior.initial
+    if initial is None:
+        surplus = len(event.points) - detector.clutter_per_frame
+        initial = max(surplus / max(detector.p_detect, 1e-9), LEAST_INITIAL)
+    counts, share = before.counts + prior.per_s * elapsed, before.initial_share.copy()
+    counts[event.camera] += share[event.camera] * initial
+    share[event.camera] = 0.0
+    left = 1.0 - detector.p_detect * overlap[:, event.camera]
+    return float(counts[event.camera]), Undetected(counts * left, share * left)
+
+
+def reduction_for_births(reduction: Reduction, births: float, detector: Detector) -> Reduction:
+    """Return settings of a reduction whose `prune_weight` is the stated one, or less where newborns are light."""
+    values: Any = reduction
+    born = detector.p_detect * births
+    newborn = born / (born + detector.clutter_per_frame) if born > 0.0 else 0.0
+    weight = min(values.prune_weight, max(NEWBORN_SHARE * newborn, LEAST_PRUNING * values.prune_weight))
+    return cast("Reduction", values._replace(prune_weight=weight))
+
+
+def view_overlap(rig: Rig, prior: BirthPrior) -> Array:
+    """Share (c, c) of the objects in view of each camera (row) that each camera (column) sees, at time 0.
+
+    Objects are uniform over the image, with the prior's disparity.
+    """
+    cameras = [camera.at(0.0) for camera in rig.cameras]
+    out = np.eye(len(cameras))
+    for k, camera in enumerate(cameras):
+        points = _objects_in_view(camera.width, camera.height, prior.disparity_moments(rig.packed[k]))
+        depths = _scale(rig, k) / points[:, 2]
+        world = camera.unproject(points[:, :2], depths)
+        good = np.isfinite(world).all(axis=1)
+        for c, other in enumerate(cameras):
+            if c != k and good.any():
+                out[k, c] = float(np.mean(other.in_view(world[good])))
+    return out
+
+
+def _scale(rig: Rig, camera: int) -> float:
+    """Depth times disparity of a camera."""
+    one = rig.cameras[camera]
+    return float((one.fx if rig.rectification == "horizontal" else one.fy) * rig.baseline)
+
+
+def _objects_in_view(width: int, height: int, disparity: Sequence[float]) -> Array:
+    """Pixels and disparities (n, 3) of objects uniform over an image; those of disparity 0 and less are left out."""
+    across, down = OVERLAP_GRID
+    u = (np.arange(across) + 0.5) / across * width - 0.5
+    v = (np.arange(down) + 0.5) / down * height - 0.5
+    quantiles = (np.arange(OVERLAP_DISPARITIES) + 0.5) / OVERLAP_DISPARITIES
+    d = disparity[0] + disparity[1] * np.array([NormalDist().inv_cdf(float(q)) for q in quantiles])
+    grid = np.stack(np.meshgrid(u, v, d[d > 0.0], indexing="ij"), axis=-1)
+    return np.asarray(grid.reshape(-1, 3))

@@ -1,0 +1,87 @@
+"""Births per second: neither the frame rate nor the number of cameras changes how many objects are expected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.disparity.events import Event, make_event, make_rig
+from stereophd.core.disparity.prior import DisparityPrior
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.undetected import LEAST_INITIAL, Undetected, expected_births, view_overlap
+from tests.core.disparity.cases import make_camera
+
+PRIOR = BirthPrior(per_s=0.5, initial=3.0, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
+
+
+def event(camera: Camera, index: int, time_s: float, n_detections: int = 0) -> Event:
+    return make_event(camera, index, time_s, np.full((n_detections, 2), 100.0))
+
+
+def first_detections(prior: BirthPrior, overlap: np.ndarray, rate_hz: float, seconds: float, p_detect: float) -> float:
+    """Expected number of first detections of all cameras, each at this rate."""
+    camera = make_camera(p_detect=p_detect)
+    state: Undetected | None = None
+    total, time_s = 0.0, 0.0
+    for frame in range(round(rate_hz * seconds)):
+        for index in range(len(overlap)):
+            now = frame / rate_hz
+            births, state = expected_births(
+                state, prior, overlap, now - time_s, event(camera, index, now), camera.detector
+            )
+            total, time_s = total + p_detect * births, now
+    return total
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0, 60.0])
+@pytest.mark.parametrize("cameras", [1, 2, 5])
+def test_every_object_is_first_detected_once(rate_hz: float, cameras: int) -> None:
+    """Cameras that look at one place: what appears in 50 s, and what was there at the start."""
+    found = first_detections(PRIOR, np.ones((cameras, cameras)), rate_hz, 50.0, 0.9)
+    assert found == pytest.approx(0.5 * 50.0 + 3.0, rel=0.03)
+
+
+def test_cameras_that_share_no_view_have_objects_of_their_own() -> None:
+    found = first_detections(PRIOR, np.eye(3), 10.0, 50.0, 0.9)
+    assert found == pytest.approx(3 * (0.5 * 50.0 + 3.0), rel=0.03)
+
+
+def test_the_old_key_is_a_number_for_every_frame() -> None:
+    prior = replace(PRIOR, per_frame=0.2, initial=None)
+    assert first_detections(prior, np.ones((2, 2)), 10.0, 5.0, 0.9) == pytest.approx(0.2 * 0.9 * 100)
+    with pytest.raises(ValueError, match="per_frame and initial"):
+        replace(PRIOR, per_frame=0.2)
+
+
+@pytest.mark.parametrize(("n_detections", "expected"), [(13, (13 - 4) / 0.9), (2, LEAST_INITIAL)])
+def test_the_first_frame_says_how_many_objects_there_were(n_detections: int, expected: float) -> None:
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    prior = replace(PRIOR, initial=None)
+    first = event(camera, 0, 0.0, n_detections)
+    births, state = expected_births(None, prior, np.array([[1.0, 0.6], [0.6, 1.0]]), 0.0, first, camera.detector)
+    assert births == pytest.approx(expected)
+    np.testing.assert_allclose(state.initial_share, [0.0, 1.0 - 0.9 * 0.6])
+    assert state.counts[0] == pytest.approx(0.1 * expected)
+
+
+def test_overlap_of_views() -> None:
+    """The same view, a view beside it, and one that looks the other way."""
+    cameras = [
+        make_camera(),
+        make_camera(),
+        make_camera((0.0, 0.0, 0.0), (50.0, 0.0, 0.0)),
+        make_camera((0.0, np.pi, 0.0)),
+    ]
+    overlap = view_overlap(make_rig(cameras, 1.0, "horizontal"), PRIOR)
+    np.testing.assert_array_equal(overlap[:2, :2], 1.0)
+    np.testing.assert_array_equal(overlap[3, :3], 0.0)
+    # 50 to the side at depths of about 130 of a view 114 wide; quantiles of the disparity stand for the prior
+    rng = np.random.default_rng(1)
+    pixels = rng.uniform(-0.5, [799.5, 599.5], (20_000, 2))
+    disparity = rng.normal(7.0, 2.0, len(pixels))
+    pixels, disparity = pixels[disparity > 0.0], disparity[disparity > 0.0]
+    world = cameras[0].unproject(pixels, cameras[0].fx / disparity)
+    assert overlap[0, 2] == pytest.approx(cameras[2].in_view(world).mean(), abs=0.05)
