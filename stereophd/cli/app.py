@@ -133,7 +133,7 @@ def _explain(error: Exception) -> int:
         print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
         return EXIT_USAGE
     if isinstance(error, MemoryError):
-        print(f"error: not enough memory: {error or 'no details'}", file=sys.stderr)
+        print("error: not enough memory" + (f": {error}" if str(error) else ""), file=sys.stderr)
         return EXIT_USAGE
     text = " ".join(str(error).split()) or "no details"
     print(

@@ -112,7 +112,7 @@ def test_limits_of_evaluate(call: Call, limit: str) -> None:
             "internal error: ZeroDivisionError: division by zero (run with --debug for the traceback)",
         ),
         (OSError("odd"), 3, "internal error: OSError: odd (run with --debug for the traceback)"),
-        (MemoryError(), 3, "internal error: MemoryError: no details (run with --debug for the traceback)"),
+        (MemoryError(), 2, "error: not enough memory"),
     ],
 )
 def test_exit_codes(

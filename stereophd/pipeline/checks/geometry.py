@@ -49,6 +49,8 @@ RATES = (24 / 25, 25 / 24, 0.8, 1.25, 25 / 30, 1.2, 0.6, 5 / 3, 0.5, 2.0, 1.001,
 SHIFT_DETECTIONS = 120
 # Detections and shifted times of the first look at an alternative, and alternatives that get a second one.
 FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 100, 3, 6
+# The same inside another command, which shall not wait: fewer detections, and coarser steps of the clock.
+QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
 
 
 @dataclass(frozen=True)
@@ -157,9 +159,10 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
     explanation = None
     if geometry.pairs and (suspicious or thorough):
-        explanation = best_explanation(geometry, clocks_only=not suspicious)
+        explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
     if explanation is None and geometry.is_blurred():
-        explanation = best_explanation(geometry, tolerances=SHARP, causes=None if thorough else LENS_CAUSES)
+        causes = None if thorough else LENS_CAUSES
+        explanation = best_explanation(geometry, thorough, tolerances=SHARP, causes=causes)
     if explanation is not None:
         yield _named(geometry, explanation)
     for pair, found, expected in zip(geometry.pairs, geometry.given, geometry.expected, strict=True):
@@ -212,6 +215,7 @@ def _named(geometry: Geometry, found: Explanation) -> Finding:
 
 def best_explanation(
     geometry: Geometry,
+    thorough: bool = True,
     clocks_only: bool = False,
     tolerances: tuple[float, ...] = TOLERANCES,
     causes: tuple[str, ...] | None = None,
@@ -223,6 +227,8 @@ def best_explanation(
     Parameters
     ----------
     geometry : Geometry
+    thorough : bool
+        Whether the first look takes more detections, and finer steps of the clock.
     clocks_only : bool
         Whether only clock offsets are tried.
     tolerances : tuple of float
@@ -230,7 +236,8 @@ def best_explanation(
     causes : tuple of str, optional
         Only alternatives of these causes are tried, and no clocks.
     """
-    few = tuple(pair.thinned(FEW_DETECTIONS, FEW_SHIFTS) for pair in geometry.pairs)
+    size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
+    few = tuple(pair.thinned(*size) for pair in geometry.pairs)
     views = geometry.views
     quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in few))
     if tolerances != TOLERANCES:
@@ -238,7 +245,7 @@ def best_explanation(
         geometry = replace(geometry, given=given)
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
-        *_clock_trials(geometry, () if clocks_only else RATES),
+        *_clock_trials(geometry, () if clocks_only else RATES, SHIFT_STEPS if thorough else QUICK_STEPS),
     ]
     looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
     promising = [(t, one) for t, one in looks if one is not None and one.excess >= one.given + 0.5 * LEAST_GAIN]
@@ -337,13 +344,13 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
     return Trial(scope, alternative.cause, alternative.text, alternative.remedy, views)
 
 
-def _clock_trials(geometry: Geometry, rates: tuple[float, ...]) -> Iterator[Trial]:
+def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> Iterator[Trial]:
     """Yield clock offsets and rates of single cameras."""
     for c, sample in enumerate(geometry.samples):
         concerned = [k for k, pair in enumerate(geometry.pairs) if c in (pair.a, pair.b)]
         if not concerned or len(sample.times) < 8:
             continue
-        shift = _best_shift(geometry, concerned, c)
+        shift = _best_shift(geometry, concerned, c, steps)
         if shift is not None:
             yield Trial(
                 (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s",
@@ -367,10 +374,10 @@ def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSam
     return [moved if k == camera else one for k, one in enumerate(geometry.samples)]
 
 
-def _best_shift(geometry: Geometry, concerned: list[int], camera: int) -> float | None:
+def _best_shift(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> float | None:
     """Return the clock offset, s, of a camera at which most rays meet; None if it is next to none."""
     largest = min(LARGEST_SHIFT_S, 0.25 * float(np.ptp(geometry.samples[camera].times)))
-    step = max(geometry.samples[camera].interval_s / 4.0, 2.0 * largest / SHIFT_STEPS)
+    step = max(geometry.samples[camera].interval_s / 4.0, 2.0 * largest / steps)
     shifts = np.arange(-largest, largest + 0.5 * step, step)
     total = np.zeros(len(shifts))
     for k in concerned:

@@ -198,7 +198,11 @@ def test_objects_out_of_view_are_left_alone(world: list[float]) -> None:
 def assert_equal_states(one: FilterState, other: FilterState) -> None:
     for name in ("weights", "means", "covariances", "cameras", "times", "labels", "tracks", "reported"):
         np.testing.assert_array_equal(getattr(one.mixture, name), getattr(other.mixture, name))
-    assert replace(one, mixture=other.mixture) == other
+    assert (one.undetected is None) == (other.undetected is None)
+    if one.undetected is not None and other.undetected is not None:
+        np.testing.assert_array_equal(one.undetected.counts, other.undetected.counts)
+        np.testing.assert_array_equal(one.undetected.initial_share, other.undetected.initial_share)
+    assert replace(one, mixture=other.mixture, undetected=other.undetected) == other
 
 
 @pytest.mark.parametrize("method", ["qmc", "particle", "unscented", "linear"])
