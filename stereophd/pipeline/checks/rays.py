@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # Detections of A that are examined, time shifts that stand for chance, and candidates in B that are kept at most.
-MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 40
+MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 80
 # Tolerances, in standard deviations of the distance.
 TOLERANCES = (3.0, 8.0, 20.0)
 # Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
@@ -143,22 +143,19 @@ def pixels_at(sample: CameraSample, times: Array) -> Array:
 
     A detection without a track counts for the nearer of the two frames. NaN where a time has fewer than k.
     """
-    found = np.full((len(times), MOST_CANDIDATES, 2), np.nan)
-    following, first = sample.links, sample.first
-    after = np.searchsorted(sample.times, times, side="right").clip(1, len(sample.times) - 1)
-    span = sample.times[after] - sample.times[after - 1]
-    weights = np.clip((times - sample.times[after - 1]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
-    for i, (k, weight) in enumerate(zip((after - 1).tolist(), weights.tolist(), strict=True)):
-        here = np.arange(first[k], first[k + 1])
-        linked = here[following[here] >= 0]
-        moved = (1.0 - weight) * sample.pixels[linked] + weight * sample.pixels[following[linked]]
-        if weight <= 0.5:
-            alone = here[following[here] < 0]
-        else:
-            alone = np.setdiff1d(np.arange(first[k + 1], first[k + 2]), following[linked])
-        points = np.concatenate([moved, sample.pixels[alone]])[:MOST_CANDIDATES]
-        found[i, : len(points)] = points
-    return found
+    start, end, now, later = sample.between
+    interval = (np.searchsorted(sample.times, times, side="right") - 1).clip(0, len(sample.times) - 2)
+    span = sample.times[interval + 1] - sample.times[interval]
+    weights = np.clip((times - sample.times[interval]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[:, None, None]
+    moved = (1.0 - weights) * start[interval] + weights * end[interval]
+    width = max(now.shape[1], later.shape[1])
+    alone = np.where(weights <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
+    return np.concatenate([moved, alone], axis=1)[:, :MOST_CANDIDATES]
+
+
+def _wide(table: Array, width: int) -> Array:
+    """Return a table (f, k, 2) with this many columns, the new ones NaN."""
+    return np.pad(table, ((0, 0), (0, width - table.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def distances(found: Candidates, first: Reading, second: Reading) -> tuple[Array, Array]:

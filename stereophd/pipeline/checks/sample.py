@@ -78,6 +78,27 @@ class CameraSample:
         linked[self.links[linked]] = True
         return linked
 
+    @cached_property
+    def between(self) -> tuple[Array, Array, Array, Array]:
+        """Detections of every interval between frames k and k + 1, each (f - 1, *, 2), NaN where there are fewer.
+
+        Start and end of those that a one-camera track carries over, and those of k and of k + 1 that none does.
+        """
+        following, intervals = self.links, len(self.times) - 1
+        index = np.arange(len(self.pixels))
+        linked = following >= 0
+        reached = np.zeros(len(self.pixels), dtype=bool)
+        reached[following[linked]] = True
+        carried = index[linked]
+        now = index[~linked & (self.frame_of < intervals)]
+        later = index[~reached & (self.frame_of > 0)]
+        return (
+            _by_interval(self.frame_of[carried], self.pixels[carried], intervals),
+            _by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
+            _by_interval(self.frame_of[now], self.pixels[now], intervals),
+            _by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
+        )
+
     @property
     def isolated_per_frame(self) -> float:
         """Median number of detections of a frame that belong to no chain: the median leaves out fast movements."""
@@ -115,6 +136,15 @@ class CameraSample:
             if len(chain) >= LEAST_LENGTH:
                 found.append(np.array(chain, dtype=np.int64))
         return tuple(found)
+
+
+def _by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
+    """Return pixels (n, 2) in rows by their interval, (count, most, 2), NaN where a row has fewer; n in order."""
+    sizes = np.bincount(intervals, minlength=count)
+    table = np.full((count, max(1, int(sizes.max(initial=0))), 2), np.nan)
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    table[intervals, np.arange(len(intervals)) - starts[intervals]] = pixels
+    return table
 
 
 def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...], most: int = MOST_FRAMES) -> list[CameraSample]:
