@@ -1,7 +1,7 @@
 """The console script ``stereophd``: its commands, and what becomes of errors.
 
 Exit codes: 0 done; 1 ran, but a gate failed; 2 usage, configuration or input error; 3 internal error;
-130 interrupted (128 + the signal that ended the run). They are decided here and nowhere else.
+130 interrupted (128 + the signal that ended the run). Errors carry their code (`stereophd.errors`).
 """
 
 from __future__ import annotations
