@@ -42,7 +42,7 @@ def _set_debug(context: typer.Context, value: bool) -> bool:
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration (YAML).", show_default=False)]
 Out = Annotated[
     Path,
-    typer.Option("--out", metavar="DIR", help="Folder of the outputs; made if it is not there.", show_default=False),
+    typer.Option("--out", metavar="DIR", help="Output folder; created if missing.", show_default=False),
 ]
 Cameras = Annotated[
     Path | None,

@@ -77,7 +77,7 @@ def to_json(report: Mapping[str, Any]) -> str:
 
 
 def print_report(session: Session, report: Mapping[str, Any]) -> None:
-    """Print a report: JSON, or a line for each value that a person may want to know."""
+    """Print a report: JSON, or a line for each value of the summary."""
     if session.json:
         print_data(to_json(report))
     elif not session.quiet:
@@ -99,7 +99,7 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
         if isinstance(value, Mapping):
             yield from _lines(value, f"{prefix}{key}.")
         elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
-            # A table of its own: it is in the file; here it says how many.
+            # A table: the file holds it, the summary counts its rows.
             yield f"{prefix}{key}: {len(value)}"
         elif value is None or (prefix == "input." and value == 0):
             # what was not asked for or did not happen; the file has it all

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 POSTERIOR_NAME, REPORT_NAME = "posterior.parquet", "report.json"
-# Credible interval whose coverage is told.
+# Credible interval whose coverage is reported.
 CREDIBLE = 0.9
 
 
@@ -63,11 +63,11 @@ def evaluate_calibration(
     ----------
     cameras_path, true_path : path
         Estimated and true ``cameras.yaml``. With the ``posterior.parquet`` of `calibrate` beside the estimate,
-        NEES and coverage of the posterior are told too.
+        NEES and coverage of the posterior are reported too.
     out_dir : path, optional
         Where to write; nothing is written without it.
     loaded : LoadedConfig, optional
-        Scenario (``simulate``) and priors (``calibration``) whose Cramer-Rao bound is told, its cameras the true
+        Scenario (``simulate``) and priors (``calibration``) whose Cramer-Rao bound is reported, its cameras the true
         ones.
     reference : str, optional
         Camera that fixes the frame; default that of the posterior, else the first whose poses agree, else the first.

@@ -94,7 +94,7 @@ class LengthScale(Model):
 
 
 class NoScale(Model):
-    """Nothing but the prior says how large the scene is."""
+    """Only the prior determines the scale of the scene."""
 
     kind: Literal["none"] = parameter("what fixes the scale", default="none")
 

@@ -85,7 +85,7 @@ def _matches(relative: Path, names: Iterable[str]) -> bool:
 
 
 def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
-    """Check that an output folder may be used, and make it if it is not there.
+    """Check that an output folder may be used, and create it if missing.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class OutputFolder:
     Parameters
     ----------
     path
-        The output folder; made if it is not there.
+        The output folder; created if missing.
     names
         Every file that the command may write, as in `output_folder`.
     force

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 # Half-width of a 90 % band in standard deviations.
 NINETY = 1.645
-# More points than this cannot be told apart.
+# More points than this cannot be distinguished.
 MOST_POINTS = 4000
 # Parameters of one figure of pairs: more would be too small to read.
 MOST_PAIRS = 6

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from stereophd.core.geometry.camera import Camera
 
-# More than this cannot be told apart on a page, and makes the files large.
+# More than this cannot be distinguished on a page, and makes the files large.
 MOST_POINTS_DRAWN = 20_000
 
 
@@ -120,7 +120,7 @@ def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: SceneView, near: 
 def _draw_estimates(
     axes: Axes, estimates: PointSets, view: SceneView, across: tuple[float, float], along: tuple[float, float]
 ) -> None:
-    """Draw the estimates that lie within the limits, and say how many do not."""
+    """Draw the estimates that lie within the limits, and state how many do not."""
     drawn = view.project(estimates.position)
     low, high = np.stack([across, along], axis=1)
     inside = np.asarray(((drawn >= low) & (drawn <= high)).all(axis=1))

@@ -18,7 +18,7 @@ from stereophd.report.style import BLUE, GREY, INK, ORANGE, Pictures, bracketed,
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# More than this cannot be told apart on a page, and makes the files large.
+# More than this cannot be distinguished on a page, and makes the files large.
 MOST_SCANS_DRAWN = 1500
 
 # Of a short run every scan gets a dot.

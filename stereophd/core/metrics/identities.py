@@ -32,7 +32,7 @@ def identity_figures(
     Returns
     -------
     dict
-        JSON-able; NaN where there is nothing to average, None where no track is told.
+        JSON-able; NaN where there is nothing to average, None where the estimates carry no identities.
     """
     pair_track, pair_object = estimates.label[scores.pair_estimate], truth.label[scores.pair_truth]
     tracks = tabulate_tracks(estimates.label, pair_track, pair_object)

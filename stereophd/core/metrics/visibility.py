@@ -1,4 +1,4 @@
-"""Which true objects enough cameras have seen lately, told from a detection log."""
+"""Which true objects enough cameras have seen lately, by a detection log."""
 
 from __future__ import annotations
 

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from stereophd.core.multi.base import DisparityFilter
     from stereophd.core.numerics.samples import SampleSets
 
-# What a miss says of a component that is partly in view.
+# Effect of a miss on a component that is partly in view.
 Missed = Literal["split", "keep"]
 MISSED = (
-    "what a miss says of a component that is partly in view. split: the part in view becomes less "
+    "effect of a miss on a component that is partly in view. split: the part in view becomes less "
     "probable (paper VI-C); keep: the component keeps its shape and becomes less probable as a whole: real "
     "detectors miss an occluded object for many frames in a row, and each would squeeze the shape"
 )
@@ -152,7 +152,7 @@ class FilterSettings(Protocol):
 
     @property
     def missed(self) -> Missed:
-        """What a miss says of a component that is partly in view."""
+        """Effect of a miss on a component that is partly in view."""
 
     @property
     def extraction(self) -> Hysteresis:

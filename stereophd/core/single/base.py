@@ -67,7 +67,7 @@ class SingleEstimate:
 
 @dataclass(frozen=True)
 class SingleInfo:
-    """What a person may want to know of an event.
+    """Diagnostics of an event.
 
     Attributes
     ----------

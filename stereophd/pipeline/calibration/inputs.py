@@ -227,7 +227,7 @@ def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurem
 
 
 def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProblem:
-    """Read a log, and check that it can say something about the unknown cameras.
+    """Read a log, and check that it can constrain the unknown cameras.
 
     Raises
     ------

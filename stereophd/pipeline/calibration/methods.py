@@ -133,7 +133,7 @@ def _run_start(arguments: tuple[Task, int, Array, np.random.SeedSequence]) -> St
 
 
 def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> tuple[Task, Fit]:
-    """Adjust again where speeds or a length of the scene are known; the task holds what they say of the scale."""
+    """Adjust again where speeds or a length of the scene are known; the task holds their measurement of the scale."""
     scale = section.scale
     measured: ScaleMeasurement | None = None
     if isinstance(scale, SpeedScale):

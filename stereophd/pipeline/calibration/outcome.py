@@ -1,4 +1,4 @@
-"""What a method of `calibrate` brings forth, and the random numbers of its purposes."""
+"""Results of a calibration method, and the random numbers of its purposes."""
 
 from __future__ import annotations
 

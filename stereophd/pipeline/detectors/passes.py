@@ -70,7 +70,7 @@ class _Settled:
 
 
 class _Watched:
-    """A filter in the loop that also notes what every event says of the detectors."""
+    """A filter in the loop that also collects the evidence of every event on the detectors."""
 
     def __init__(self, multi_filter: DisparityFilter) -> None:
         self.rig = multi_filter.rig

@@ -2,7 +2,7 @@
 
 A track that at least two cameras have seen predicts where the next camera will see it. With the predicted pixel
 H m and its covariance C = H P H^T, the residual of its detection has the covariance S = C + R, so the state's own
-uncertainty is accounted for; frames that have a track in view and do not detect it say how probable a detection
+uncertainty is accounted for; frames that have a track in view and do not detect it show how probable a detection
 is; and what no confirmed track ever claimed is clutter. All three are gathered as sums, event by event, while a
 Poisson multi-Bernoulli filter runs with the present values, and a new run starts from the new values until they
 agree (a fixed point: at the true values every expectation below holds).
@@ -119,7 +119,7 @@ class DetectorEstimate:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What a frame says of the settled tracks in its view.
+    """Evidence of a frame on the settled tracks in its view.
 
     Attributes
     ----------
