@@ -43,9 +43,7 @@ def calibrate_command(
     ] = None,
     require: Annotated[
         Require | None,
-        typer.Option(
-            "--require", help="Exit with code 1 if the data determine less of the cameras.", show_default=False
-        ),
+        typer.Option("--require", help="Exit with 1 if the data determine less of the cameras.", show_default=False),
     ] = None,
     overrides: options.Set = None,
     seed: options.Seed = None,

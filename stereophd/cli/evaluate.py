@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -49,17 +48,15 @@ def evaluate_command(
 ) -> None:
     """Score tracks against the truth (OSPA, RMSE, identities, NEES), or calibrated cameras against true ones."""
     session = begin(context)
-    limits = {
-        "fail_above": of.parse_limits("--fail-above", fail_above or []),
-        "fail_below": of.parse_limits("--fail-below", fail_below or []),
-    }
+    above = of.parse_limits("--fail-above", fail_above or [])
+    below = of.parse_limits("--fail-below", fail_below or [])
     if true_cameras is not None:
         if cameras is None or tracks is not None:
             raise InputError("--true-cameras: expected --cameras FILE to score, and neither TRACKS nor TRUTH")
         from stereophd.commands.evaluate_cameras import evaluate_calibration
 
         loaded = None if config is None else load(config, None, seed, true_cameras)
-        score = partial(evaluate_calibration, cameras, true_cameras, out, loaded, force=force, **limits)
+        score = partial(evaluate_calibration, cameras, true_cameras, out, loaded, None, above, below, force)
         _run(score, partial(print_report, session))
         return
     if tracks is None or truth is None:
@@ -71,7 +68,7 @@ def evaluate_command(
     score = partial(
         evaluate, tracks, truth, out, order=order, cutoff=cutoff, base=base.value, from_s=from_s, to_s=to_s,
         max_gap_s=max_gap, at=at.value, log_path=log, seen_by=seen_by, within_s=within, ospa2_window=ospa2_window,
-        cameras_path=cameras, force=force, plots=plots, **limits,
+        cameras_path=cameras, force=force, plots=plots, fail_above=above, fail_below=below,
     )  # fmt: skip
     _run(score, partial(_show_scores, session))
 

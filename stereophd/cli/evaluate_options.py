@@ -43,8 +43,8 @@ Cutoff = Annotated[
     typer.Option(
         "--cutoff",
         metavar="C",
-        help="Cutoff of OSPA, in the unit of length; default: evaluation.cutoff of the tracks' "
-        "configuration, else 20 cm for files in centimetres.",
+        help="Cutoff of OSPA, in the unit of length; default: evaluation.cutoff of the tracks' configuration, else 20 "
+        "for files in centimetres.",
         show_default=False,
     ),
 ]

@@ -15,6 +15,7 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.json_text import write_json
 from stereophd.io.provenance import provenance, to_metadata
+from stereophd.pipeline.evaluation.gates import Limits, check_limits, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
     Tracks,
@@ -23,7 +24,6 @@ from stereophd.pipeline.evaluation.inputs import (
     read_tracks,
     read_truth,
 )
-from stereophd.pipeline.evaluation.gates import Limits, check_limits, raise_if_failed
 from stereophd.pipeline.evaluation.options import Options, check_options
 from stereophd.pipeline.evaluation.report import build_report, write_per_scan
 from stereophd.pipeline.evaluation.scale import PAPER_CUTOFF, default_cutoff, warn_of_another_scene
@@ -71,8 +71,8 @@ def evaluate(
     order, cutoff : float
         Order p and cutoff c of OSPA and GOSPA; c in the length unit of the files, or a number of standard
         deviations for the base ``mahalanobis``. The default of c is `evaluation.cutoff` of the configuration of
-        the tracks; without it 20 cm for files in centimetres, the paper's, and 20 standard deviations. Pairs nearer than c count as matched for RMSE, NEES, position
-        errors and identity switches.
+        the tracks; without it 20 cm for files in centimetres, the paper's, and 20 standard deviations. Pairs
+        nearer than c count as matched for RMSE, NEES, position errors and identity switches.
     base : str
         Base distance: ``euclidean``, or ``mahalanobis`` with the covariance of the estimate (paper VIII-C).
     from_s, to_s : float, optional
