@@ -113,7 +113,7 @@ class EvaluationConfig(Model):
     """The scale of the scene, for scores (evaluate)."""
 
     cutoff: PositiveLength | None = parameter(
-        "default of `evaluate --cutoff` for tracks of this configuration: errors beyond it count as a missed object "
+        "default cutoff of the scores for tracks of this configuration: an error beyond it counts as a missed object "
         "and a false track",
         default=None,
         advice="the largest position error that still is a find, such as a tenth of the usual depth.",

@@ -67,11 +67,10 @@ def build_report(
             "window": {"from_s": options.from_s, "to_s": options.to_s, "at": options.at},
             "max_gap_s": max_gap_s,
             "seen_by": visible,
-            "gates": [],
+            "gates": gates(limits, {**result, "scans": scored.scans}),
             "provenance": record,
         }
     )
-    report["gates"] = gates(limits, {**result, "scans": scored.scans})
     return report
 
 
