@@ -17,6 +17,7 @@ class Session:
     quiet: bool = False
     verbosity: int = 0
     debug: bool = False
+    printed: bool = False  # whether the one document of `json` is on stdout
 
 
 def _set_json(context: typer.Context, value: bool) -> bool:
