@@ -18,19 +18,8 @@ def experiment_command(
     context: typer.Context,
     config: options.Config,
     out: options.Out,
-    jobs: Annotated[
-        int,
-        typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it."),
-    ] = 1,
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask",
-            metavar="ADDRESS",
-            help="Run on the workers of a Dask cluster, such as tcp://host:8786.",
-            show_default=False,
-        ),
-    ] = None,
+    jobs: options.Jobs = 1,
+    dask: options.Dask = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted experiment stopped.")] = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
