@@ -11,7 +11,7 @@ import typer
 
 @dataclass
 class Session:
-    """How a call of the command line talks: what the common options said."""
+    """Common options of a call of the command line."""
 
     json: bool = False
     quiet: bool = False

@@ -76,7 +76,7 @@ def execute(
     Raises
     ------
     InputError
-        A run says that the configuration is at fault, or workers have another version of the package.
+        A run reports that the configuration is at fault, or workers have another version of the package.
     StereophdError
         A run failed `ATTEMPTS` times, or workers die without finishing a run.
     """
@@ -115,7 +115,7 @@ def _work(ledger: _Ledger, store: PartStore, workers: Workers, progress: Progres
             if fruitless == ATTEMPTS:
                 raise StereophdError(
                     f"workers died {ATTEMPTS} times without finishing a run: {error}; finished runs are in "
-                    f"{store.folder}, `resume=True` goes on"
+                    f"{store.folder}, `resume=True` continues"
                 ) from error
             LOGGER.warning("a worker died; the %d runs that are left go to new ones (%s)", ledger.left, error)
 
@@ -141,6 +141,6 @@ def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
         if count == ATTEMPTS:
             raise StereophdError(
                 f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.folder}, "
-                "`resume=True` goes on"
+                "`resume=True` continues"
             )
         LOGGER.warning("%s: failed, will be tried again: %s", name, outcome.error)
