@@ -77,7 +77,9 @@ def track_logs(
         for name, path in zip(folder_names(paths), paths, strict=True)
     ]
     metadata = to_metadata(provenance("track", loaded.record))
-    batch = Batch(items, partial(_track, loaded, force, resume, threads), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata)
+    batch = Batch(
+        items, partial(_track, loaded, force, resume, threads), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
+    )
     return run_batch(batch, out_dir, jobs, dask, force, resume, progress)
 
 

@@ -18,6 +18,11 @@ _LENGTH = 16
 UNFINISHED_FILES = (f"{_PREFIX}*/*.npz", f"{_PREFIX}*/*/*.npz")
 
 
+def can_resume(out: Path | str) -> bool:
+    """Whether an output folder, or a folder of a batch in it, holds an unfinished run."""
+    return any(next(Path(out).glob(f"{above}{_PREFIX}*/"), None) is not None for above in ("", "*/"))
+
+
 class UnfinishedRun:
     """The folder of an unfinished run: checkpoints without code (`stereophd.io.checkpoints`).
 

@@ -18,6 +18,7 @@ from stereophd.io.columns import pack, unpack
 from stereophd.pipeline.tracking import journal
 
 from .test_report_times import SCENE
+from .test_stream import SINGLE
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +80,17 @@ def test_resume_gives_the_bytes_of_an_undisturbed_run(
         track(loaded, log, out)
     track(loaded, log, out, resume=True)
     assert files(out) == whole
+
+
+@pytest.mark.usefixtures("often")
+def test_resume_of_an_estimator_of_one_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded = load_config(SINGLE, ["simulate.duration_s=10.0"])
+    simulate(loaded, tmp_path / "scene")
+    log = tmp_path / "scene" / "detections.parquet"
+    track(loaded, log, tmp_path / "whole")
+    killed_after(monkeypatch, 5, lambda: track(loaded, log, tmp_path / "out"))
+    track(loaded, log, tmp_path / "out", resume=True)
+    assert files(tmp_path / "out") == files(tmp_path / "whole")
 
 
 @pytest.mark.usefixtures("often")
