@@ -24,6 +24,10 @@ def track_command(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
     ] = False,
+    associations: Annotated[
+        bool,
+        typer.Option("--associations", help="Write which detection belongs to which track: associations.parquet."),
+    ] = False,
     strict: options.Strict = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
@@ -41,6 +45,6 @@ def track_command(
     from stereophd.commands.track import track
 
     with progress_bar(session, "track") as progress:
-        report = track(loaded, log, out, force=force, threads=threads, progress=progress)
+        report = track(loaded, log, out, force=force, threads=threads, progress=progress, associations=associations)
     print_report(session, report)
     exit_if_strict(strict, report)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.kernel_cache import is_kept
 from stereophd.io.atomic import OutputFolder
+from stereophd.io.cameras import write_cameras
 from stereophd.io.json_text import write_json
 from stereophd.io.log_checks import KINDS
 from stereophd.io.provenance import provenance, to_metadata
@@ -21,9 +22,11 @@ from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.run import (
+    ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
     build_tracking,
+    with_detectors,
     with_estimated_detectors,
     write_tracks,
 )
@@ -31,7 +34,8 @@ from stereophd.pipeline.tracking.run import (
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-FILES = (TRACKS_FILE, SCANS_FILE, "report.json")
+CAMERAS_FILE = "cameras.yaml"
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -44,6 +48,7 @@ def track(
     force: bool = False,
     threads: int = 1,
     progress: Progress | None = None,
+    associations: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -54,13 +59,16 @@ def track(
     log_path : path
         Detection log.
     out_dir : path
-        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written.
+        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written. Where detectors
+        are estimated, also for ``cameras.yaml``: the cameras with the detectors found.
     force : bool
         Whether the outputs of an earlier run may be replaced.
     threads : int
         Threads of the sample trips; the outputs do not depend on it.
     progress : callable, optional
         Called with the rows done and their total.
+    associations : bool
+        Whether to write ``associations.parquet``: which detection belongs to which track, with which probability.
 
     Returns
     -------
@@ -83,8 +91,11 @@ def track(
         stream = stream.with_cameras(tracking.cameras)
         record = provenance("track", loaded.record, inputs={"detections": log_path})
         metadata = to_metadata(record)
-        limit = loaded.config.report.max_position_std
-        summary = write_tracks(tracking.records(stream), out, metadata, tracking.cameras, limit)
+        if tracking.detectors is not None:
+            described = with_detectors(loaded.cameras, tracking.cameras)
+            write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, record)
+        settings = loaded.config.report
+        summary = write_tracks(tracking.records(stream), out, metadata, tracking.cameras, settings, associations)
         findings += tuple(check_tracking(summary, stream.counts, tracking.cameras))
         report = {
             "report_version": REPORT_VERSION,
