@@ -141,7 +141,7 @@ def members(package: str, attribute: str = "SETTINGS") -> Mapping[str, Any]:
     Parameters
     ----------
     package : str
-        Full name of the package, such as ``stereophd.core.multi.kinds``.
+        Full name of the package, such as ``stereophd.core.multi.filter_settings``.
     attribute : str
         What each module defines.
     """

@@ -13,7 +13,6 @@ from stereophd.core.metrics.assignment import FloatArray
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
-AXIS_NAMES = ("x", "y", "z")
 
 # A view is never drawn narrower or flatter than this: long, thin scenes get more room beside them.
 LARGEST_ASPECT = 2.0

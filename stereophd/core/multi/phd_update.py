@@ -20,7 +20,7 @@ Integers = NDArray[np.int64]
 
 
 class PhdReduction(NamedTuple):
-    """Settings of the reduction: those of `stereophd.core.multi.kinds.phd.PhdSettings`."""
+    """Settings of the reduction: those of `stereophd.core.multi.filter_settings.phd.PhdSettings`."""
 
     prune_weight: float
     merge_distance: float

@@ -12,7 +12,7 @@ from stereophd.config.cameras import CameraConfig, DetectorConfig
 from stereophd.config.report import ReportConfig
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
@@ -22,7 +22,7 @@ from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
-from stereophd.pipeline.tracking.records import Tables, smoothed_records, write_records
+from stereophd.pipeline.tracking.outputs import Tables, smoothed_records, write_records
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 
 if TYPE_CHECKING:
