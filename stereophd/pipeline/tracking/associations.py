@@ -25,7 +25,7 @@ LEAST_PROBABILITY = 1e-3
 
 
 @dataclass(frozen=True)
-class Sightings:
+class Associated:
     """Detections of one event that tracks claim; one row a detection and track.
 
     Attributes
@@ -47,7 +47,7 @@ class Sightings:
     track_ids: Integers
     probabilities: Array
 
-    def take(self, kept: NDArray[Any]) -> Sightings:
+    def take(self, kept: NDArray[Any]) -> Associated:
         """Return some of the rows."""
         return replace(
             self, pixels=self.pixels[kept], track_ids=self.track_ids[kept], probabilities=self.probabilities[kept]
@@ -70,7 +70,7 @@ class Associations:
     """Claims of labels until they are reported as tracks."""
 
     def __init__(
-        self, known: Mapping[int, int] | None = None, pending: Mapping[int, list[tuple[Sightings, int]]] | None = None
+        self, known: Mapping[int, int] | None = None, pending: Mapping[int, list[tuple[Associated, int]]] | None = None
     ) -> None:
         self._known = dict(known or {})
         # label -> rows of the events that it claimed
@@ -80,21 +80,21 @@ class Associations:
         """Return a copy that does not change when the run goes on."""
         return Associations(self._known, self._pending)
 
-    def update(self, event: Event, camera: str, claims: Claims | None) -> tuple[Sightings, ...]:
+    def update(self, event: Event, camera: str, claims: Claims | None) -> tuple[Associated, ...]:
         """Take in the claims of an event; return those of the labels that have been reported before it."""
         if claims is None or event.pixels is None:
             return ()
         labels, rows, probabilities = _joined(claims)
         if not len(labels):
             return ()
-        found = Sightings(event.time_s, camera, event.frame, event.pixels[rows], labels, probabilities)
+        found = Associated(event.time_s, camera, event.frame, event.pixels[rows], labels, probabilities)
         ids = np.array([self._known.get(label, -1) for label in labels.tolist()], dtype=np.int64)
         known = ids >= 0
         for row in np.flatnonzero(~known).tolist():
             self._pending.setdefault(int(labels[row]), []).append((found, row))
         return (replace(found.take(known), track_ids=ids[known]),) if known.any() else ()
 
-    def report(self, estimates: Estimates) -> Iterator[Sightings]:
+    def report(self, estimates: Estimates) -> Iterator[Associated]:
         """Take in which labels are reported; yield the claims of those that had not been reported before."""
         for track_id, label in zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True):
             self._known[label] = track_id

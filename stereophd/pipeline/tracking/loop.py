@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.numerics.times import TIME_DECIMALS, same_time
-from stereophd.pipeline.tracking.associations import Associations, Sightings
+from stereophd.pipeline.tracking.associations import Associated, Associations
 
 # Events between two clearances of what is known of dead tracks.
 FORGET_EVERY = 50
@@ -77,7 +77,7 @@ class Record:
     is_event : bool
     event : Event, optional
         The detections themselves, where a run keeps them.
-    associations : tuple of Sightings
+    associations : tuple of Associated
         Detections that reported tracks claim: those of the event, and earlier ones of tracks that are reported for
         the first time.
     """
@@ -93,7 +93,7 @@ class Record:
     reported: bool = True
     is_event: bool = True
     event: Event | None = None
-    associations: tuple[Sightings, ...] = ()
+    associations: tuple[Associated, ...] = ()
 
 
 class EstimatorState(Protocol):

@@ -19,7 +19,7 @@ from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
 from stereophd.io.tables import STD, TableWriter
-from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Sightings
+from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.explained import Explained
 from stereophd.pipeline.tracking.loop import Record
 
@@ -195,13 +195,13 @@ def smoothed_records(
 
 def _continued_associations(
     whole: Sequence[Record], extended: Sequence[Extended], name: Callable[[int], int]
-) -> list[tuple[Sightings, ...]]:
+) -> list[tuple[Associated, ...]]:
     """Associations of every record, under the names of the stitched tracks, each with its own event.
 
     With them the detections to which smoothed tracks reach back.
     """
     numbers = {(one.time_s, one.camera, one.frame): number for number, one in enumerate(whole) if one.is_event}
-    out: list[list[Sightings]] = [[] for _ in whole]
+    out: list[list[Associated]] = [[] for _ in whole]
     for record in whole:
         for one in record.associations:
             names = np.array([name(track_id) for track_id in one.track_ids.tolist()])
@@ -215,7 +215,7 @@ def _continued_associations(
             kept = np.flatnonzero(shares >= LEAST_PROBABILITY)
             ids = np.full(len(kept), track_id)
             out[number].append(
-                Sightings(record.time_s, record.camera, record.frame, event.pixels[kept], ids, shares[kept])
+                Associated(record.time_s, record.camera, record.frame, event.pixels[kept], ids, shares[kept])
             )
     return [tuple(sightings) for sightings in out]
 
