@@ -95,6 +95,9 @@ class ReportConfig(Model):
         unit="s",
         advice="longer than false tracks last, and shorter than the objects that matter stay in view.",
     )
+    associations: bool = parameter(
+        "write associations.parquet: which detection belongs to which track, with which probability", default=False
+    )
     std_columns: bool = parameter(
         "write columns std_x, std_y and std_z into tracks.parquet: standard deviations of the position along the "
         "axes of the world",
@@ -118,4 +121,15 @@ class InputConfig(Model):
         "a detection further than this outside the image is a bad row (noise may reach over the edge)",
         default=10.0,
         unit="px",
+    )
+
+
+class EvaluationConfig(Model):
+    """The scale of the scene, for scores (evaluate)."""
+
+    cutoff: PositiveLength | None = parameter(
+        "default cutoff of the scores for tracks of this configuration: an error beyond it counts as a missed object "
+        "and a false track",
+        default=None,
+        advice="the largest position error that still is a find, such as a tenth of the usual depth.",
     )

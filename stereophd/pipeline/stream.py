@@ -96,7 +96,7 @@ class EventStream:
 def open_stream(
     config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None, skip: int = 0
 ) -> EventStream:
-    """Open a detection log as a configuration says (section ``input``).
+    """Open a detection log with the settings of a configuration (section ``input``).
 
     Parameters
     ----------

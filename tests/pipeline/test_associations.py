@@ -104,8 +104,8 @@ def test_associations_agree_with_the_truth(tmp_path: Path, overrides: tuple[str,
     path.write_text(SCENE)
     simulate(load_config(path), tmp_path / "log")
     log = tmp_path / "log" / "detections.parquet"
-    loaded = load_config(path, [*overrides, "report.std_columns=true"])
-    report = track(loaded, log, tmp_path / "out", associations=True)
+    loaded = load_config(path, [*overrides, "report.std_columns=true", "report.associations=true"])
+    report = track(loaded, log, tmp_path / "out")
     table = pq.read_table(tmp_path / "out" / "associations.parquet")
     assert dict(zip(table.schema.names, table.schema.types, strict=True)) == COLUMNS
     assert b"stereophd" in table.schema.metadata

@@ -27,7 +27,9 @@ FORGET_EVERY = 50
 
 @dataclass(frozen=True)
 class ReportTimes:
-    """When estimates are reported: after every event, or as the one that is set says; and how certain they must be.
+    """When estimates are reported: after every event, or as the camera or grid that is set requires.
+
+    With `max_position_std`, also how certain they must be.
 
     Attributes
     ----------
@@ -182,7 +184,7 @@ class RunState(Generic[State]):
     associations: Associations = field(default_factory=Associations)
 
     def copy(self) -> RunState[State]:
-        """Return a copy that does not change when the run goes on."""
+        """Return a copy that does not change when the run continues."""
         return replace(self, attribution=Attribution(self.attribution.pending), associations=self.associations.copy())
 
 

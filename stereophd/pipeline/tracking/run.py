@@ -143,9 +143,8 @@ def write_tracks(
     metadata: Mapping[bytes, bytes],
     cameras: Sequence[Camera],
     report: ReportConfig,
-    associations: bool = False,
 ) -> dict[str, Any]:
-    """Write ``tracks.parquet``, ``scans.parquet`` and, if asked, ``associations.parquet``.
+    """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
 
     Returns
     -------
@@ -156,7 +155,7 @@ def write_tracks(
     with contextlib.ExitStack() as files:
         tracks = files.enter_context(TableWriter(out.path(TRACKS_FILE), schema, metadata))
         scans = files.enter_context(TableWriter(out.path(SCANS_FILE), SCANS, metadata))
-        third = TableWriter(out.path(ASSOCIATIONS_FILE), ASSOCIATIONS, metadata) if associations else None
+        third = TableWriter(out.path(ASSOCIATIONS_FILE), ASSOCIATIONS, metadata) if report.associations else None
         if third is not None:
             files.enter_context(third)
         return write_records(records, Tables(tracks, scans, third), cameras, report)
