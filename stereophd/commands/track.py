@@ -14,6 +14,7 @@ from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.kernel_cache import is_kept
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder, output_lock
+from stereophd.io.cameras import write_cameras
 from stereophd.io.json_text import write_json
 from stereophd.io.log_checks import KINDS
 from stereophd.io.provenance import provenance, sha256_of, to_metadata
@@ -25,10 +26,12 @@ from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.journal import RecordJournal
 from stereophd.pipeline.tracking.run import (
+    ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
     Tracking,
     build_tracking,
+    with_detectors,
     with_estimated_detectors,
     write_tracks,
 )
@@ -37,7 +40,8 @@ from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-FILES = (TRACKS_FILE, SCANS_FILE, "report.json")
+CAMERAS_FILE = "cameras.yaml"
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -61,7 +65,9 @@ def track(
     log_path : path
         Detection log.
     out_dir : path
-        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written.
+        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written. Where detectors
+        are estimated, also for ``cameras.yaml``, the cameras with the detectors found; with ``report.associations``,
+        also for ``associations.parquet``.
     force : bool
         Whether the outputs of an earlier run may be replaced.
     threads : int
@@ -119,8 +125,11 @@ def _write(
 ) -> dict[str, Any]:
     """Track, and write all files of the output folder."""
     journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
-    limit = loaded.config.report.max_position_std
-    summary = write_tracks(tracking.records(stream, journal), out, to_metadata(record), tracking.cameras, limit)
+    if tracking.detectors is not None:
+        described = with_detectors(loaded.cameras, tracking.cameras)
+        write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, record)
+    records, metadata = tracking.records(stream, journal), to_metadata(record)
+    summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report)
     findings += tuple(check_tracking(summary, stream.counts, tracking.cameras))
     report = {
         "report_version": REPORT_VERSION,

@@ -1,6 +1,6 @@
 """Many objects of one class as a few arrays: one column a field, for checkpoints that hold thousands of them.
 
-A column of arrays is their rows end to end, one of dataclasses is columns of its own; fields of numbers, truth values,
+A column of arrays is their rows end to end, one of objects is columns of its own; fields of numbers, truth values,
 text and small mappings go as they are. The objects that come back are equal to those that went in, to the bit.
 """
 
@@ -18,14 +18,14 @@ _KIND, _VALUES = "kind", "values"
 
 
 def pack(objects: Sequence[Any]) -> dict[str, Any]:
-    """Return the columns of objects of one dataclass, for `stereophd.io.checkpoints.write_checkpoint`.
+    """Return the columns of objects of one dataclass or named tuple, for `stereophd.io.checkpoints.write_checkpoint`.
 
     Raises
     ------
     TypeError
         A field holds what has no column: a fault of the program.
     """
-    names = [field.name for field in fields(objects[0])]
+    names = _field_names(type(objects[0])) or ()
     columns = {name: _column([getattr(one, name) for one in objects], name) for name in names}
     return {_KIND: type(objects[0]).__name__, "count": len(objects), _VALUES: columns}
 
@@ -44,6 +44,13 @@ def unpack(packed: Mapping[str, Any], classes: Mapping[str, type]) -> list[Any]:
     names = list(columns)
     values = [_values(columns[name], count, classes) for name in names]
     return [kind(**dict(zip(names, row, strict=True))) for row in zip(*values, strict=True)]
+
+
+def _field_names(kind: type) -> tuple[str, ...] | None:
+    """Return the names of the fields of a dataclass or named tuple, None of anything else."""
+    if is_dataclass(kind):
+        return tuple(field.name for field in fields(kind))
+    return getattr(kind, "_fields", None) if issubclass(kind, tuple) else None
 
 
 def _column(values: list[Any], name: str) -> dict[str, Any]:
@@ -66,7 +73,11 @@ def _column(values: list[Any], name: str) -> dict[str, Any]:
         if kind is np.ndarray and len({(v.dtype, v.ndim, v.shape[1:]) for v in values}) == 1 and values[0].ndim:
             lengths = np.array([len(value) for value in values])
             return {_KIND: "arrays", "lengths": lengths, _VALUES: np.concatenate(values)}
-        if is_dataclass(kind):
+        if kind is tuple:
+            items = [item for value in values for item in value]
+            lengths = np.array([len(value) for value in values])
+            return {_KIND: "tuples", "lengths": lengths, _VALUES: _column(items, name) if items else None}
+        if _field_names(kind) is not None:
             return {_KIND: "objects", _VALUES: pack(values)}
     if all(isinstance(value, Mapping) for value in values):
         full = [(place, _pairs(value)) for place, value in enumerate(values) if value]
@@ -101,6 +112,13 @@ def _values(column: Mapping[str, Any], count: int, classes: Mapping[str, type]) 
     return _PLAIN[kind](column, classes)
 
 
+def _tuples(column: Mapping[str, Any], classes: Mapping[str, type]) -> list[Any]:
+    """Return the tuples of a column."""
+    ends = np.concatenate([[0], np.cumsum(column["lengths"])]).tolist()
+    items = [] if column[_VALUES] is None else _values(column[_VALUES], ends[-1], classes)
+    return [tuple(items[start:end]) for start, end in pairwise(ends)]
+
+
 def _arrays(column: Mapping[str, Any]) -> list[Any]:
     """Return the arrays of a column, as views of one."""
     ends = np.concatenate([[0], np.cumsum(column["lengths"])]).tolist()
@@ -113,5 +131,6 @@ _PLAIN: dict[str, Callable[[Mapping[str, Any], Mapping[str, type]], list[Any]]] 
     "scalars": lambda column, _: list(column[_VALUES]),
     "text": lambda column, _: [column["words"][place] for place in column[_VALUES].tolist()],
     "arrays": lambda column, _: _arrays(column),
+    "tuples": _tuples,
     "objects": lambda column, classes: unpack(column[_VALUES], classes),
 }

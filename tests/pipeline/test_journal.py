@@ -64,7 +64,9 @@ def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[]
 
 
 @pytest.mark.usefixtures("often")
-@pytest.mark.parametrize("changes", [[], ["report.smooth={}"], ["report.times=grid 0.35"]], ids=str)
+@pytest.mark.parametrize(
+    "changes", [["report.associations=true"], ["report.smooth={}"], ["report.times=grid 0.35"]], ids=str
+)
 def test_resume_gives_the_bytes_of_an_undisturbed_run(
     scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: list[str]
 ) -> None:
@@ -138,12 +140,13 @@ class Thing:
     inner: Inner
     counts: dict[int, dict[str, int]]
     scalar: Any
+    many: tuple[Inner, ...] = ()
 
 
 def test_columns_give_equal_objects() -> None:
     things = [
         Thing(0.1 * k, "ab"[k % 2], None if k % 3 else 1.5, Inner(np.full((k, 2), k / 3)), {k: {"a": 1}} if k else {},
-              np.float64(k))
+              np.float64(k), (Inner(np.full(k, 0.1)),) * (k % 3))
         for k in range(5)
     ]  # fmt: skip
     back = unpack(pack(things), {"Thing": Thing, "Inner": Inner})

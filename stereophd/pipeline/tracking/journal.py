@@ -20,6 +20,7 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import atomic_write
 from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
 from stereophd.io.columns import pack, unpack
+from stereophd.pipeline.tracking.associations import Associations
 from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, run_estimator
 
 STATE_FILE = "state.npz"
@@ -44,6 +45,8 @@ class SavedRun:
     forecast_from_s : float
     pending : list
         Labels not reported yet, and their detections by camera.
+    tracks, claims : list
+        Labels reported so far with their tracks, and labels not reported yet with what they claim.
     chunks : int
         Number of chunks that lead up to this state.
     """
@@ -52,7 +55,33 @@ class SavedRun:
     events: int
     forecast_from_s: float
     pending: list[Any]
+    tracks: list[Any]
+    claims: list[Any]
     chunks: int
+
+    @classmethod
+    def of(cls, run: RunState[Any], chunks: int) -> SavedRun:
+        """Return what is to be kept of a run."""
+        return cls(
+            run.estimator,
+            run.events,
+            run.forecast_from_s,
+            [[label, dict(counts)] for label, counts in run.attribution.pending.items()],
+            [list(pair) for pair in run.associations.known.items()],
+            [[label, list(rows)] for label, rows in run.associations.pending.items()],
+            chunks,
+        )
+
+    def run_state(self, last: Record | None) -> RunState[Any]:
+        """Return the state of the run, `last` being the record of its last event."""
+        return RunState(
+            self.estimator,
+            self.events,
+            last,
+            self.forecast_from_s,
+            Attribution(dict(self.pending)),
+            Associations(dict(self.tracks), dict(self.claims)),
+        )
 
 
 class RecordJournal:
@@ -106,7 +135,8 @@ class RecordJournal:
 
     def add(self, record: Record, run: RunState[Any]) -> None:
         """Keep a record, of which `run` is the state."""
-        self._waiting.append(record if record.event is None else replace(record, event=None))
+        # what only the loop needs is not kept
+        self._waiting.append(replace(record, event=None, info=replace(record.info, claims=None)))
         self._estimates += len(record.estimates.track_ids)
         if time.monotonic() >= self._next_s:
             self.keep(run)
@@ -117,9 +147,7 @@ class RecordJournal:
         """Write what is waiting, and the state."""
         start = time.monotonic()
         self._write_chunk()
-        pending = [[label, list(counts.items())] for label, counts in run.attribution.pending.items()]
-        saved = SavedRun(run.estimator, run.events, run.forecast_from_s, pending, self._chunks)
-        self._write(self.folder / STATE_FILE, {"run": saved})
+        self._write(self.folder / STATE_FILE, {"run": SavedRun.of(run, self._chunks)})
         now = time.monotonic()
         self._next_s = now + max(KEEP_EVERY_S, (now - start) / MOST_SHARE)
 
@@ -173,8 +201,7 @@ def journaled_records(
             event = next(rest) if record.is_event else None
             last = record if record.is_event else last
             yield replace(record, event=event if keep_events else None)
-        pending = {int(label): dict(counts) for label, counts in saved.pending}
-        run = RunState(saved.estimator, saved.events, last, saved.forecast_from_s, Attribution(pending))
+        run = saved.run_state(last)
     for record in run_estimator(estimator, rest, times, keep_events, run):
         journal.add(record, run)
         yield record
