@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED
-from stereophd.errors import InputError
+from stereophd.core.calibration.posterior import DETERMINED, PARTLY, UNDETERMINED
+from stereophd.errors import GateError, InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
 from stereophd.io.json_text import write_json
@@ -41,6 +41,12 @@ if TYPE_CHECKING:
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
 FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, "report.json", *PLOTS)
+# What is required -> the statuses of a report that meet it.
+ACCEPTED = {
+    None: (DETERMINED, PARTLY, UNDETERMINED),
+    "partly": (DETERMINED, PARTLY),
+    "determined": (DETERMINED,),
+}
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -62,6 +68,7 @@ def calibrate(
     resume: bool = False,
     plots: bool | None = None,
     progress: Progress | None = None,
+    require: Literal["determined", "partly"] | None = None,
 ) -> dict[str, Any]:
     """Calibrate cameras from a detection log (paper section VII).
 
@@ -84,6 +91,8 @@ def calibrate(
         Whether to draw plots; default if matplotlib is installed.
     progress : callable, optional
         Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
+    require : str, optional
+        The least that the data must determine: all directions of the cameras (``determined``) or some (``partly``).
 
     Returns
     -------
@@ -95,7 +104,11 @@ def calibrate(
     ------
     InputError
         Configuration, log, checkpoint or output folder are not usable.
+    GateError
+        The data determine less than `require`. Everything has been written; the error carries the report.
     """
+    if require not in ACCEPTED:
+        raise InputError(f"`require`: expected determined or partly, found {require}")
     if jobs == 0:
         raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     from joblib import effective_n_jobs
@@ -140,6 +153,8 @@ def calibrate(
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
+    if report["status"] not in ACCEPTED[require]:
+        raise GateError(f"{log_path}: the cameras are {report['status']}: {report['reason']}", report)
     if report["status"] != DETERMINED:
         LOGGER.warning("%s: %s: %s", log_path, report["status"], report["reason"])
     return report

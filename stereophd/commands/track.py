@@ -18,6 +18,7 @@ from stereophd.io.log_checks import KINDS
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
+from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.run import (
@@ -44,6 +45,7 @@ def track(
     force: bool = False,
     threads: int = 1,
     progress: Progress | None = None,
+    resume: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -61,6 +63,8 @@ def track(
         Threads of the sample trips; the outputs do not depend on it.
     progress : callable, optional
         Called with the rows done and their total.
+    resume : bool
+        Whether the results of a finished run of this configuration and log may stand.
 
     Returns
     -------
@@ -74,14 +78,17 @@ def track(
         ours or cannot be written.
     """
     tracking = build_tracking(loaded, threads)
+    stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
+    record = provenance("track", loaded.record, inputs={"detections": log_path})
+    if resume and (report := finished_report(out_dir, record, force)) is not None:
+        LOGGER.info("%s: finished already", out_dir)
+        return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     _announce_compilation()
-    stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     findings = check_log(loaded, log_path, thorough=False)
     with OutputFolder(out_dir, FILES, force) as out:
         tracking = with_estimated_detectors(tracking, loaded, stream, threads)
         stream = stream.with_cameras(tracking.cameras)
-        record = provenance("track", loaded.record, inputs={"detections": log_path})
         metadata = to_metadata(record)
         limit = loaded.config.report.max_position_std
         summary = write_tracks(tracking.records(stream), out, metadata, tracking.cameras, limit)

@@ -15,7 +15,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.lenses import lens_models
 from stereophd.core.geometry.lenses.none import NoDistortion
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.geometry.trajectory import MountedPath, BodyTrajectory
+from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 from stereophd.core.settings import (
     FINITE,
     Degrees,

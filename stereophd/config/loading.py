@@ -105,7 +105,7 @@ def load_config(
     Raises
     ------
     InputError
-        A file cannot be read, or what it says is not valid: one line for each fault, with file, line,
+        A file cannot be read or is not valid: one line for each fault, with file, line,
         key path, what was expected and found, and the nearest key for an unknown one.
     """
     source = Path(path)

@@ -107,3 +107,14 @@ class InputConfig(Model):
         default=10.0,
         unit="px",
     )
+
+
+class EvaluationConfig(Model):
+    """The scale of the scene, for scores (evaluate)."""
+
+    cutoff: PositiveLength | None = parameter(
+        "default cutoff of the scores for tracks of this configuration: an error beyond it counts as a missed object "
+        "and a false track",
+        default=None,
+        advice="the largest position error that still is a find, such as a tenth of the usual depth.",
+    )

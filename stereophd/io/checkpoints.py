@@ -2,7 +2,7 @@
 
 A checkpoint is a NumPy archive without pickles. The arrays of one type lie end to end in one member; the member `MARK`
 is a JSON document that holds everything else, with a reference where an array belongs. Objects are rebuilt from the
-classes that the reader names (dataclasses and named tuples, and those in their fields): nothing that the file says is
+classes that the reader names (dataclasses and named tuples, and those in their fields): no content of the file is
 imported or called.
 """
 

@@ -11,7 +11,8 @@ import numpy as np
 from stereophd.config.model import Config
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene
 from stereophd.core.simulation.drawing import Drawing, draw_objects

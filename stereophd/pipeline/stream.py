@@ -124,7 +124,7 @@ def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> 
 def open_stream(
     config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None, skip: int = 0
 ) -> EventStream:
-    """Open a detection log as a configuration says (section ``input``).
+    """Open a detection log with the settings of a configuration (section ``input``).
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
-from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.compilation import compiled
 

@@ -20,8 +20,8 @@ from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_intensities
 from stereophd.core.multi.estimates import Info
+from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.kinds.phd import PhdSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.undetected import reduction_for_births

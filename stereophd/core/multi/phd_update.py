@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class PhdReduction(NamedTuple):
-    """Settings of the reduction: those of `stereophd.core.multi.kinds.phd.PhdSettings`."""
+    """Settings of the reduction: those of `stereophd.core.multi.filter_settings.phd.PhdSettings`."""
 
     prune_weight: float
     merge_distance: float

@@ -27,8 +27,8 @@ from stereophd.core.multi.attribution import detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.estimates import Info
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
-from stereophd.core.multi.kinds.pmb import PmbSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks

@@ -21,8 +21,8 @@ from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import Task
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.kinds.phd import PhdSettings
-from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.multi.filter_settings.phd import PhdSettings
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.settings import FilterSettings

@@ -26,7 +26,7 @@ FORGET_EVERY = 50
 
 @dataclass(frozen=True)
 class ReportTimes:
-    """When estimates are reported: after every event, or as the one that is set says.
+    """When estimates are reported: after every event, or as its one field that is set requires.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class RunState(Generic[State]):
     attribution: Attribution = field(default_factory=Attribution)
 
     def copy(self) -> RunState[State]:
-        """Return a copy that does not change when the run goes on."""
+        """Return a copy that does not change when the run continues."""
         return replace(self, attribution=Attribution(self.attribution.pending))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from stereophd.config.report import ReportConfig
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
@@ -18,7 +18,7 @@ from stereophd.pipeline.build import build_filter, build_labelled_filter, build_
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
-from stereophd.pipeline.tracking.records import smoothed_records, write_records
+from stereophd.pipeline.tracking.outputs import smoothed_records, write_records
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.rotations import rotations
-from stereophd.core.geometry.trajectory import MountedPath, BodyTrajectory
+from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 
 LENSES = {
     "none": Lens(),

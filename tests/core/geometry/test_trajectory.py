@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
-from stereophd.core.geometry.trajectory import MountedPath, BodyTrajectory
+from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 
 
 def drawn(seed: int = 0, count: int = 6) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -58,10 +59,13 @@ def write_records(
     identities: dict[int, _Identity] = {}
     detections: dict[int, Counter[str]] = {}
     events, log_likelihood = 0, 0.0
+    first_s, last_s = math.nan, math.nan
     # since the last row: what happened between two reports belongs to the second
     new_detections, new_log_likelihood = 0, 0.0
     for record in records:
-        events += record.is_event
+        if record.is_event:
+            events += 1
+            first_s, last_s = (record.time_s if events == 1 else first_s), record.time_s
         log_likelihood += record.info.log_likelihood
         new_detections += record.n_detections
         new_log_likelihood += record.info.log_likelihood
@@ -89,6 +93,7 @@ def write_records(
         _summarise(identities, estimates, record.time_s)
     return {
         "events": events,
+        "duration_s": last_s - first_s,
         "reports": scans.rows,
         "estimates": tracks.rows,
         "log_likelihood": log_likelihood,
