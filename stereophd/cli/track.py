@@ -29,6 +29,10 @@ def track_command(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
     ] = False,
+    associations: Annotated[
+        bool,
+        typer.Option("--associations", help="Write which detection belongs to which track (report.associations)."),
+    ] = False,
     strict: options.Strict = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
@@ -44,8 +48,10 @@ def track_command(
     """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
-    if smooth and loaded.config.report.smooth is None:
-        loaded = load(config, [*(overrides or []), "report.smooth={}"], seed, cameras)
+    wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
+    wanted += ["report.associations=true"] if associations else []
+    if wanted:
+        loaded = load(config, [*(overrides or []), *wanted], seed, cameras)
     if are_many(log):
         from stereophd.commands.track_logs import track_logs
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.kernel_cache import is_kept
 from stereophd.io.atomic import OutputFolder
+from stereophd.io.cameras import write_cameras
 from stereophd.io.json_text import write_json
 from stereophd.io.log_checks import KINDS
 from stereophd.io.provenance import provenance, to_metadata
@@ -22,9 +23,11 @@ from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.run import (
+    ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
     build_tracking,
+    with_detectors,
     with_estimated_detectors,
     write_tracks,
 )
@@ -32,7 +35,8 @@ from stereophd.pipeline.tracking.run import (
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-FILES = (TRACKS_FILE, SCANS_FILE, "report.json")
+CAMERAS_FILE = "cameras.yaml"
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -56,7 +60,9 @@ def track(
     log_path : path
         Detection log.
     out_dir : path
-        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written.
+        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written. Where detectors
+        are estimated, also for ``cameras.yaml``, the cameras with the detectors found; with ``report.associations``,
+        also for ``associations.parquet``.
     force : bool
         Whether the outputs of an earlier run may be replaced.
     threads : int
@@ -90,8 +96,10 @@ def track(
         tracking = with_estimated_detectors(tracking, loaded, stream, threads)
         stream = stream.with_cameras(tracking.cameras)
         metadata = to_metadata(record)
-        limit = loaded.config.report.max_position_std
-        summary = write_tracks(tracking.records(stream), out, metadata, tracking.cameras, limit)
+        if tracking.detectors is not None:
+            described = with_detectors(loaded.cameras, tracking.cameras)
+            write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, record)
+        summary = write_tracks(tracking.records(stream), out, metadata, tracking.cameras, loaded.config.report)
         findings += tuple(check_tracking(summary, stream.counts, tracking.cameras))
         report = {
             "report_version": REPORT_VERSION,

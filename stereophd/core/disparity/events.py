@@ -43,6 +43,8 @@ class Event:
         Detections of the frame that were left out, because the lens model cannot be inverted there.
     own_noise : bool
         Whether the noise is that of each detection, and not that of the detector.
+    pixels : array (m, 2), optional
+        The detections as in the log, distorted.
     """
 
     time_s: float
@@ -54,6 +56,7 @@ class Event:
     frame: int = -1
     not_invertible: int = 0
     own_noise: bool = False
+    pixels: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,7 @@ def make_event(
     delays = camera.row_delays(pixels[order, 1])
     return Event(
         time_s, index, points[order], covariances[order], areas[order], delays, frame, len(pixels) - len(order),
-        sigma is not None,
+        sigma is not None, pixels[order],
     )  # fmt: skip
 
 
