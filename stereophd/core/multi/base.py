@@ -24,8 +24,8 @@ from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
+from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.settings import FilterSettings
-from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.undetected import Undetected, expected_births, view_overlap
 from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.samples import SampleSets

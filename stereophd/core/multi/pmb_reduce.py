@@ -34,7 +34,7 @@ MOST_EXISTENCE = 1.0 - 1e-9
 
 
 class PmbReduction(NamedTuple):
-    """Settings of the reduction: those of `stereophd.core.multi.kinds.pmb.PmbSettings` with the same names."""
+    """Settings of the reduction: the fields of `PmbSettings` with the same names."""
 
     recycle_below: float
     prune_weight: float
