@@ -87,7 +87,7 @@ def test_finished_pieces_survive_a_kill(
     made: list[int] = []
     one = pieces.track_piece
 
-    def counted(work: pieces.PieceWork, piece: pieces.Piece, tick: None = None) -> int:
+    def counted(work: pieces.PieceWork, piece: pieces.LogPiece, tick: None = None) -> int:
         made.append(piece.number)
         return one(work, piece)
 

@@ -49,7 +49,7 @@ CERTAIN = 0.99
 
 
 @dataclass(frozen=True)
-class Piece:
+class LogPiece:
     """A piece of a log.
 
     Attributes
@@ -93,7 +93,7 @@ class PieceWork:
     identity: str
     threads: int
 
-    def chunks(self, piece: Piece) -> RecordChunks:
+    def chunks(self, piece: LogPiece) -> RecordChunks:
         """Return the records of a piece."""
         return RecordChunks(self.folder / f"piece-{piece.number:05d}", self.identity)
 
@@ -106,7 +106,7 @@ class PieceDone:
     not_invertible: int
 
 
-def plan_pieces(first_s: float, last_s: float, length_s: float, overlap_s: float, ahead: bool) -> tuple[Piece, ...]:
+def plan_pieces(first_s: float, last_s: float, length_s: float, overlap_s: float, ahead: bool) -> tuple[LogPiece, ...]:
     """Cut a log into pieces of one length, at most `length_s`.
 
     Parameters
@@ -121,7 +121,7 @@ def plan_pieces(first_s: float, last_s: float, length_s: float, overlap_s: float
     bounds = first_s + (last_s - first_s) / count * np.arange(1, count)
     cuts = [-math.inf, *bounds.tolist(), math.inf]
     more = overlap_s if ahead else 0.0
-    return tuple(Piece(k, cuts[k], cuts[k + 1], cuts[k] - overlap_s, cuts[k + 1] + more) for k in range(count))
+    return tuple(LogPiece(k, cuts[k], cuts[k + 1], cuts[k] - overlap_s, cuts[k + 1] + more) for k in range(count))
 
 
 def span_of(stream: EventStream) -> tuple[float, float]:
@@ -134,7 +134,7 @@ def span_of(stream: EventStream) -> tuple[float, float]:
 
 
 def track_pieces(
-    work: PieceWork, pieces: Sequence[Piece], jobs: int, dask: str | None, progress: Progress | None
+    work: PieceWork, pieces: Sequence[LogPiece], jobs: int, dask: str | None, progress: Progress | None
 ) -> None:
     """Track the pieces that are not finished.
 
@@ -164,7 +164,7 @@ def track_pieces(
             tick()
 
 
-def track_piece(work: PieceWork, piece: Piece, tick: Progress | None = None) -> int:
+def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) -> int:
     """Track one piece, and write its records; return their number."""
     chunks = work.chunks(piece)
     shutil.rmtree(chunks.folder, ignore_errors=True)
@@ -191,7 +191,7 @@ class _PieceStream(EventStream):
     span = (-math.inf, math.inf)
     left_out = 0
 
-    def of(self, piece: Piece) -> _PieceStream:
+    def of(self, piece: LogPiece) -> _PieceStream:
         """Set the span."""
         self.span = piece.from_s, piece.to_s
         return self
@@ -203,7 +203,7 @@ class _PieceStream(EventStream):
             yield event
 
 
-def _done(work: PieceWork, piece: Piece) -> PieceDone | None:
+def _done(work: PieceWork, piece: LogPiece) -> PieceDone | None:
     """Return what the last file of a piece says, None if it is not finished."""
     path = work.chunks(piece).folder / DONE_FILE
     if not path.exists():
@@ -221,7 +221,7 @@ class JoinedPieces:
     Attributes
     ----------
     work : PieceWork
-    pieces : sequence of Piece
+    pieces : sequence of LogPiece
         All finished.
     length_s, overlap_s : float
     one_object : bool
@@ -229,7 +229,7 @@ class JoinedPieces:
     """
 
     work: PieceWork
-    pieces: Sequence[Piece]
+    pieces: Sequence[LogPiece]
     length_s: float
     overlap_s: float
     one_object: bool
@@ -261,17 +261,17 @@ class JoinedPieces:
             "uncertain_joins": self._uncertain,
         }
 
-    def _read_done(self, piece: Piece) -> PieceDone:
+    def _read_done(self, piece: LogPiece) -> PieceDone:
         done = _done(self.work, piece)
         assert done is not None
         return done
 
-    def _chunks(self, piece: Piece) -> RecordChunks:
+    def _chunks(self, piece: LogPiece) -> RecordChunks:
         chunks = self.work.chunks(piece)
         chunks.spans = list(self._read_done(piece).spans)
         return chunks
 
-    def _names(self, earlier: Piece, later: Piece, names: Mapping[int, int]) -> dict[int, int]:
+    def _names(self, earlier: LogPiece, later: LogPiece, names: Mapping[int, int]) -> dict[int, int]:
         """Return track of the later piece -> track of the run, for those that continue one."""
         before = list(self._chunks(earlier).read(later.begin_s, earlier.end_s))
         after = list(self._chunks(later).read(later.begin_s, earlier.end_s))
