@@ -26,6 +26,7 @@ from stereophd.cli import (
     importing,
     info,
     interrupts,
+    report,
     simulate,
     track,
 )
@@ -58,6 +59,7 @@ app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)
+app.command("report")(report.report_command)
 app.add_typer(config.app, name="config")
 
 
