@@ -50,6 +50,12 @@ def share(value: float | None) -> str:
     return "-" if value is None else f"{100.0 * value:.0f} %"
 
 
+def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the figures of a tracking run inside a report; empty if there are none."""
+    found = report.get("tracking", report)
+    return found if isinstance(found.get("tracks"), list) else {}
+
+
 def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
     """Return the tables of a report of `track` or `calibrate`: calibration, cameras, tracks, findings.
 
@@ -61,12 +67,12 @@ def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN
         Only the longest tracks are listed; None: all of them.
     """
     unit = report.get("length_unit") or "length"
-    tracking = report.get("tracking", report)
+    tracking = tracking_part(report)
     tables = []
     if "parameters" in report:
         tables += [_poses(report, unit), _parameters(report)]
     described = report["provenance"]["config"].get("cameras") or {}
-    if "tracks" in tracking:
+    if tracking:
         clocks = _clocks(report, described)
         tables += [_cameras(tracking.get("cameras") or {}, described, clocks, report.get("detectors"))]
         tables += [_tracks(tracking["tracks"], unit, most_tracks)]
@@ -216,8 +222,8 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         worst = [camera["rotation_std_deg"] for camera in (report.get("cameras") or {}).values()]
         if worst:
             yield f"rotations to {number(max(worst), 2)} deg or better"
-    tracking = report.get("tracking", report)
-    if "tracks" in tracking:
+    tracking = tracking_part(report)
+    if tracking:
         tracks = tracking["tracks"]
         span = max((t["last_s"] for t in tracks), default=0.0) - min((t["first_s"] for t in tracks), default=0.0)
         count = len(tracks)

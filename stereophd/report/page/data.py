@@ -28,6 +28,9 @@ PARTICLES = 600
 HISTORY = 300
 POSES = 60
 
+# Distances below this share of the cutoff are rounding errors.
+LEAST_DISTANCE = 1e-6
+
 # Depth of a drawn view as a share of the size of the scene.
 FRUSTUM = 0.12
 
@@ -154,13 +157,14 @@ def _evaluation(evaluation: Evaluation, start: float) -> dict[str, Any]:
     missed = (scores["n_truth"] - scores["n_matched"]).astype(float)
     false = (scores["n_estimates"] - scores["n_matched"]).astype(float)
     penalty = 0.5 * cutoff**order
-    localisation = np.maximum(scores["gospa"] ** order - penalty * (missed + false), 0.0)
+    localisation = np.maximum(scores["gospa"] ** order - penalty * (missed + false), 0.0) ** (1.0 / order)
     columns = {
         "ospa": scores["ospa"],
         "ospa_localisation": scores["ospa_localisation"],
         "ospa_cardinality": scores["ospa_cardinality"],
         "gospa": scores["gospa"],
-        "gospa_localisation": localisation ** (1.0 / order),
+        # nothing but rounding, where no object and no estimate match
+        "gospa_localisation": np.where(localisation > LEAST_DISTANCE * cutoff, localisation, 0.0),
         "gospa_missed": (penalty * missed) ** (1.0 / order),
         "gospa_false": (penalty * false) ** (1.0 / order),
         "n_truth": scores["n_truth"].astype(float),

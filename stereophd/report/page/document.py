@@ -14,7 +14,7 @@ from stereophd.errors import InputError
 from stereophd.io.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
-from stereophd.report.summaries import SummaryTable, number, run_tables, share, verdict
+from stereophd.report.summaries import SummaryTable, number, run_tables, share, tracking_part, verdict
 
 # Tracks that the page lists; a page of thousands of rows is slow, and nobody reads it.
 TRACKS_LISTED = 200
@@ -62,7 +62,7 @@ def _resource(name: str) -> str:
 def _doubtful(run: Run) -> bool:
     warns = any(found["status"] == "warning" for found in run.report.get("checks", ()))
     undetermined = run.report.get("status") not in (None, "determined")
-    empty = run.command == "track" and not run.report.get("tracks")
+    empty = run.command == "track" and not tracking_part(run.report).get("tracks")
     return warns or undetermined or empty
 
 
@@ -92,10 +92,10 @@ _FIGURES = (
 
 
 def _figures(run: Run) -> Iterator[str | None]:
-    tracking = run.report.get("tracking", run.report)
+    tracking = tracking_part(run.report)
     config, unit = run.provenance["config"], run.length_unit
     score = None if run.evaluation is None else run.evaluation.report
-    cameras = (tracking.get("cameras") or {}).values() if "tracks" in tracking else ()
+    cameras = (tracking.get("cameras") or {}).values()
     detections = sum(camera["detections"] for camera in cameras)
     residuals = sum(camera["residuals"] for camera in cameras)
     squares = sum(camera["residuals"] * (camera["residual_rms_px"] or 0.0) ** 2 for camera in cameras)

@@ -150,9 +150,12 @@
       return { up: { x: heading[0], y: heading[1], z: heading[2] }, eye: { x: 2.0 * up[0], y: 2.0 * up[1], z: 2.0 * up[2] }, projection: { type: "orthographic" } };
     }
     const turned = kind === "side" ? [-along[1], along[0]] : [-0.8 * along[0] - 0.55 * along[1], -0.8 * along[1] + 0.55 * along[0]];
-    eye[a] = 2.0 * turned[0]; eye[b] = 2.0 * turned[1];
-    for (let k = 0; k < 3; k++) eye[k] += (kind === "side" ? 0 : 0.95) * up[k];
-    return { up: upright, eye: { x: eye[0], y: eye[1], z: eye[2] }, projection: { type: kind === "side" ? "orthographic" : "perspective" } };
+    eye[a] = 1.8 * turned[0]; eye[b] = 1.8 * turned[1];
+    for (let k = 0; k < 3; k++) eye[k] += (kind === "side" ? 0 : 0.85) * up[k];
+    // what is near looks larger: the middle of the picture is nearer than the middle of the scene
+    const center = [0, 0, 0];
+    if (kind === "free") { center[a] = -0.12 * along[0]; center[b] = -0.12 * along[1]; for (let k = 0; k < 3; k++) center[k] -= 0.22 * up[k]; }
+    return { up: upright, center: { x: center[0], y: center[1], z: center[2] }, eye: { x: eye[0], y: eye[1], z: eye[2] }, projection: { type: kind === "side" ? "orthographic" : "perspective" } };
   };
   const shownScenes = () => [["scene0", run()], ["scene1", RUNS[state.beside]]].filter(([id, r]) => r && by(id).data);
   const moveScene = (id, r) => {
@@ -274,6 +277,7 @@
   };
 
   // ---- numbers of objects, scores
+  // On a logarithmic scale a zero is a gap.
   const line = (r, t, y, name, c, more) => ({ type: "scatter", mode: "lines", x: since(r, t), y: Array.from(y), name, line: { width: 2, color: c, ...more } });
   const drawScores = () => {
     const r = run(), traces = [];
@@ -289,7 +293,7 @@
     if (!e) { clear("ospa"); clear("gospa"); return; }
     const t = numbers(e.t);
     const spiky = (y) => { const s = Array.from(y).filter((q) => q > 0).sort((p, q) => p - q); return s.length > 4 && s[s.length - 1] > 10 * s[s.length >> 1]; };
-    const scale = (name) => (spiky(numbers(e[name])) ? { type: "log" } : { rangemode: "tozero" });
+    const scale = (name) => (spiky(numbers(e[name])) ? { type: "log", exponentformat: "power" } : { rangemode: "tozero" });
     draw("ospa", [line(r, t, numbers(e.ospa), "OSPA", css("--ink")), line(r, t, numbers(e.ospa_localisation), "localisation", COLOURS[0]), line(r, t, numbers(e.ospa_cardinality), "cardinality", COLOURS[5])],
       layout(`OSPA (order ${e.order}, cutoff ${e.cutoff})`, "time [s]", `OSPA${unit}`, { yaxis: axis(`OSPA${unit}`, scale("ospa")), shapes: cursor() }));
     draw("gospa", [line(r, t, numbers(e.gospa), "GOSPA", css("--ink")), line(r, t, numbers(e.gospa_localisation), "localisation", COLOURS[0]), line(r, t, numbers(e.gospa_missed), "missed objects", COLOURS[5]), line(r, t, numbers(e.gospa_false), "false tracks", COLOURS[3], { dash: "dot" })],
@@ -309,7 +313,7 @@
     ], layout("Parameters, in standard deviations of their priors", "offset from the prior mean [prior std]", "", { margin: { l: 150, r: 16, t: 40, b: 44 }, yaxis: axis("", { autorange: "reversed" }) }));
     draw("directions", [{ type: "bar", orientation: "h", x: c.directions.map((d) => d.ratio), y: c.directions.map((_, k) => k + 1), text: c.directions.map((d) => d.text), textposition: "auto", hoverinfo: "x+text",
       marker: { color: c.directions.map((d) => (d.ratio <= 0.5 ? css("--accent") : css("--doubt"))) } }],
-      layout("Observability: posterior over prior std, direction by direction", "posterior std / prior std", "direction", { xaxis: axis("posterior std / prior std", { type: "log" }), yaxis: axis("direction", { autorange: "reversed", dtick: 1 }) }));
+      layout("Observability: what the data determine", "posterior std / prior std", "direction", { xaxis: axis("posterior std / prior std", { type: "log" }), yaxis: axis("direction", { autorange: "reversed", dtick: 1 }) }));
     const k = +by("parameter").value || 0, j = +by("against").value || 0, label = (n) => `${p[n].name} [${p[n].unit}]`;
     if (c.history) {
       const t = since(r, numbers(c.history.t)), m = Array.from(numbers(c.history.mean[k])), s = Array.from(numbers(c.history.std[k]));
