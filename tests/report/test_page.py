@@ -193,7 +193,8 @@ def test_page_works_in_a_browser(folders: Path, tmp_path: Path) -> None:
     (tmp_path / "watched.html").write_text(watched, encoding="utf-8")
     command = [
         str(BROWSER), "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=6000", "--window-size=640,480",
+        "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=6000",
+        "--window-size=640,480",
         "--dump-dom", (tmp_path / "watched.html").as_uri(),
     ]  # fmt: skip
     out = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False).stdout
