@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.model import Config
+from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry import Geometry
@@ -219,6 +220,8 @@ def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
         )  # fmt: skip
     acceleration = getattr(motion, "acceleration_std", None)
+    if acceleration == ESTIMATE:
+        return
     stated_acceleration = 0.0 if acceleration is None else float(np.max(acceleration))
     found = scene.acceleration
     # gravity and the like the model explains itself
