@@ -30,7 +30,13 @@ from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.run import SCANS_FILE, TRACKS_FILE, reported_records, write_tracks
+from stereophd.pipeline.tracking.run import (
+    ASSOCIATIONS_FILE,
+    SCANS_FILE,
+    TRACKS_FILE,
+    reported_records,
+    write_tracks,
+)
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
@@ -40,7 +46,7 @@ if TYPE_CHECKING:
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
-FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, "report.json", *PLOTS)
+FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, "report.json", *PLOTS)
 # What is required -> the statuses of a report that meet it.
 ACCEPTED = {
     None: (DETERMINED, PARTLY, UNDETERMINED),
@@ -80,7 +86,7 @@ def calibrate(
         Detection log.
     out_dir : path
         Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
-        cameras ``cameras.yaml``, and the ``tracks.parquet`` and ``scans.parquet`` made with them.
+        cameras ``cameras.yaml``, and the tables of ``track`` made with them.
     force : bool
         Whether the outputs of an earlier run may be replaced.
     jobs : int
@@ -195,4 +201,4 @@ def _track(
     multi_filter = pmb_filter(loaded, cameras)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
-    return write_tracks(records, out, metadata, cameras, report.max_position_std)
+    return write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))

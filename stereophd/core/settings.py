@@ -107,7 +107,7 @@ def parameter(
         ``length``, ``length/s``, ``px``, ``s``, ``deg``, ...; empty for plain numbers and words. ``length`` is the
         unit that the configuration names.
     discriminator : str
-        Of a union of settings: the field that tells its members apart.
+        Of a union of settings: the field that distinguishes its members.
     advice : str
         How to choose the value: printed on the reference page only.
     """

@@ -47,7 +47,7 @@ VIEW_MARGIN = 3.0
 def down_axis(cameras: Sequence[Camera]) -> tuple[int, bool]:
     """Return the world axis nearest to vertical, and whether it points down.
 
-    Cameras are held upright as a rule, so the mean of their downward axes tells. Without cameras it is the
+    Cameras are held upright as a rule, so the mean of their downward axes gives it. Without cameras it is the
     convention of the world: y down.
     """
     if not cameras:

@@ -71,7 +71,7 @@ def test_without_words_the_help_is_shown(call: Call, command: list[str]) -> None
         (["track", "a", "b"], "Missing option '--out'"),
         (["track", "a", "b", "--out", "c", "--treads", "2"], "--treads"),
         (["track", "a", "b", "--out", "c", "--threads", "0"], "--threads"),
-        (["track", "a", "b", "c", "--out", "d"], "unexpected extra argument"),
+        (["simulate", "a", "b", "--out", "d"], "unexpected extra argument"),
         (["simulate", "a", "--out", "b", "--runs", "0"], "--runs"),
         (["simulate", "a", "--out", "b", "--seed", "x"], "--seed"),
         (["evaluate", "a", "b", "--base", "manhattan"], "--base"),

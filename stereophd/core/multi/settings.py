@@ -68,7 +68,7 @@ class BirthPrior:
     disparity: DisparityPrior | None = parameter(
         "prior of the disparity, px at the baseline",
         default=None,
-        advice="for the paper's scenes; depth_range says the same in plain lengths.",
+        advice="for the paper's scenes; depth_range states the same in plain lengths.",
     )
     depth_range: DepthRange | None = parameter(
         "near and far depth: two standard deviations either side in disparity",
