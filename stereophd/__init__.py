@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from stereophd.commands.evaluate import evaluate
     from stereophd.commands.evaluate_cameras import evaluate_calibration
     from stereophd.commands.experiment import experiment
+    from stereophd.commands.init import init
     from stereophd.commands.simulate import simulate
     from stereophd.commands.track import track
     from stereophd.commands.track_logs import track_logs
@@ -49,6 +50,7 @@ _HOMES = {
     "StereophdError": "errors",
     "calibrate": "commands.calibrate",
     "check": "commands.check",
+    "init": "commands.init",
     "evaluate": "commands.evaluate",
     "evaluate_calibration": "commands.evaluate_cameras",
     "experiment": "commands.experiment",
@@ -84,6 +86,7 @@ __all__ = [
     "evaluate",
     "evaluate_calibration",
     "experiment",
+    "init",
     "load_config",
     "make_config",
     "make_event",

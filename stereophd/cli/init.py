@@ -32,7 +32,8 @@ class Unit(StrEnum):
 def init_command(
     context: typer.Context,
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of the new config.yaml; created if missing.", show_default=False)
+        Path,
+        typer.Argument(metavar="DIR", help="Folder of the new config.yaml; created if missing.", show_default=False),
     ],
     log: Annotated[
         Path | None,
@@ -54,7 +55,9 @@ def init_command(
     kind: Annotated[
         Kind | None,
         typer.Option(
-            "--kind", help="What the objects are, for values that the log does not give; default lab.", show_default=False
+            "--kind",
+            help="What the objects are, for values that the log does not give; default lab.",
+            show_default=False,
         ),
     ] = None,
     strict: options.Strict = False,

@@ -66,7 +66,7 @@ def init(
     draft = _begin(cameras_file, log_path, length_unit, kind or "lab")
     if log_path is not None and draft.cameras:
         draft = draft_from_log(draft, log_path)
-    sources = [str(path) for path in (log_path, cameras_file) if path is not None]
+    sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
     _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE))
     findings: list[dict[str, Any]] = []
@@ -98,7 +98,9 @@ def _check_target(target: Path, force: bool) -> None:
     except OSError as error:
         raise InputError(f"{target}: cannot be read: {error.strerror or error}") from error
     if not ours:
-        raise InputError(f"{target}: expected no configuration, or one of `init`, found another one; choose a new folder")
+        raise InputError(
+            f"{target}: expected no configuration, or one of `init`, found another one; choose a new folder"
+        )
     if not force:
         raise InputError(f"{target}: expected no configuration, found one; use `force=True` to replace it")
 

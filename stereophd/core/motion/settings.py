@@ -27,8 +27,8 @@ def acceleration_parameter() -> Any:
         "(track)",
         default=None,
         unit="length/s^2",
-        advice="estimate, or by how much the velocity of an object changes within a second: configs/drone.yaml has 2.5 m/s^2. "
-        "Too small: tracks break where objects turn. Too large: depth and velocity settle late.",
+        advice="estimate, or by how much the velocity of an object changes within a second: configs/drone.yaml has "
+        "2.5 m/s^2. Too small: tracks break where objects turn. Too large: depth and velocity settle late.",
     )
 
 

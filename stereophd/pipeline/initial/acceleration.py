@@ -143,7 +143,7 @@ def estimate_acceleration(
             break
         value = following
     if value > usual:  # the windows bound it from below
-        value = rounded(value * FACTOR**0.5)
+        value = rounded(value * FACTOR)
     best = found[usual].sum()
     tried = {a: round(float(one.sum() - best), 2) for a, one in found.items()}
     return AccelerationEstimate(value, usual, tried, sum(map(len, parts)))

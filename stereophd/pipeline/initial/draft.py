@@ -22,7 +22,7 @@ from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.geometry import measure
 from stereophd.pipeline.checks.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.settings import LEAST_SCORE, expected_depths, measure_scene
+from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.initial.acceleration import (
     LEAST_EVENTS,
@@ -36,6 +36,8 @@ from stereophd.pipeline.stream import EventStream, open_stream
 
 # Frames of each camera that the first look takes.
 SAMPLE_FRAMES = 1500
+# Score of a pair of cameras whose rays meet: lower than in a check, because the filter has the last word.
+MEETING_SCORE = 2.5
 # Relative standard errors up to which an estimated detector is written down: of sigma, and of p_detect itself.
 SIGMA_ERROR, P_DETECT_ERROR = 0.15, 0.05
 # Least clutter to begin with: no detector is free of it, and births need some to compete with.
@@ -44,7 +46,7 @@ LEAST_CLUTTER = 0.02
 NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
 REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
-UNCERTAIN, CUTOFF = 0.15, 0.1
+UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
 
 
@@ -130,11 +132,11 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
     cameras = bare.build_cameras()
     samples = [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
     geometry = measure(samples, expected_depths(bare.config, samples))
-    scene = measure_scene(geometry)
+    scene = measure_scene(geometry, MEETING_SCORE)
     if scene.depths is None or scene.depths[0] <= 0.0:
         return None
     near, middle, far = scene.depths.tolist()
-    pairs = sum(given.score >= LEAST_SCORE for given in geometry.given)
+    pairs = sum(given.score >= MEETING_SCORE for given in geometry.given)
     why = f"from the depths at which rays of {pairs} pair{'s' * (pairs != 1)} of cameras meet"
     choices = {
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
@@ -208,9 +210,7 @@ def _with_detectors(draft: Draft, loaded: LoadedConfig, stream: EventStream) -> 
     return draft, stream.with_cameras(loaded_draft(draft, str(path)).build_cameras())
 
 
-def _final(
-    figures: SceneFigures, usual: Draft, unit: str, parts: list[list[Event]]
-) -> dict[str, Choice]:
+def _final(figures: SceneFigures, usual: Draft, unit: str, parts: list[list[Event]]) -> dict[str, Choice]:
     """Return the settings that the tracks of the filter give."""
     near, far = figures.depths.tolist()
     middle = float(np.sqrt(near * far))
@@ -232,7 +232,7 @@ def _final(
         "filter.birth.depth_range": Choice([rounded(NEARER * near), rounded(FARTHER * far)], seen),
         "filter.birth.velocity_std": Choice(rounded(max(SPREAD * figures.speed_std, 1e-3 * middle)), speed),
         "report.max_position_std": Choice(
-            rounded(UNCERTAIN * middle), "15 % of the middle depth: new tracks appear once two cameras locate them"
+            rounded(UNCERTAIN * middle), "a tenth of the middle depth: new tracks appear once two cameras locate them"
         ),
         "evaluation.cutoff": Choice(
             rounded(CUTOFF * middle, 1), "a tenth of the middle depth: the largest error that still counts as a find"

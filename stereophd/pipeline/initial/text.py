@@ -33,7 +33,11 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     """
     lines = [f"{MARK} {version}, {source}."]
     lines += _comment(
-        ["Each comment names the source of the value below it. docs/configuration.md describes every key.", *draft.head], 0
+        [
+            "Each comment names the source of the value below it. docs/configuration.md describes every key.",
+            *draft.head,
+        ],
+        0,
     )
     lines += [f"units: {{length: {draft.unit}}}", "seed: 0", ""]
     lines += _cameras(draft, cameras_file)
