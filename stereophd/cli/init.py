@@ -12,7 +12,7 @@ from stereophd.cli import options
 from stereophd.cli.terminal import begin, print_data, print_report
 
 
-class Kind(StrEnum):
+class ObjectKind(StrEnum):
     """What the objects are."""
 
     ANIMALS = "animals"
@@ -20,7 +20,7 @@ class Kind(StrEnum):
     LAB = "lab"
 
 
-class Unit(StrEnum):
+class LengthUnit(StrEnum):
     """Units of length."""
 
     MM = "mm"
@@ -49,11 +49,11 @@ def init_command(
         ),
     ] = None,
     length_unit: Annotated[
-        Unit | None,
+        LengthUnit | None,
         typer.Option("--length-unit", help="Unit of length; default: that of the cameras, else m.", show_default=False),
     ] = None,
     kind: Annotated[
-        Kind | None,
+        ObjectKind | None,
         typer.Option(
             "--kind",
             help="What the objects are, for values that the log does not give; default lab.",

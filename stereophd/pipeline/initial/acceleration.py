@@ -25,6 +25,7 @@ from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.initial.template import rounded
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import run_estimator
 
@@ -73,11 +74,6 @@ class AccelerationEstimate:
         """Return the entry of ``report.json``."""
         tried = [{"acceleration_std": a, "log_likelihood": one} for a, one in sorted(self.tried.items())]
         return {"acceleration_std": self.value, "most_likely": self.usual, "events": self.events, "tried": tried}
-
-
-def rounded(value: float, digits: int = 2) -> float:
-    """Return a value with so many significant digits."""
-    return float(f"{value:.{digits}g}")
 
 
 def stretches(stream: EventStream) -> list[list[Event]]:
