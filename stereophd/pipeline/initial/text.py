@@ -17,6 +17,12 @@ WIDTH = 110
 # Sections in the order of the file.
 SECTIONS = ("motion", "region", "filter", "report", "evaluation")
 
+SMOOTHING = (
+    "  # the whole log improves every position, and tracks begin at their first detection; it is then held in memory.",
+    "  # null: no smoothing; {max_gap_s: 1.0}: over the whole log, across gaps of up to 1 s",
+    "  smooth: null",
+)
+
 
 def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> str:
     """Return the text of a draft.
@@ -42,15 +48,12 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     lines += [f"units: {{length: {draft.unit}}}", "seed: 0", ""]
     lines += _cameras(draft, cameras_file)
     values = draft.values()
+    values.setdefault("report", {})
     for section in SECTIONS:
         if section in values:
-            lines += [f"{section}:", *_entries(draft, values[section], section, 1), ""]
-    lines += [
-        "# Smoothing over the whole log: more accurate positions, and tracks that begin at their first detection.",
-        "# It needs the log in memory. Uncomment it, or run track with --smooth:",
-        "# report: {smooth: {max_gap_s: 1.0}}",
-    ]
-    return "\n".join(lines) + "\n"
+            lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
+            lines += [*(SMOOTHING if section == "report" else ()), ""]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def _entries(draft: Draft, values: dict[str, Any], path: str, level: int) -> Iterator[str]:
