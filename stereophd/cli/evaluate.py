@@ -33,6 +33,7 @@ def evaluate_command(
     seen_by: of.SeenBy = None,
     within: of.Within = None,
     ospa2_window: of.Ospa2Window = 10,
+    tentative: of.Tentative = False,
     cameras: of.Cameras = None,
     true_cameras: of.TrueCameras = None,
     config: of.Config = None,
@@ -68,6 +69,7 @@ def evaluate_command(
     score = partial(
         evaluate, tracks, truth, out, order=order, cutoff=cutoff, base=base.value, from_s=from_s, to_s=to_s,
         max_gap_s=max_gap, at=at.value, log_path=log, seen_by=seen_by, within_s=within, ospa2_window=ospa2_window,
+        tentative=tentative,
         cameras_path=cameras, force=force, plots=plots, fail_above=above, fail_below=below,
     )  # fmt: skip
     _run(score, partial(_show_scores, session))

@@ -103,6 +103,11 @@ class Hysteresis:
     release: WeightThreshold = parameter(
         "a reported object stays reported until its weight or existence falls below this", default=0.001
     )
+    tentative: WeightThreshold = parameter(
+        "an object that is not confirmed is reported as tentative from this weight or existence on, if two cameras have "
+        "detected it or the log has just begun; none is from `confirm` on",
+        default=0.7,
+    )
 
     def __post_init__(self) -> None:
         if self.release > self.confirm:
@@ -126,6 +131,13 @@ class ExistenceHysteresis(Hysteresis):
 
 
 @settings
+    tentative: PositiveFraction = parameter(
+        "a track that is not confirmed is reported as tentative from this existence on, if two cameras have detected it "
+        "or the log has just begun; none is from `confirm` on",
+        default=0.7,
+    )
+
+
 class FilterSettings:
     """What the settings of every kind of filter hold, and how they become the filter."""
 
