@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.batch import are_many, finish_batch
+from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_report, progress_bar
 
 
@@ -52,17 +52,23 @@ def track_command(
     wanted += ["report.associations=true"] if associations else []
     if wanted:
         loaded = load(config, [*(overrides or []), *wanted], seed, cameras)
-    if are_many(log):
-        from stereophd.commands.track_logs import track_logs
-
+    many = are_many(log)
+    try:
         with progress_bar(session, "track") as progress:
-            found = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask)
-        finish_batch(session, found, strict)
-        return
-    from stereophd.commands.track import track
-    from stereophd.pipeline.batch.names import expand
+            if many:
+                from stereophd.commands.track_logs import track_logs
 
-    with progress_bar(session, "track") as progress:
-        report = track(loaded, expand(log)[0], out, force=force, threads=threads, progress=progress, resume=resume)
-    print_report(session, report)
-    exit_if_strict(strict, report)
+                report = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask)
+            else:
+                from stereophd.commands.track import track
+                from stereophd.pipeline.batch.names import expand
+
+                report = track(loaded, expand(log)[0], out, force, threads, progress, resume)
+    except (KeyboardInterrupt, SystemExit):
+        say_what_is_kept(out)
+        raise
+    if many:
+        finish_batch(session, report, strict)
+    else:
+        print_report(session, report)
+        exit_if_strict(strict, report)

@@ -14,6 +14,7 @@ from stereophd.io.tables import FLOAT, INTEGER
 from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.batch.run import Batch, Item, run_batch
 from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -76,7 +77,9 @@ def track_logs(
         for name, path in zip(folder_names(paths), paths, strict=True)
     ]
     metadata = to_metadata(provenance("track", loaded.record))
-    batch = Batch(items, partial(_track, loaded, force, resume, threads), FILES, COLUMNS, metadata)
+    batch = Batch(
+        items, partial(_track, loaded, force, resume, threads), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
+    )
     return run_batch(batch, out_dir, jobs, dask, force, resume, progress)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,9 @@ from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
+
+# Packed spaces of moving cameras that are kept.
+MOST_KEPT = 4096
 
 
 @dataclass(frozen=True)
@@ -83,13 +86,21 @@ class Rig:
     packed: Array
     moving: bool
     region: Array | None = None
+    _kept: dict[tuple[int, float], Array] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     def space(self, camera: int, time_s: float) -> Array:
         """Packed space (30,) of a camera at a time."""
-        if not self.moving:
+        if not self.moving or self.cameras[camera].pose.is_static:
             return np.asarray(self.packed[camera])
-        frozen = self.cameras[camera].at(time_s)
-        return DisparitySpace(frozen, self.baseline, self.rectification).packed()
+        # components stay at home at the time of an earlier event: the same spaces are asked for again and again
+        kept = self._kept.get((camera, time_s))
+        if kept is None:
+            if len(self._kept) >= MOST_KEPT:
+                self._kept.clear()
+            frozen = self.cameras[camera].at(time_s)
+            kept = DisparitySpace(frozen, self.baseline, self.rectification).packed()
+            self._kept[camera, time_s] = kept
+        return kept
 
     def spaces(self, cameras: NDArray[np.int64], times: Array) -> Array:
         """Packed spaces (n, 30) of components, each at home in a camera at a time."""

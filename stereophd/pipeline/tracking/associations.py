@@ -80,6 +80,16 @@ class Associations:
         """Return a copy that does not change when the run goes on."""
         return Associations(self._known, self._pending)
 
+    @property
+    def known(self) -> Mapping[int, int]:
+        """Label -> track of the labels that have been reported."""
+        return self._known
+
+    @property
+    def pending(self) -> Mapping[int, list[tuple[Associated, int]]]:
+        """Label -> its rows in the claims of events, of the labels that are not reported yet."""
+        return self._pending
+
     def update(self, event: Event, camera: str, claims: Claims | None) -> tuple[Associated, ...]:
         """Take in the claims of an event; return those of the labels that have been reported before it."""
         if claims is None or event.pixels is None:

@@ -20,8 +20,9 @@ from stereophd.io.tables import ASSOCIATIONS, SCANS, STD, TRACKS, TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.tracking.journal import RecordJournal, journaled_records
 from stereophd.pipeline.tracking.lifetimes import lasting
-from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
+from stereophd.pipeline.tracking.loop import Estimator, Record, run_estimator
 from stereophd.pipeline.tracking.outputs import Tables, smoothed_records, write_records
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 
@@ -55,11 +56,11 @@ class Tracking:
     report: ReportConfig
     detectors: dict[str, Any] | None = None
 
-    def records(self, stream: EventStream, run: RunState[Any] | None = None) -> Iterator[Record]:
-        """Yield the records of a log, smoothed if the configuration asks for it; start from `run`, if it is given."""
+    def records(self, stream: EventStream, journal: RecordJournal | None = None) -> Iterator[Record]:
+        """Yield the records of a log, smoothed if the configuration asks for it; go on from a journal, if given."""
         if isinstance(self.estimator, SingleTracker):
-            return reported_records(self.estimator, self.motion, at_most_one(stream), self.report, run=run)
-        return reported_records(self.estimator, self.motion, stream, self.report, keep_events=True, run=run)
+            return reported_records(self.estimator, self.motion, at_most_one(stream), self.report, journal=journal)
+        return reported_records(self.estimator, self.motion, stream, self.report, keep_events=True, journal=journal)
 
 
 def reported_records(
@@ -68,14 +69,19 @@ def reported_records(
     events: Iterable[Event],
     report: ReportConfig,
     keep_events: bool = False,
-    run: RunState[Any] | None = None,
+    journal: RecordJournal | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` asks for it.
 
-    With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs.
+    With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs. With a
+    `journal` the run goes on from there, and what it gives is kept there.
     """
     smooth = report.smooth
-    records = run_estimator(estimator, events, report_times(report), keep_events and smooth is not None, run)
+    times, keep_events = report_times(report), keep_events and smooth is not None
+    if journal is None:
+        records = run_estimator(estimator, events, times, keep_events)
+    else:
+        records = journaled_records(estimator, events, times, keep_events, journal)
     if smooth is not None:
         records = smoothed_records(records, estimator.rig.cameras, motion, smooth.max_gap_s)
     return lasting(records, report.min_track_length) if report.min_track_length > 0.0 else records
