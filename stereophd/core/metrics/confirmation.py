@@ -13,7 +13,7 @@ from stereophd.core.metrics.scans import PointSets, ScanScores
 
 @dataclass(frozen=True)
 class FirstReports:
-    """When each track was first reported, confirmed or tentative: identities in rising order, and times, (t,) arrays."""
+    """When each track was first reported, confirmed or tentative: rising identities and times, arrays (t,)."""
 
     track_id: IntArray
     time_s: FloatArray

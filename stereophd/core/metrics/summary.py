@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray
+from stereophd.core.metrics.confirmation import Waits
 from stereophd.core.metrics.consistency import UNLABELLED, identity_switches, independent_count, nees_interval, whitened
 from stereophd.core.metrics.hota import hota
 from stereophd.core.metrics.identities import has_identities, identity_figures
 from stereophd.core.metrics.idf1 import identity_score
-from stereophd.core.metrics.confirmation import Waits
 from stereophd.core.metrics.near_pairs import NearPairs
 from stereophd.core.metrics.ospa import Ospa
 from stereophd.core.metrics.ospa2 import ospa2_of_windows

@@ -45,6 +45,13 @@ class Estimates:
         tentative = None if self.tentative is None else self.tentative.certain(max_position_std)
         return replace(self.take(variance <= max_position_std**2), tentative=tentative)
 
+    def with_tentative(self) -> Estimates:
+        """Return confirmed and tentative estimates as one."""
+        if self.tentative is None:
+            return self
+        names = ("track_ids", "states", "covariances", "existence", "labels")
+        return Estimates(*(np.concatenate([getattr(self, name), getattr(self.tentative, name)]) for name in names))
+
     def take(self, kept: NDArray[np.bool_]) -> Estimates:
         """Return some of the estimates, by a mask (k,), without the tentative ones."""
         return Estimates(

@@ -104,8 +104,8 @@ class Hysteresis:
         "a reported object stays reported until its weight or existence falls below this", default=0.001
     )
     tentative: WeightThreshold = parameter(
-        "an object that is not confirmed is reported as tentative from this weight or existence on, if two cameras have "
-        "detected it or the log has just begun; none is from `confirm` on",
+        "an object that is not confirmed is reported as tentative from this weight or existence on, if two cameras "
+        "have detected it or the log has just begun; none is from `confirm` on",
         default=0.7,
     )
 
@@ -128,16 +128,14 @@ class ExistenceHysteresis(Hysteresis):
         default=0.01,
         advice="lower: a track survives longer without detections.",
     )
-
-
-@settings
     tentative: PositiveFraction = parameter(
-        "a track that is not confirmed is reported as tentative from this existence on, if two cameras have detected it "
-        "or the log has just begun; none is from `confirm` on",
+        "a track that is not confirmed is reported as tentative from this existence on, if two cameras have detected "
+        "it or the log has just begun; none is from `confirm` on",
         default=0.7,
     )
 
 
+@settings
 class FilterSettings:
     """What the settings of every kind of filter hold, and how they become the filter."""
 

@@ -264,9 +264,7 @@ def _confirmed(table: pa.Table, path: Path) -> NDArray[np.bool_]:
     unknown = np.flatnonzero(~confirmed & ~np.asarray(pc.equal(status, TENTATIVE), dtype=bool))
     if unknown.size:
         found = status[int(unknown[0])].as_py()
-        raise InputError(
-            f"{path}: row {unknown[0]}: column status: expected {CONFIRMED} or {TENTATIVE}, found {found}"
-        )
+        raise InputError(f"{path}: row {unknown[0]}: column status: expected {CONFIRMED} or {TENTATIVE}, found {found}")
     return confirmed
 
 
