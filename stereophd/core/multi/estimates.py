@@ -49,8 +49,14 @@ class Estimates:
         """Return confirmed and tentative estimates as one."""
         if self.tentative is None:
             return self
-        names = ("track_ids", "states", "covariances", "existence", "labels")
-        return Estimates(*(np.concatenate([getattr(self, name), getattr(self.tentative, name)]) for name in names))
+        one, other = self, self.tentative
+        return Estimates(
+            np.concatenate([one.track_ids, other.track_ids]),
+            np.concatenate([one.states, other.states]),
+            np.concatenate([one.covariances, other.covariances]),
+            np.concatenate([one.existence, other.existence]),
+            np.concatenate([one.labels, other.labels]),
+        )
 
     def take(self, kept: NDArray[np.bool_]) -> Estimates:
         """Return some of the estimates, by a mask (k,), without the tentative ones."""
