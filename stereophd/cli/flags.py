@@ -24,6 +24,7 @@ FLAGS = {
     "from_s": "--from",
     "image_sizes": "--image-size",
     "jobs": "--jobs",
+    "kind": "--kind",
     "least_score": "--least-score",
     "length_unit": "--length-unit",
     "log_path": "--log",
