@@ -23,7 +23,7 @@ from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator

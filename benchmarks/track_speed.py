@@ -42,7 +42,7 @@ from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.disparity.trips import moving_trips, view_mask
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.pipeline.build import build_filter

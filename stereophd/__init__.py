@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from stereophd.commands.experiment import experiment
     from stereophd.commands.simulate import simulate
     from stereophd.commands.track import track
+    from stereophd.commands.track_logs import track_logs
     from stereophd.config.loading import LoadedConfig, load_config, make_config
     from stereophd.core.disparity.events import make_event
     from stereophd.core.geometry.camera import Camera, Clock, Detector
@@ -60,6 +61,7 @@ _HOMES = {
     "run_filter": "pipeline.arrays",
     "simulate": "commands.simulate",
     "track": "commands.track",
+    "track_logs": "commands.track_logs",
     "write_cameras": "pipeline.files",
     "write_log": "pipeline.files",
 }
@@ -91,6 +93,7 @@ __all__ = [
     "run_filter",
     "simulate",
     "track",
+    "track_logs",
     "write_cameras",
     "write_log",
 ]

@@ -9,6 +9,9 @@ the command line: `stereophd.cli.flags` translates.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 
 class StereophdError(Exception):
     """Base of the errors raised on purpose; `exit_code` is what the command line exits with."""
@@ -27,6 +30,16 @@ class SizeError(InputError):
 
 
 class GateError(StereophdError):
-    """The run is done, and a figure is above the limit that the user set (exit code 1)."""
+    """The run is done, and a figure is beyond the limit that the user set (exit code 1).
+
+    Attributes
+    ----------
+    report : mapping or None
+        The report of the run, which has been written.
+    """
 
     exit_code = 1
+
+    def __init__(self, message: str, report: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.report = report

@@ -59,6 +59,12 @@ def test_version_is_one() -> None:
     assert f"## {stereophd.__version__}" in (ROOT / "CHANGELOG.md").read_text()
 
 
+DOCUMENTS = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
+    *sorted(ROOT.glob("docs/*.md")),
+]
+
+
 def test_constraints_are_exact_versions_of_all_requirements() -> None:
     lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
     pinned = set()
@@ -133,3 +139,27 @@ def test_nothing_below_the_command_line_names_an_option() -> None:
         if option.search(line)
     ]
     assert not found
+
+
+PLACEHOLDERS = re.compile(r"WORD|KIND|NAME|HASH")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_modules_that_a_document_names_exist(document: Path) -> None:
+    """A path in backticks, such as `multi/pmb.py`, ends the path of a file of the repository."""
+    files = {path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py") if ".venv" not in path.parts}
+    named = re.findall(r"`((?:[\w.-]+/)*[\w-]+\.py)(?:::\w+)?`", document.read_text())
+    named = [name for name in named if not PLACEHOLDERS.search(name)]
+    missing = [name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in files)]
+    assert missing == []
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_lines_of_documents_are_at_most_120_characters(document: Path) -> None:
+    """Tables, formulas and commands may be longer."""
+    long, code = [], False
+    for number, line in enumerate(document.read_text().splitlines(), 1):
+        code ^= line.lstrip().startswith("```")
+        if len(line) > 120 and not code and not line.lstrip().startswith(("|", "$$", "![", "```")):
+            long.append(number)
+    assert long == []

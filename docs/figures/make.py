@@ -25,7 +25,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.samples import Method, draw_sample_sets
 
 Array = NDArray[np.float64]

@@ -31,7 +31,7 @@ from stereophd.cli import (
 )
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
-from stereophd.errors import StereophdError
+from stereophd.errors import GateError, InputError, StereophdError
 
 EXIT_USAGE = 2
 EXIT_INTERNAL = 3
@@ -86,18 +86,19 @@ def run(arguments: Sequence[str] | None = None) -> int:
         Words after the program's name; default those of this process.
     """
     session = Session()
+    words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         result = app(
-            args=None if arguments is None else list(arguments),
+            args=words,
             prog_name="stereophd",
             standalone_mode=False,
             obj=session,
         )
         code = result if isinstance(result, int) else 0
         if code == EXIT_INTERRUPTED:
-            return _interrupted()
+            return _interrupted(session)
     except (KeyboardInterrupt, typer.Abort):
-        return _interrupted()
+        return _interrupted(session)
     except SystemExit as error:
         return error.code if isinstance(error.code, int) else EXIT_INTERNAL
     except Exception as error:
@@ -108,50 +109,75 @@ def run(arguments: Sequence[str] | None = None) -> int:
         interrupted = interrupts.exit_code()
         if interrupted is not None:
             # Compiled code may turn the exception of a signal into one of its own.
-            return _interrupted(interrupted)
-        return _explain(error)
+            return _interrupted(session, interrupted)
+        # A word that cannot be parsed ends the parsing before --json is met.
+        session.json = session.json or "--json" in words
+        return _explain(error, session)
     return code
 
 
-def _interrupted(code: int = EXIT_INTERRUPTED) -> int:
-    print("interrupted; no output is left half written", file=sys.stderr)
+def _interrupted(session: Session | None = None, code: int = EXIT_INTERRUPTED) -> int:
+    _report_error("interrupted; no output is left half written", "interrupted", code, session)
     return code
 
 
-def _explain(error: Exception) -> int:
+def _report_error(text: str, kind: str, code: int, session: Session | None, message: str | None = None) -> None:
+    """Print an error on stderr, and with --json as a document on stdout unless a report is there already.
+
+    Parameters
+    ----------
+    text : str
+        The line for stderr.
+    kind : str
+        `usage`, `input`, `gate`, `interrupted` or `internal`.
+    code : int
+        Exit code.
+    session : Session, optional
+    message : str, optional
+        The sentence of the document; default `text`.
+    """
+    print(text, file=sys.stderr)
+    if session is not None and session.json and not session.printed:
+        from stereophd.cli.error_document import error_document
+        from stereophd.cli.terminal import print_report
+
+        print_report(session, error_document(text if message is None else message, kind, code))
+
+
+def _explain(error: Exception, session: Session) -> int:
     """Print one clear message for an error, and return the exit code."""
-    if isinstance(error, StereophdError):
-        print(f"error: {with_flags(str(error))}", file=sys.stderr)
-        return error.exit_code
     if isinstance(error, _ClickException):
-        _explain_usage(error)
-        return EXIT_USAGE
-    if isinstance(error, OSError) and error.filename is None and error.errno == errno.ENOSPC:
-        print("error: standard output: no space left on device", file=sys.stderr)
-        return EXIT_USAGE
-    if isinstance(error, OSError) and _is_users(error):
-        print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
-        return EXIT_USAGE
-    if isinstance(error, MemoryError):
-        print("error: not enough memory" + (f": {error}" if str(error) else ""), file=sys.stderr)
-        return EXIT_USAGE
-    text = " ".join(str(error).split()) or "no details"
-    print(
-        f"internal error: {type(error).__name__}: {text} (run with --debug for the traceback)",
-        file=sys.stderr,
-    )
-    return EXIT_INTERNAL
+        return _explain_usage(error, session)
+    kind, code, message = "input", EXIT_USAGE, ""
+    if isinstance(error, StereophdError):
+        kind = "gate" if isinstance(error, GateError) else "input" if isinstance(error, InputError) else "internal"
+        code, message = error.exit_code, with_flags(str(error))
+    elif isinstance(error, OSError) and error.filename is None and error.errno == errno.ENOSPC:
+        message = "standard output: no space left on device"
+    elif isinstance(error, OSError) and _is_users(error):
+        message = f"{error.filename}: {error.strerror}"
+    elif isinstance(error, MemoryError):
+        message = "not enough memory" + (f": {error}" if str(error) else "")
+    else:
+        text = " ".join(str(error).split()) or "no details"
+        message = f"{type(error).__name__}: {text} (run with --debug for the traceback)"
+        _report_error(f"internal error: {message}", "internal", EXIT_INTERNAL, session, message)
+        return EXIT_INTERNAL
+    _report_error(f"error: {message}", kind, code, session, message)
+    return code
 
 
-def _explain_usage(error: Exception) -> None:
+def _explain_usage(error: Exception, session: Session) -> int:
     """Print what is wrong with the words of the command line; without any, print the help."""
     context = getattr(error, "ctx", None)
     if context is not None and type(error).__name__ == "NoArgsIsHelpError":
         print(context.get_help(), file=sys.stderr)
-        return
+        return EXIT_USAGE
     name = "stereophd" if context is None else context.command_path
     message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
-    print(f"error: {message} (see '{name} --help')", file=sys.stderr)
+    message = f"{message} (see '{name} --help')"
+    _report_error(f"error: {message}", "usage", EXIT_USAGE, session, message)
+    return EXIT_USAGE
 
 
 def _is_users(error: OSError) -> bool:

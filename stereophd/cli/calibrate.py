@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,14 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, load, print_report, progress_bar
+from stereophd.errors import GateError
+
+
+class Require(StrEnum):
+    """What the data must determine."""
+
+    DETERMINED = "determined"
+    PARTLY = "partly"
 
 
 def calibrate_command(
@@ -32,6 +41,10 @@ def calibrate_command(
             show_default=False,
         ),
     ] = None,
+    require: Annotated[
+        Require | None,
+        typer.Option("--require", help="Exit with 1 if the data determine less of the cameras.", show_default=False),
+    ] = None,
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
@@ -45,6 +58,14 @@ def calibrate_command(
     loaded = load(config, overrides, seed, cameras)
     from stereophd.commands.calibrate import calibrate
 
-    with progress_bar(session, "calibrate") as progress:
-        report = calibrate(loaded, log, out, force=force, jobs=jobs, resume=resume, plots=plots, progress=progress)
+    try:
+        with progress_bar(session, "calibrate") as progress:
+            report = calibrate(
+                loaded, log, out, force=force, jobs=jobs, resume=resume, plots=plots, progress=progress,
+                require=None if require is None else require.value,
+            )  # fmt: skip
+    except GateError as error:
+        if error.report is not None:
+            print_report(session, error.report)
+        raise
     print_report(session, report)

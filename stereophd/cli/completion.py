@@ -36,7 +36,7 @@ def complete_set(incomplete: str) -> list[str]:
     for name in dict.fromkeys(names):
         nodes = branches_at(schema, (*above, name))
         prefix = ".".join((*above, name))
-        # a section goes on with a key of its own
+        # a section continues with a key of its own
         section = any("properties" in node or isinstance(node.get("additionalProperties"), Mapping) for node in nodes)
         result.append(f"{prefix}." if section else f"{prefix}=")
     return [text for text in result if text.startswith(incomplete)]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -39,6 +38,7 @@ def evaluate_command(
     config: of.Config = None,
     seed: options.Seed = None,
     fail_above: of.FailAbove = None,
+    fail_below: of.FailBelow = None,
     plots: of.Plots = None,
     force: options.Force = False,
     json: options.Json = False,
@@ -48,15 +48,16 @@ def evaluate_command(
 ) -> None:
     """Score tracks against the truth (OSPA, RMSE, identities, NEES), or calibrated cameras against true ones."""
     session = begin(context)
-    limits = of.parse_limits(fail_above or [])
+    above = of.parse_limits("--fail-above", fail_above or [])
+    below = of.parse_limits("--fail-below", fail_below or [])
     if true_cameras is not None:
         if cameras is None or tracks is not None:
             raise InputError("--true-cameras: expected --cameras FILE to score, and neither TRACKS nor TRUTH")
         from stereophd.commands.evaluate_cameras import evaluate_calibration
 
         loaded = None if config is None else load(config, None, seed, true_cameras)
-        score = partial(evaluate_calibration, cameras, true_cameras, out, loaded, None, limits, force)
-        _run(score, partial(print_report, session), out)
+        score = partial(evaluate_calibration, cameras, true_cameras, out, loaded, None, above, below, force)
+        _run(score, partial(print_report, session))
         return
     if tracks is None or truth is None:
         raise InputError("expected TRACKS and TRUTH, or --cameras and --true-cameras")
@@ -67,28 +68,22 @@ def evaluate_command(
     score = partial(
         evaluate, tracks, truth, out, order=order, cutoff=cutoff, base=base.value, from_s=from_s, to_s=to_s,
         max_gap_s=max_gap, at=at.value, log_path=log, seen_by=seen_by, within_s=within, ospa2_window=ospa2_window,
-        fail_above=limits, cameras_path=cameras, force=force, plots=plots,
+        cameras_path=cameras, force=force, plots=plots, fail_above=above, fail_below=below,
     )  # fmt: skip
-    _run(score, partial(_show_scores, session), out)
+    _run(score, partial(_show_scores, session))
 
 
-def _run(score: Callable[[], Report], show: Callable[[Report], None], out: Path | None) -> None:
+def _run(score: Callable[[], Report], show: Callable[[Mapping[str, Any]], None]) -> None:
     """Score and show the report; where a gate fails the run is done, and its report is shown before the failure."""
     try:
-        report = score()
+        show(score())
     except GateError as error:
-        failed: Report | None = getattr(error, "report", None)
-        if failed is None and out is not None:
-            import json
-
-            failed = json.loads((out / "report.json").read_text(encoding="utf-8"))
-        if failed is not None:
-            show(failed)
+        if error.report is not None:
+            show(error.report)
         raise
-    show(report)
 
 
-def _show_scores(session: Session, report: Report) -> None:
+def _show_scores(session: Session, report: Mapping[str, Any]) -> None:
     """Print the scores of tracks: JSON, or a table."""
     if session.json or session.quiet:
         print_report(session, report)

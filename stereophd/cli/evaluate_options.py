@@ -41,7 +41,11 @@ Order = Annotated[float, typer.Option("--order", metavar="P", help="Order of OSP
 Cutoff = Annotated[
     float | None,
     typer.Option(
-        "--cutoff", metavar="C", help="Cutoff of OSPA, in the unit of length; default 20.", show_default=False
+        "--cutoff",
+        metavar="C",
+        help="Cutoff of OSPA, in the unit of length; default: evaluation.cutoff of the tracks' configuration, else 20 "
+        "for files in centimetres.",
+        show_default=False,
     ),
 ]
 BaseDistance = Annotated[Base, typer.Option("--base", help="Base distance.")]
@@ -129,6 +133,15 @@ FailAbove = Annotated[
         show_default=False,
     ),
 ]
+FailBelow = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fail-below",
+        metavar="KEY=VALUE",
+        help="Exit with 1 if a figure is below a limit, such as completeness.mean=0.9 (repeatable).",
+        show_default=False,
+    ),
+]
 Plots = Annotated[
     bool | None,
     typer.Option(
@@ -139,8 +152,8 @@ Plots = Annotated[
 ]
 
 
-def parse_limits(texts: list[str]) -> dict[str, float]:
-    """Return {key: limit} of the options ``--fail-above KEY=VALUE``."""
+def parse_limits(option: str, texts: list[str]) -> dict[str, float]:
+    """Return {key: limit} of the words KEY=VALUE of an option, such as ``--fail-above``."""
     limits: dict[str, float] = {}
     for text in texts:
         key, separator, value = text.partition("=")
@@ -149,8 +162,8 @@ def parse_limits(texts: list[str]) -> dict[str, float]:
         except ValueError:
             limit = math.nan
         if not key or not separator or not math.isfinite(limit):
-            raise InputError(f"--fail-above {text}: expected KEY=NUMBER, such as ospa.mean=0.8")
+            raise InputError(f"{option} {text}: expected KEY=NUMBER, such as ospa.mean=0.8")
         if key in limits:
-            raise InputError(f"--fail-above {text}: expected each key once, found {key} again")
+            raise InputError(f"{option} {text}: expected each key once, found {key} again")
         limits[key] = limit
     return limits

@@ -18,19 +18,8 @@ def experiment_command(
     context: typer.Context,
     config: options.Config,
     out: options.Out,
-    jobs: Annotated[
-        int,
-        typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it."),
-    ] = 1,
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            "--dask",
-            metavar="ADDRESS",
-            help="Run on the workers of a Dask cluster, such as tcp://host:8786.",
-            show_default=False,
-        ),
-    ] = None,
+    jobs: options.Jobs = 1,
+    dask: options.Dask = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted experiment stopped.")] = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
@@ -52,7 +41,7 @@ def experiment_command(
     except (KeyboardInterrupt, SystemExit):
         count = finished_runs(loaded, out)
         if count:
-            print(f"{count} finished runs are kept in {out}: --resume goes on with the others", file=sys.stderr)
+            print(f"{count} finished runs are kept in {out}; --resume runs the others", file=sys.stderr)
         raise
     from stereophd.cli.experiment_table import print_results
     from stereophd.experiments.engine.results import report_of

@@ -107,7 +107,7 @@ def import_command(
 
 
 def _lines(report: dict[str, Any], out: Path) -> list[str]:
-    """Return what a person reads of an import."""
+    """Return the summary of an import as text."""
     lines = [with_flags(f"assumed: {sentence}") for sentence in report["assumed"]]
     for name, row in report["cameras"].items():
         size = " x ".join(map(str, row["image_size_px"])) + " px" if "image_size_px" in row else "no camera"

@@ -11,12 +11,13 @@ import typer
 
 @dataclass
 class Session:
-    """How a call of the command line talks: what the common options said."""
+    """Common options of a call of the command line."""
 
     json: bool = False
     quiet: bool = False
     verbosity: int = 0
     debug: bool = False
+    printed: bool = False  # whether the one document of `json` is on stdout
 
 
 def _set_json(context: typer.Context, value: bool) -> bool:
@@ -43,6 +44,22 @@ Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration (Y
 Out = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Output folder; created if missing.", show_default=False),
+]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG...", help="Detection log (Parquet), several, or patterns that they fit.", show_default=False
+    ),
+]
+Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask",
+        metavar="ADDRESS",
+        help="Run on the workers of a Dask cluster, such as tcp://host:8786.",
+        show_default=False,
+    ),
 ]
 Cameras = Annotated[
     Path | None,

@@ -70,6 +70,11 @@ def _identity_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     switches, purity, completeness = (report[key] for key in ("identity_switches", "purity", "completeness"))
     note = "the tracks carry no identities" if switches is None else f"{report['tracks']} tracks"
     yield "identity switches", _number(switches), note
+    parts = f"precision {_number(report['id_precision'])}, recall {_number(report['id_recall'])}"
+    yield "IDF1", _number(report["idf1"]), parts
+    hota = report["hota"]
+    parts = f"detection {_number(hota['detection'])}, association {_number(hota['association'])}"
+    yield "HOTA", _number(hota["mean"]), parts
     yield "track purity", _number(purity["mean"]), "mean share of estimates on one object"
     dominant = f"mean share of scans; by one track {_number(completeness['mean_dominant'])}"
     yield "object completeness", _number(completeness["mean"]), dominant

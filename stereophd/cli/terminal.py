@@ -79,6 +79,7 @@ def to_json(report: Mapping[str, Any]) -> str:
 def print_report(session: Session, report: Mapping[str, Any]) -> None:
     """Print a report: JSON, or a line for each value of the summary."""
     if session.json:
+        session.printed = True
         print_data(to_json(report))
     elif not session.quiet:
         from stereophd.io.json_text import plain

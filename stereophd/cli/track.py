@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from stereophd.cli import options
+from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_report, progress_bar
 
 
 def track_command(
     context: typer.Context,
     config: options.Config,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Detection log (Parquet).", show_default=False)],
+    log: options.Logs,
     out: options.Out,
     cameras: options.Cameras = None,
+    jobs: options.Jobs = 1,
+    dask: options.Dask = None,
     threads: Annotated[
         int,
         typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it."),
     ] = 1,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on where an interrupted run stopped; what is finished stays.")
+    ] = False,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
+    ] = False,
+    associations: Annotated[
+        bool,
+        typer.Option("--associations", help="Write which detection belongs to which track (report.associations)."),
     ] = False,
     strict: options.Strict = False,
     overrides: options.Set = None,
@@ -33,14 +42,33 @@ def track_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Turn a detection log into 3-D tracks: tracks.parquet, scans.parquet and report.json."""
+    """Turn detection logs into 3-D tracks: tracks.parquet, scans.parquet and report.json.
+
+    Of several logs each has a folder in DIR, and DIR/summary.parquet a row.
+    """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
-    if smooth and loaded.config.report.smooth is None:
-        loaded = load(config, [*(overrides or []), "report.smooth={}"], seed, cameras)
-    from stereophd.commands.track import track
+    wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
+    wanted += ["report.associations=true"] if associations else []
+    if wanted:
+        loaded = load(config, [*(overrides or []), *wanted], seed, cameras)
+    many = are_many(log)
+    try:
+        with progress_bar(session, "track") as progress:
+            if many:
+                from stereophd.commands.track_logs import track_logs
 
-    with progress_bar(session, "track") as progress:
-        report = track(loaded, log, out, force=force, threads=threads, progress=progress)
-    print_report(session, report)
-    exit_if_strict(strict, report)
+                report = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask)
+            else:
+                from stereophd.commands.track import track
+                from stereophd.pipeline.batch.names import expand
+
+                report = track(loaded, expand(log)[0], out, force, threads, progress, resume)
+    except (KeyboardInterrupt, SystemExit):
+        say_what_is_kept(out)
+        raise
+    if many:
+        finish_batch(session, report, strict)
+    else:
+        print_report(session, report)
+        exit_if_strict(strict, report)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED
-from stereophd.errors import InputError
+from stereophd.core.calibration.posterior import DETERMINED, PARTLY, UNDETERMINED
+from stereophd.errors import GateError, InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
 from stereophd.io.json_text import write_json
@@ -30,7 +30,13 @@ from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.run import SCANS_FILE, TRACKS_FILE, reported_records, write_tracks
+from stereophd.pipeline.tracking.run import (
+    ASSOCIATIONS_FILE,
+    SCANS_FILE,
+    TRACKS_FILE,
+    reported_records,
+    write_tracks,
+)
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
@@ -40,7 +46,13 @@ if TYPE_CHECKING:
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
-FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, "report.json", *PLOTS)
+FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, "report.json", *PLOTS)
+# What is required -> the statuses of a report that meet it.
+ACCEPTED = {
+    None: (DETERMINED, PARTLY, UNDETERMINED),
+    "partly": (DETERMINED, PARTLY),
+    "determined": (DETERMINED,),
+}
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -62,6 +74,7 @@ def calibrate(
     resume: bool = False,
     plots: bool | None = None,
     progress: Progress | None = None,
+    require: Literal["determined", "partly"] | None = None,
 ) -> dict[str, Any]:
     """Calibrate cameras from a detection log (paper section VII).
 
@@ -73,7 +86,7 @@ def calibrate(
         Detection log.
     out_dir : path
         Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
-        cameras ``cameras.yaml``, and the ``tracks.parquet`` and ``scans.parquet`` made with them.
+        cameras ``cameras.yaml``, and the tables of ``track`` made with them.
     force : bool
         Whether the outputs of an earlier run may be replaced.
     jobs : int
@@ -84,6 +97,8 @@ def calibrate(
         Whether to draw plots; default if matplotlib is installed.
     progress : callable, optional
         Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
+    require : str, optional
+        The least that the data must determine: all directions of the cameras (``determined``) or some (``partly``).
 
     Returns
     -------
@@ -95,7 +110,11 @@ def calibrate(
     ------
     InputError
         Configuration, log, checkpoint or output folder are not usable.
+    GateError
+        The data determine less than `require`. Everything has been written; the error carries the report.
     """
+    if require not in ACCEPTED:
+        raise InputError(f"`require`: expected determined or partly, found {require}")
     if jobs == 0:
         raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     from joblib import effective_n_jobs
@@ -140,6 +159,8 @@ def calibrate(
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
+    if report["status"] not in ACCEPTED[require]:
+        raise GateError(f"{log_path}: the cameras are {report['status']}: {report['reason']}", report)
     if report["status"] != DETERMINED:
         LOGGER.warning("%s: %s: %s", log_path, report["status"], report["reason"])
     return report
@@ -180,4 +201,4 @@ def _track(
     multi_filter = pmb_filter(loaded, cameras)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
-    return write_tracks(records, out, metadata, cameras, report.max_position_std)
+    return write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))

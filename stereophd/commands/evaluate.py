@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,6 +15,7 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.json_text import write_json
 from stereophd.io.provenance import provenance, to_metadata
+from stereophd.pipeline.evaluation.gates import Limits, check_limits, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
     Tracks,
@@ -24,12 +25,8 @@ from stereophd.pipeline.evaluation.inputs import (
     read_truth,
 )
 from stereophd.pipeline.evaluation.options import Options, check_options
-from stereophd.pipeline.evaluation.report import (
-    build_report,
-    check_limits,
-    raise_if_above,
-    write_per_scan,
-)
+from stereophd.pipeline.evaluation.report import build_report, write_per_scan
+from stereophd.pipeline.evaluation.scale import PAPER_CUTOFF, default_cutoff, warn_of_another_scene
 from stereophd.pipeline.evaluation.scoring import score_tracks
 from stereophd.report.installed import whether_to_draw
 
@@ -38,11 +35,6 @@ if TYPE_CHECKING:
 
 REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
 PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg"))
-
-# The paper's scale: centimetres. Files in another unit deserve a word about it.
-DEFAULT_CUTOFF = 20.0
-
-LOGGER = logging.getLogger("stereophd")
 
 
 def evaluate(
@@ -62,6 +54,7 @@ def evaluate(
     within_s: float | None = None,
     ospa2_window: int = 10,
     fail_above: Mapping[str, float] | None = None,
+    fail_below: Mapping[str, float] | None = None,
     cameras_path: Path | str | None = None,
     force: bool = False,
     plots: bool | None = None,
@@ -77,8 +70,9 @@ def evaluate(
         Where to write; nothing is written without it.
     order, cutoff : float
         Order p and cutoff c of OSPA and GOSPA; c in the length unit of the files, or a number of standard
-        deviations for the base ``mahalanobis``. Pairs nearer than c count as matched for RMSE, NEES, position
-        errors and identity switches.
+        deviations for the base ``mahalanobis``. The default of c is `evaluation.cutoff` of the configuration of
+        the tracks; without it 20 cm for files in centimetres, the paper's, and 20 standard deviations. Pairs
+        nearer than c count as matched for RMSE, NEES, position errors and identity switches.
     base : str
         Base distance: ``euclidean``, or ``mahalanobis`` with the covariance of the estimate (paper VIII-C).
     from_s, to_s : float, optional
@@ -94,7 +88,7 @@ def evaluate(
         them are left out.
     ospa2_window : int
         Number of scored scans in a window of OSPA(2).
-    fail_above : mapping, optional
+    fail_above, fail_below : mapping, optional
         Limits of figures, such as ``{"ospa.mean": 0.8}``.
     cameras_path : path, optional
         ``cameras.yaml`` with the clocks of the log and the cameras to draw; default the cameras in the
@@ -112,31 +106,34 @@ def evaluate(
     Raises
     ------
     InputError
-        An option or file is not usable, units differ, nothing can be scored, or a limit names no figure.
+        An option or file is not usable, units differ, no cutoff is known, nothing can be scored, or a limit names
+        no figure.
     GateError
-        A figure is above its limit (or is not a number). Everything has been written; the error carries the
+        A figure is beyond its limit (or is not a number). Everything has been written; the error carries the
         report as `report`.
     """
-    chosen = DEFAULT_CUTOFF if cutoff is None else cutoff
+    chosen = PAPER_CUTOFF if cutoff is None else cutoff
     options = Options(order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window)
     check_options(options, log_path)
-    inputs = _input_paths(tracks_path, truth_path, log_path, cameras_path)
+    run = partial(
+        _run, _input_paths(tracks_path, truth_path, log_path, cameras_path), options, cutoff is not None,
+        Limits(fail_above or {}, fail_below or {}),
+    )  # fmt: skip
     if out_dir is None:
-        report = _run(inputs, options, fail_above or {}, None, False)
+        report = run(None, False)
     else:
         draw = whether_to_draw(plots)
         with OutputFolder(out_dir, [REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES], force) as out:
-            report = _run(inputs, options, fail_above or {}, out, draw)
-    if cutoff is None and base == "euclidean" and report["length_unit"] not in (None, "cm"):
-        LOGGER.warning("no `cutoff` given: OSPA and GOSPA use the default, %g %s", chosen, report["length_unit"])
-    raise_if_above(fail_above or {}, report)
+            report = run(out, draw)
+    raise_if_failed(report, tracks_path)
     return report
 
 
 def _run(
     inputs: dict[str, Path],
     options: Options,
-    limits: Mapping[str, float],
+    has_cutoff: bool,
+    limits: Limits,
     out: OutputFolder | None,
     draw: bool,
 ) -> dict[str, Any]:
@@ -145,12 +142,15 @@ def _run(
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)
     unit = _common_unit({"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}, inputs)
+    if not has_cutoff:
+        options = replace(options, cutoff=default_cutoff(options.base, unit, tracks.metadata, inputs["tracks"]))
     sightings = None if options.seen_by is None else read_sightings(inputs["log"], cameras)
     max_gap_s = DEFAULT_GAP_STEPS * truth.step_s if options.max_gap_s is None else options.max_gap_s
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
-    check_limits(limits, scored)
+    warn_of_another_scene(inputs, tracks, truth, scored.scans)
+    check_limits(limits, {**scored.figures, "scans": scored.scans})
     record = provenance("evaluate", asdict(options), inputs=inputs, length_unit=unit)
-    report = build_report(scored, options, max_gap_s, unit, record)
+    report = build_report(scored, options, max_gap_s, unit, record, limits)
     if out is not None:
         write_json(out.path(REPORT_NAME), report)
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))

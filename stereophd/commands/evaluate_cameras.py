@@ -26,7 +26,7 @@ from stereophd.io.provenance import from_metadata, provenance
 from stereophd.io.tables import open_parquet
 from stereophd.pipeline.calibration.inputs import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
-from stereophd.pipeline.evaluation.report import raise_if_above
+from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, raise_if_failed
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -55,6 +55,7 @@ def evaluate_calibration(
     loaded: LoadedConfig | None = None,
     reference: str | None = None,
     fail_above: Mapping[str, float] | None = None,
+    fail_below: Mapping[str, float] | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
     """Compare two camera files, and write ``report.json``.
@@ -71,7 +72,7 @@ def evaluate_calibration(
         ones.
     reference : str, optional
         Camera that fixes the frame; default that of the posterior, else the first whose poses agree, else the first.
-    fail_above : mapping, optional
+    fail_above, fail_below : mapping, optional
         Limits of figures, such as ``{"joint.rotation_deg": 0.5}``.
     force : bool
         Replace an earlier evaluation in `out_dir`.
@@ -86,7 +87,7 @@ def evaluate_calibration(
     InputError
         A file is not usable, or the two have not the same cameras.
     GateError
-        A figure is above its limit.
+        A figure is beyond its limit. Everything has been written; the error carries the report as `report`.
     """
     estimated, true, unit = _read_pair(cameras_path, true_path)
     posterior = read_posterior(Path(cameras_path).with_name(POSTERIOR_NAME))
@@ -102,18 +103,16 @@ def evaluate_calibration(
         report["posterior"] = posterior_figures(posterior, true)
     if loaded is not None:
         report["bounds"] = bound_figures(loaded, true)
-    limits = fail_above or {}
-    for key in limits:
-        if key.partition(".")[0] != "joint" or key.partition(".")[2] not in report["joint"]:
-            known = ", ".join(f"joint.{name}" for name in report["joint"])
-            raise InputError(f"`fail_above`: expected one of {known}, found {key}")
+    limits, figures = Limits(fail_above or {}, fail_below or {}), {"joint": report["joint"]}
+    check_limits(limits, figures)
+    report["gates"] = gates(limits, figures)
     if out_dir is not None:
         inputs = {"cameras": cameras_path, "true_cameras": true_path}
         options = {"reference": report["reference"]}
         record = provenance("evaluate", options if loaded is None else loaded.record, inputs=inputs, length_unit=unit)
         with OutputFolder(out_dir, [REPORT_NAME], force) as out:
             write_json(out.path(REPORT_NAME), {**report, "provenance": record})
-    raise_if_above(limits, {**report, "scans": {}})
+    raise_if_failed(report, cameras_path)
     return report
 
 

@@ -12,26 +12,36 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.kernel_cache import is_kept
-from stereophd.io.atomic import OutputFolder
+from stereophd.errors import InputError
+from stereophd.io.atomic import OutputFolder, output_lock
+from stereophd.io.cameras import write_cameras
 from stereophd.io.json_text import write_json
 from stereophd.io.log_checks import KINDS
-from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.provenance import provenance, sha256_of, to_metadata
+from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
+from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
+from stereophd.pipeline.tracking.journal import RecordJournal
 from stereophd.pipeline.tracking.run import (
+    ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
+    Tracking,
     build_tracking,
+    with_detectors,
     with_estimated_detectors,
     write_tracks,
 )
+from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-FILES = (TRACKS_FILE, SCANS_FILE, "report.json")
+CAMERAS_FILE = "cameras.yaml"
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -44,6 +54,7 @@ def track(
     force: bool = False,
     threads: int = 1,
     progress: Progress | None = None,
+    resume: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -54,13 +65,18 @@ def track(
     log_path : path
         Detection log.
     out_dir : path
-        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written.
+        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written. Where detectors
+        are estimated, also for ``cameras.yaml``, the cameras with the detectors found; with ``report.associations``,
+        also for ``associations.parquet``.
     force : bool
         Whether the outputs of an earlier run may be replaced.
     threads : int
         Threads of the sample trips; the outputs do not depend on it.
     progress : callable, optional
         Called with the rows done and their total.
+    resume : bool
+        Whether to go on with an unfinished run of this configuration and log, and to leave the results of a finished
+        one as they are; the outputs are those of an undisturbed run.
 
     Returns
     -------
@@ -74,29 +90,57 @@ def track(
         ours or cannot be written.
     """
     tracking = build_tracking(loaded, threads)
+    stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
+    record = provenance("track", loaded.record, inputs={"detections": log_path})
+    if resume and (report := finished_report(out_dir, record, force)) is not None:
+        LOGGER.info("%s: finished already", out_dir)
+        return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     _announce_compilation()
-    stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     findings = check_log(loaded, log_path, thorough=False)
-    with OutputFolder(out_dir, FILES, force) as out:
-        tracking = with_estimated_detectors(tracking, loaded, stream, threads)
-        stream = stream.with_cameras(tracking.cameras)
-        record = provenance("track", loaded.record, inputs={"detections": log_path})
-        metadata = to_metadata(record)
-        limit = loaded.config.report.max_position_std
-        summary = write_tracks(tracking.records(stream), out, metadata, tracking.cameras, limit)
-        findings += tuple(check_tracking(summary, stream.counts, tracking.cameras))
-        report = {
-            "report_version": REPORT_VERSION,
-            "length_unit": loaded.config.units.length,
-            "input": stream.counts,
-            "detectors": tracking.detectors,
-            **summary,
-            "checks": report_findings(findings),
-            "provenance": record,
-        }
-        write_json(out.path("report.json"), report)
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
+    with output_lock(out_dir):
+        unfinished.prepare(resume, force)
+        with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
+            tracking = with_estimated_detectors(tracking, loaded, stream, threads)
+            stream = stream.with_cameras(tracking.cameras)
+            try:
+                report = _write(loaded, tracking, stream, findings, record, unfinished, out)
+            except InputError:
+                unfinished.remove()  # a fault of the log: nobody can go on from here
+                raise
+        unfinished.remove()
     _warn_of_losses(stream)
+    return report
+
+
+def _write(
+    loaded: LoadedConfig,
+    tracking: Tracking,
+    stream: EventStream,
+    findings: tuple[Finding, ...],
+    record: dict[str, Any],
+    unfinished: UnfinishedRun,
+    out: OutputFolder,
+) -> dict[str, Any]:
+    """Track, and write all files of the output folder."""
+    journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
+    if tracking.detectors is not None:
+        described = with_detectors(loaded.cameras, tracking.cameras)
+        write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, record)
+    records, metadata = tracking.records(stream, journal), to_metadata(record)
+    summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report)
+    findings += tuple(check_tracking(summary, stream.counts, tracking.cameras))
+    report = {
+        "report_version": REPORT_VERSION,
+        "length_unit": loaded.config.units.length,
+        "input": stream.counts,
+        "detectors": tracking.detectors,
+        **summary,
+        "checks": report_findings(findings),
+        "provenance": record,
+    }
+    write_json(out.path("report.json"), report)
     return report
 
 

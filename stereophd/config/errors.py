@@ -1,4 +1,4 @@
-"""What pydantic found wrong, said in sentences: place, key path, expected, found, nearest key."""
+"""Validation errors of pydantic as sentences: place, key path, expected, found, nearest key."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
         known = known_keys(schema, path[:-1], _value(data, path[:-1]))
         return f"unknown key{nearest(str(path[-1]), known)}"
     if kind == "union_tag_not_found":
-        return f"expected a key {error['ctx']['discriminator']} that says which kind, found none"
+        return f"expected a key {error['ctx']['discriminator']} that selects the kind, found none"
     if kind == "value_error":
         return re.sub(r"^Value error, ", "", str(error["msg"]))
     found = _value(data, path)
@@ -210,7 +210,7 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
             path = path[:-1]
             tags = (*tags, "")
         if error["type"] == "union_tag_invalid":
-            # the fault is the value of the key that says which kind, not the mapping that it is in
+            # the fault is the value of the key that selects the kind, not the mapping around it
             path = (*path, str(error["ctx"]["discriminator"]).strip("'()"))
         if _is_misspelt(error, path, data, schema):
             continue

@@ -71,7 +71,7 @@ class TrackingScenario(Model):
 
     kind: Literal["tracking"] = parameter("what is run")
     position: Vector3 = parameter("of the object at the first time", unit="length")
-    velocity: Vector3 = parameter("of the object at the first time; it accelerates as ``motion`` says")
+    velocity: Vector3 = parameter("of the object at the first time; it accelerates according to ``motion``")
     steps: Count = parameter("number of times")
     interval_s: PositiveDuration = parameter("between them", unit="s")
     bound_trajectories: Count = parameter(
@@ -80,7 +80,7 @@ class TrackingScenario(Model):
 
 
 class MoveScenario(Model):
-    """A Gaussian carried from one disparity space to another as ``moments`` says; compared with a large sample."""
+    """A Gaussian moved from one disparity space to another by ``moments``, compared with a large sample."""
 
     kind: Literal["move"] = parameter("what is run")
     home: str = parameter("camera in whose disparity space it begins")
@@ -96,7 +96,7 @@ class MoveScenario(Model):
 
 
 class CalibrationScenario(Model):
-    """The scene of ``simulate``, its cameras calibrated as ``calibration`` says, from a guess that misses them."""
+    """The scene of ``simulate``, its cameras calibrated with the settings of ``calibration``, from a wrong guess."""
 
     kind: Literal["calibration"] = parameter("what is run")
     every_s: PositiveDuration = parameter("time between two looks at the estimate so far", unit="s")

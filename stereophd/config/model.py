@@ -18,7 +18,7 @@ from stereophd.config.cameras import CameraConfig
 from stereophd.config.experiment import ExperimentConfig
 from stereophd.config.filter import DisparityConfig, Filter, RegionConfig
 from stereophd.config.motion import Motion
-from stereophd.config.report import InputConfig, ReportConfig
+from stereophd.config.report import EvaluationConfig, InputConfig, ReportConfig
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
 from stereophd.core.numerics.samples import MomentsSettings
@@ -46,6 +46,9 @@ class Config(Model):
     filter: Filter | None = Field(None, description="the filter (track)")
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
+    evaluation: EvaluationConfig = Field(
+        default_factory=EvaluationConfig, description="how tracks are scored (evaluate)"
+    )
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
     calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
     experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")

@@ -18,7 +18,7 @@ from stereophd.errors import InputError
 
 KeyPath = tuple[str | int, ...]
 
-# Far more than any configuration needs; devices and pipes can go on without end.
+# Far more than any configuration needs; devices and pipes may never end.
 MAX_BYTES = 8_000_000
 # Longer integers are refused by Python itself, and mean nothing here.
 MAX_DIGITS = 100
@@ -172,7 +172,7 @@ class _Builder:
         self._count += 1
         if id(node) in self._open or self._count > MAX_NODES:
             raise InputError(f"{self._place(node)}: expected a finite document, found aliases that expand without end")
-        # A value is where its key is; a value that an alias brings in would be elsewhere.
+        # The place of a value is that of its key; the value of an alias would be elsewhere.
         self.places[path] = self._place(key or node)
         self._open.add(id(node))
         try:

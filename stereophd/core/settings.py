@@ -107,7 +107,7 @@ def parameter(
         ``length``, ``length/s``, ``px``, ``s``, ``deg``, ...; empty for plain numbers and words. ``length`` is the
         unit that the configuration names.
     discriminator : str
-        Of a union of settings: the field that tells its members apart.
+        Of a union of settings: the field that distinguishes its members.
     advice : str
         How to choose the value: printed on the reference page only.
     """
@@ -141,7 +141,7 @@ def members(package: str, attribute: str = "SETTINGS") -> Mapping[str, Any]:
     Parameters
     ----------
     package : str
-        Full name of the package, such as ``stereophd.core.multi.kinds``.
+        Full name of the package, such as ``stereophd.core.multi.filter_settings``.
     attribute : str
         What each module defines.
     """

@@ -53,7 +53,7 @@ def write_cameras(
 
 
 def _plain(camera: CameraConfig) -> dict[str, Any]:
-    """Return a camera as plain values, without what says nothing (defaults, absent values)."""
+    """Return a camera as plain values, without defaults and absent values."""
     values = camera.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
     if camera.distortion.model != "none":
         values["distortion"] = asdict(camera.distortion)

@@ -2,7 +2,7 @@
 
 A checkpoint is a NumPy archive without pickles. The arrays of one type lie end to end in one member; the member `MARK`
 is a JSON document that holds everything else, with a reference where an array belongs. Objects are rebuilt from the
-classes that the reader names (dataclasses and named tuples, and those in their fields): nothing that the file says is
+classes that the reader names (dataclasses and named tuples, and those in their fields): no content of the file is
 imported or called.
 """
 
@@ -101,7 +101,7 @@ def read_checkpoint(path: Path, identity: str, classes: Iterable[type]) -> dict[
             if document["identity"] != identity:
                 raise InputError(f"{path}: expected a checkpoint of this configuration and log, found another's")
             members = {name: archive[name] for name in archive.files if name != MARK}
-        parts = _Decoder(members, _reachable(classes)).decode(document["parts"])
+        parts = _Decoder(members, reachable_classes(classes)).decode(document["parts"])
     except InputError:
         raise
     except FileNotFoundError:
@@ -127,8 +127,8 @@ def _is_named_tuple(kind: type) -> bool:
     return issubclass(kind, tuple) and hasattr(kind, "_fields")
 
 
-def _reachable(classes: Iterable[type]) -> dict[str, type]:
-    """Return classes and those in the annotations of their fields, by name."""
+def reachable_classes(classes: Iterable[type]) -> dict[str, type]:
+    """Return dataclasses and named tuples, and those in the annotations of their fields, by name."""
     found: dict[str, type] = {}
     waiting = list(classes)
     while waiting:

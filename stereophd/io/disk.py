@@ -29,7 +29,7 @@ USER_ERRNOS = frozenset(
 
 
 def write_error(error: OSError, path: Path) -> InputError:
-    """Return the `InputError` that says which output could not be written and why."""
+    """Return the `InputError` that names the output that could not be written, and why."""
     return InputError(f"cannot write {path}: {error.strerror or error}")
 
 

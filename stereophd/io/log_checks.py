@@ -158,7 +158,7 @@ def duplicate_fault(rows: Rows) -> Fault:
     starts = frame_starts(rows)
     sizes = np.diff(np.concatenate([starts, [len(rows)]]))
     group = np.repeat(np.arange(len(starts)), sizes)
-    # One order brings equal pixels of a frame side by side, empty rows last, earlier rows first.
+    # One sort puts equal pixels of a frame side by side, empty rows last, earlier rows first.
     order = np.lexsort((rows.row, rows.pixels[:, 1], rows.pixels[:, 0], rows.empty, group))
     same_frame = group[order][1:] == group[order][:-1]
     pixels, empty = rows.pixels[order], rows.empty[order]

@@ -82,7 +82,7 @@ class LogReader:
 
     All rows of one (time, camera, frame) are one `Frame`, wherever they lie among the rows of that time. Rows
     in blocks of one camera each are merged, if each block is in order of time. A frame whose rows are all bad
-    is dropped: it says nothing about what the camera saw.
+    is dropped: it carries no information about the scene.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class LogReader:
             if not len(rows):
                 carry = None
                 continue
-            # The last time may go on in the next piece: its rows wait until it is complete.
+            # The last time may continue in the next piece: its rows wait until it is complete.
             complete = int(np.searchsorted(rows.time_s, rows.time_s[-1], side="left"))
             carry = rows.take(slice(complete, None))
             yield from self._split(rows.take(slice(0, complete)), state)
@@ -212,7 +212,7 @@ class LogReader:
             faults = list(point_faults(piece, self._sizes, self._margin))
             good = rows.take(self._accept(faults, rows, counted))
             if only is not None and self.is_by_camera:
-                # what other cameras' rows lie between says nothing about the order of these
+                # rows of other cameras in between do not matter for the order of these
                 good = good.take(good.camera == only)
             late = time_fault(good, state)
             good = good.take(self._accept([late], good, None if only is None else good.camera == only))

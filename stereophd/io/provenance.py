@@ -58,6 +58,25 @@ def file_sha256(path: Path | str) -> str:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
+def origin_sha256(path: Path | str) -> str | None:
+    """Return the SHA-256 of the provenance that a Parquet file carries; None without one.
+
+    All files of one run of `simulate` carry the same provenance, so tracks can be matched with their truth.
+    """
+    with open(path, "rb") as stream:
+        if stream.read(4) != b"PAR1":
+            return None
+        import pyarrow as pa  # only here: most commands name no Parquet file that carries a provenance
+        import pyarrow.parquet as pq
+
+        try:
+            metadata = pq.read_schema(stream).metadata  # by the stream: names may be no text
+        except (pa.ArrowException, OSError):
+            return None  # damaged: whoever reads its rows reports that
+    text = (metadata or {}).get(METADATA_KEY)
+    return None if text is None else hashlib.sha256(text).hexdigest()
+
+
 def canonical_json(value: Any) -> str:
     """Return compact JSON in the order of the keys.
 
@@ -99,9 +118,11 @@ def provenance(
     Returns
     -------
     dict
-        ``version, command, config, config_sha256, seed, inputs {role: sha256}, units {length}``.
+        ``version, command, config, config_sha256, seed, inputs {role: sha256}, origins {role: sha256},
+        units {length}``; an origin is the hash of the provenance that an input carries itself.
     """
     hashes = {role: file_sha256(path) for role, path in (inputs or {}).items()}
+    origins = {role: origin_sha256(path) for role, path in (inputs or {}).items()}
     if isinstance(configuration, Mapping):
         resolved: dict[str, Any] = dict(configuration)
         digest = sha256_of(resolved)
@@ -118,6 +139,7 @@ def provenance(
         "config_sha256": digest,
         "seed": seed,
         "inputs": dict(sorted(hashes.items())),
+        "origins": {role: digest for role, digest in sorted(origins.items()) if digest is not None},
         "units": {"length": length_unit},
     }
 

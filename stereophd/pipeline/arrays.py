@@ -69,7 +69,7 @@ def run_filter(multi_filter: DisparityFilter, frames: Iterable[Frame]) -> Iterat
         From `make_filter`.
     frames : iterable of Frame
         Frames of all cameras, in any order; `Frame.camera` is the index among the filter's cameras. A frame
-        without detections says that the camera saw none: leave none out.
+        without detections is information: pass every frame.
 
     Yields
     ------

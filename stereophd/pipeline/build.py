@@ -15,8 +15,8 @@ from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.core.disparity.events import make_rig
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.kinds.phd import PhdSettings
-from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.multi.filter_settings.phd import PhdSettings
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.undetected import LEAST_PRUNING
 from stereophd.core.numerics.random_streams import FILTER_SAMPLES
@@ -108,7 +108,9 @@ def report_times(config: ReportConfig) -> ReportTimes:
     """Return when estimates are reported."""
     times = config.times
     return ReportTimes(
-        times.camera if isinstance(times, CameraTimes) else None, times.grid if isinstance(times, GridTimes) else None
+        times.camera if isinstance(times, CameraTimes) else None,
+        times.grid if isinstance(times, GridTimes) else None,
+        config.max_position_std,
     )
 
 

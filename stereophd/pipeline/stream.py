@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.numerics.times import SAME_TIME_S
+from stereophd.errors import InputError
 from stereophd.io.logs import Frame, LogReader
 from stereophd.pipeline.progress import Progress
 
@@ -76,7 +78,7 @@ class EventStream:
 
     def __iter__(self) -> Iterator[Event]:
         self.not_invertible = 0
-        for number, frame in enumerate(self.frames):
+        for number, frame in enumerate(covered(self.cameras, self.frames, self.source)):
             if number < self._skip:
                 continue
             camera = self.cameras[frame.camera].at(frame.time_s)
@@ -93,10 +95,36 @@ class EventStream:
             self._progress(total if done else self.frames.counts["rows"], total)
 
 
+def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> Iterator[Frame]:
+    """Pass frames on while the trajectories of their cameras cover their times.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    frames : iterable of Frame
+    source : str
+        Name of the log, for messages.
+
+    Raises
+    ------
+    InputError
+        A frame lies before the first or after the last pose of its camera.
+    """
+    spans = [camera.pose.span for camera in cameras]
+    for frame in frames:
+        first, last = spans[frame.camera]
+        if not first - SAME_TIME_S <= frame.time_s <= last + SAME_TIME_S:
+            raise InputError(
+                f"{source}: camera {cameras[frame.camera].name}, frame {frame.frame}: expected a true time that the "
+                f"trajectory of the camera covers ({first:.10g} to {last:.10g} s), found {frame.time_s:.10g} s"
+            )
+        yield frame
+
+
 def open_stream(
     config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None, skip: int = 0
 ) -> EventStream:
-    """Open a detection log as a configuration says (section ``input``).
+    """Open a detection log with the settings of a configuration (section ``input``).
 
     Parameters
     ----------

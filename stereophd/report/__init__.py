@@ -1,1 +1,1 @@
-"""What a person looks at: tables for the terminal, plots."""
+"""Output for people: tables for the terminal, plots."""

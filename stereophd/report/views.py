@@ -13,7 +13,6 @@ from stereophd.core.metrics.assignment import FloatArray
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
-AXIS_NAMES = ("x", "y", "z")
 
 # A view is never drawn narrower or flatter than this: long, thin scenes get more room beside them.
 LARGEST_ASPECT = 2.0
@@ -48,7 +47,7 @@ VIEW_MARGIN = 3.0
 def down_axis(cameras: Sequence[Camera]) -> tuple[int, bool]:
     """Return the world axis nearest to vertical, and whether it points down.
 
-    Cameras are held upright as a rule, so the mean of their downward axes tells. Without cameras it is the
+    Cameras are held upright as a rule, so the mean of their downward axes gives it. Without cameras it is the
     convention of the world: y down.
     """
     if not cameras:

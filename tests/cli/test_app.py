@@ -16,6 +16,7 @@ import yaml
 
 import stereophd
 import stereophd.commands.simulate
+from stereophd.cli.error_document import error_document
 from stereophd.errors import GateError, InputError
 
 from .conftest import CONFIG, Outcome, start, write_config, write_log
@@ -70,7 +71,7 @@ def test_without_words_the_help_is_shown(call: Call, command: list[str]) -> None
         (["track", "a", "b"], "Missing option '--out'"),
         (["track", "a", "b", "--out", "c", "--treads", "2"], "--treads"),
         (["track", "a", "b", "--out", "c", "--threads", "0"], "--threads"),
-        (["track", "a", "b", "c", "--out", "d"], "unexpected extra argument"),
+        (["simulate", "a", "b", "--out", "d"], "unexpected extra argument"),
         (["simulate", "a", "--out", "b", "--runs", "0"], "--runs"),
         (["simulate", "a", "--out", "b", "--seed", "x"], "--seed"),
         (["evaluate", "a", "b", "--base", "manhattan"], "--base"),
@@ -92,6 +93,42 @@ def test_limits_of_evaluate(call: Call, limit: str) -> None:
     outcome = call("evaluate", "tracks", "truth", "--fail-above", limit)
     assert outcome.code == 2
     assert outcome.sentence == f"error: --fail-above {limit}: expected KEY=NUMBER, such as ospa.mean=0.8"
+
+
+ERRORS = {
+    "cameras.yaml:12: cameras.left.intrinsics.fx: expected a number > 0, found -3": (
+        "cameras.yaml", 12, "cameras.left.intrinsics.fx", "a number > 0", "-3"
+    ),
+    "log.parquet: row 3: column u_px: expected a finite number, found nan": (
+        "log.parquet", None, "row 3: column u_px", "a finite number", "nan"
+    ),
+    "a.yaml: there is no such file": ("a.yaml", None, None, "a file", "none"),
+    "--set filter.kid=3: filter.kid: unknown key; did you mean kind?": (
+        None, None, "--set filter.kid=3: filter.kid", "kind", "an unknown key"
+    ),
+    "not a sentence of that form": (None, None, None, None, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("message", ERRORS)
+def test_parts_of_an_error(message: str) -> None:
+    found = error_document(message, "input", 2)["error"]
+    assert (found["message"], found["kind"], found["exit_code"], found["others"]) == (message, "input", 2, [])
+    assert tuple(found[key] for key in ("file", "line", "place", "expected", "found")) == ERRORS[message]
+
+
+def test_errors_with_json_are_one_document(call: Call, config: Path, tmp_path: Path) -> None:
+    for words, kind, file in (
+        (["config", "show", tmp_path / "none.yaml", "--json"], "input", str(tmp_path / "none.yaml")),
+        (["track", config, "--json", "--no-such-option"], "usage", None),
+        (["evaluate", tmp_path / "a.parquet", config, "--json", "-q"], "input", str(tmp_path / "a.parquet")),
+    ):
+        outcome = call(*words)
+        found = json.loads(outcome.out)["error"]
+        assert outcome.code == found["exit_code"] == 2
+        assert (found["kind"], found["file"]) == (kind, file)
+        assert outcome.sentence == f"error: {found['message']}"
+    assert call("config", "show", tmp_path / "none.yaml").out == ""
 
 
 @pytest.mark.parametrize(
@@ -132,6 +169,9 @@ def test_exit_codes(
     assert outcome.code == code
     assert outcome.out == ""
     assert outcome.err == (f"{sentence}\n" if sentence else "")
+    documented = call("simulate", config, "--out", tmp_path / "out", "--json")
+    if sentence is not None:
+        assert json.loads(documented.out)["error"]["exit_code"] == code
 
 
 def test_debug_shows_the_traceback(call: Call, tmp_path: Path) -> None:

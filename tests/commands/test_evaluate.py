@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -23,6 +24,9 @@ CAMERA = """\
     detector: {sigma_px: [1.0, 1.0], p_detect: 0.95, clutter_per_frame: 10.0}
 """
 
+# The unit for which a cutoff is known.
+CENTIMETRES = {"length_unit": "cm"}
+
 
 def write(path: Path, columns: dict, metadata: dict | None = None) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -30,7 +34,7 @@ def write(path: Path, columns: dict, metadata: dict | None = None) -> Path:
     return path
 
 
-def write_tracks(path: Path, rows: list[tuple], *, std: float = 1.0, metadata: dict | None = None) -> Path:
+def write_tracks(path: Path, rows: list[tuple], *, std: float = 1.0, metadata: dict | None = CENTIMETRES) -> Path:
     """Rows: (time, camera, frame, track, x); all points lie on the x axis and move at 1/s."""
     time, camera, frame, track, x = map(list, zip(*rows, strict=True)) if rows else ([],) * 5
     zeros, count = np.zeros(len(rows)), len(rows)
@@ -348,6 +352,8 @@ def test_clocks_of_the_cameras_apply_to_the_log(tmp_path):
     clock = "    clock: {offset_s: -100.0, rate: 1.0}\n"
     cameras.write_text(f"units: {{length: m}}\ncameras:\n  a:\n{CAMERA}{clock}  b:\n{CAMERA}")
     options = {"log_path": log, "seen_by": 2, "within_s": 0.5}
+    tracks = write_tracks(tracks, [(float(t), "a", t, 1, 1.0) for t in range(5)], metadata=None)
+    options["cutoff"] = 20.0
     report = evaluate(tracks, truth, cameras_path=cameras, **options)
     assert (report["scans"]["scored"], report["length_unit"]) == (1, "m")
     with pytest.raises(InputError, match="nothing to score"):
@@ -360,7 +366,7 @@ def test_clocks_of_the_cameras_apply_to_the_log(tmp_path):
 def test_limits_of_figures(run):
     tracks, truth, folder = run
     assert evaluate(tracks, truth, fail_above={"ospa.mean": 0.51, "identity_switches": 0})
-    with pytest.raises(GateError, match=r"ospa\.mean is 0\.5, limit 0\.4"):
+    with pytest.raises(GateError, match=r"tracks\.parquet: ospa\.mean is 0\.5, above the limit 0\.4"):
         evaluate(tracks, truth, folder / "out", fail_above={"ospa.mean": 0.4}, plots=False)
     assert json.loads((folder / "out" / "report.json").read_text())["ospa"]["mean"] == pytest.approx(0.5)
     with pytest.raises(InputError, match=r"ospa\.meen.*did you mean ospa\.mean"):
@@ -368,6 +374,53 @@ def test_limits_of_figures(run):
     assert not (folder / "new").exists()
     with pytest.raises(GateError, match=r"rmse\.position is null"):
         evaluate(write_tracks(folder / "no" / "tracks.parquet", []), truth, fail_above={"rmse.position": 9})
+
+
+def test_gates_are_in_the_report(run):
+    tracks, truth, folder = run
+    passed = evaluate(tracks, truth, fail_above={"ospa.mean": 0.5}, fail_below={"completeness.mean": 0.9})
+    assert passed["gates"] == [
+        {"name": "ospa.mean", "value": 0.5, "limit": 0.5, "fails": "above", "passed": True},
+        {"name": "completeness.mean", "value": 1.0, "limit": 0.9, "fails": "below", "passed": True},
+    ]
+    with pytest.raises(GateError, match=r"tracks\.parquet: tracks is 1, below the limit 2") as failure:
+        evaluate(tracks, truth, folder / "out", fail_below={"tracks": 2, "ospa.mean": 0.1}, plots=False)
+    written = json.loads((folder / "out" / "report.json").read_text())
+    assert [gate["passed"] for gate in written["gates"]] == [False, True]
+    assert failure.value.report == written
+    with pytest.raises(InputError, match="`fail_below`: ospa"):
+        evaluate(tracks, truth, fail_below={"ospa": 1.0})
+
+
+def test_a_cutoff_is_required_where_nothing_gives_the_scale(tmp_path):
+    rows = [(float(t), "a", t, 1, 0.25) for t in range(3)]
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(3)])
+    for metadata in (None, {"length_unit": "m"}):
+        tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata=metadata)
+        with pytest.raises(InputError, match=r"tracks\.parquet: expected `cutoff`, or evaluation\.cutoff"):
+            evaluate(tracks, truth)
+        assert evaluate(tracks, truth, cutoff=1.0)["ospa"]["cutoff"] == 1.0
+        assert evaluate(tracks, truth, base="mahalanobis")["ospa"]["cutoff"] == 20.0
+    record = json.dumps({"config": {"evaluation": {"cutoff": 0.5}}})
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata={"length_unit": "m", "stereophd": record})
+    assert evaluate(tracks, truth)["ospa"]["cutoff"] == 0.5
+
+
+def test_tracks_of_another_scene_are_named(tmp_path, caplog):
+    rows = [(float(t), "a", t, 1, 0.0) for t in range(10)]
+    origin = json.dumps({"command": "simulate", "seed": 4})
+    digest = hashlib.sha256(origin.encode()).hexdigest()
+    record = json.dumps({"origins": {"detections": digest}})
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata={**CENTIMETRES, "stereophd": record})
+    for content, warns in ((origin, False), (json.dumps({"command": "simulate", "seed": 5}), True)):
+        truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(10)], metadata={"stereophd": content})
+        caplog.clear()
+        evaluate(tracks, truth)
+        assert ("another scene" in caplog.text) == warns
+    later = write_truth(tmp_path / "later.parquet", [(t + 8, 3, 0) for t in range(10)])
+    caplog.clear()
+    evaluate(tracks, later)
+    assert "8 of 10 scans lie outside the times" in caplog.text
 
 
 def test_an_earlier_evaluation_is_kept_unless_forced(run):

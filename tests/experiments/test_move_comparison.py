@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
     compare_moves,

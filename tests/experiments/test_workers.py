@@ -15,7 +15,7 @@ import pytest
 
 from stereophd.commands.experiment import experiment
 from stereophd.errors import InputError
-from stereophd.experiments.engine import workers
+from stereophd.pipeline import workers
 
 from .conftest import Load
 from .test_experiment import contents

@@ -15,7 +15,7 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.smoothing import Trajectory, smooth
 from stereophd.errors import InputError

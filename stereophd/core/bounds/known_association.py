@@ -206,7 +206,7 @@ def _normal_equations(paths: _Paths, data: AssociatedDetections, parameters: Arr
     gradient[:, 3:] -= parameters[:, 3:] / paths.velocity_std**2
     information[:, 2, 2] += 1.0 / paths.prior_std**2
     information[:, range(3, 6), range(3, 6)] += 1.0 / paths.velocity_std**2
-    # an object that is not seen yet has the information of the prior alone, and a pixel that nothing tells
+    # an object that is not seen yet has only the information of the prior, and no pixel
     unseen = np.bincount(data.row, minlength=count) == 0
     information[unseen] = np.eye(6)
     gradient[unseen] = 0.0

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
-from stereophd.core.calibration import kernels
+from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.parameters import ParameterSet, taken
 from stereophd.core.calibration.quantities.base import TIMES
 from stereophd.core.calibration.quantities.looking import look
@@ -87,7 +87,7 @@ class Loss:
     scale: float
 
 
-SQUARED = Loss(kernels.SQUARED, 1.0)
+SQUARED = Loss(normal_equations.SQUARED, 1.0)
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class Linearisation:
         observations = problem.observations
         distances = np.zeros(len(observations))
         path, errors, visible, by_point, by_value = self._residuals(values, states)
-        cost = kernels.accumulate(
+        cost = normal_equations.accumulate(
             observations.cameras, errors, visible, observations.precisions, by_point, by_value, path.knot,
             path.weights, self.columns, problem.loss.kind, problem.loss.scale,
             bands, coupling, matrix, state_vector, value_vector, distances,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from stereophd.core.calibration import kernels
+from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.association import track_detections, with_cameras
 from stereophd.core.calibration.fits import FITTED_PASSES, marginal_fit, paired_fit, refitted, tracked_fit
 from stereophd.core.calibration.modes import Modes
@@ -120,7 +120,7 @@ def disagreement(task: Task, fit: Fit) -> str | None:
     part = explained(task, fit)
     if part < task.settings.min_tracked:
         return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
-    residual = float(np.minimum(fit.adjustment.distances, kernels.BEHIND).mean()) / 2.0
+    residual = float(np.minimum(fit.adjustment.distances, normal_equations.BEHIND).mean()) / 2.0
     if residual > MOST_RESIDUAL:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
     return prior_disagreement(task.parameters, fit.adjustment.values)

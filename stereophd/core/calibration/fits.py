@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration import kernels
+from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.adjustment import Loss, Observations, Problem, adjust, true_times
 from stereophd.core.calibration.association import (
     fitted_detections,
@@ -35,8 +35,8 @@ Integers = NDArray[np.int64]
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
-ANNEALED_LOSS = Loss(kernels.CAUCHY, 2.0)
-FITTED_LOSS = Loss(kernels.FLOOR, 1e-3)
+ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
+FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
 # Iterations of an adjustment, and of one for the history where more than poses is unknown.

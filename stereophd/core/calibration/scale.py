@@ -44,11 +44,6 @@ class ScaleMeasurement:
     cameras: tuple[int, int] = (0, 0)
 
 
-def reference_index(parameters: ParameterSet, reference: str) -> int:
-    """Index of the reference camera."""
-    return [camera.name for camera in parameters.cameras].index(reference)
-
-
 def scale_is_free(parameters: ParameterSet) -> bool:
     """Whether nothing but the prior fixes the scale: at most one camera centre is known."""
     known = [c for c in parameters.cameras if (parameters.index(c.name, CENTER) < 0).all()]

@@ -100,7 +100,7 @@ class Lens:
         if self.model == "none":
             return points.copy(), _identities(len(points))
         # Imported here: numba takes longer to import than most commands that never distort a point.
-        from stereophd.core.geometry.kernels import distort_points
+        from stereophd.core.geometry.compiled_lenses import distort_points
 
         return distort_points(self.code, self.coefficients, points)
 
@@ -122,7 +122,7 @@ class Lens:
         points = _points(xy_d)
         if self.model == "none":
             return points.copy(), _identities(len(points))
-        from stereophd.core.geometry.kernels import undistort_points
+        from stereophd.core.geometry.compiled_lenses import undistort_points
 
         return undistort_points(self.code, self.coefficients, self.max_radius, points)
 

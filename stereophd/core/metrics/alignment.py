@@ -115,7 +115,7 @@ def add_truth_times(events: Events, truth_time_s: FloatArray) -> Events:
     Returns
     -------
     Events
-        Completed when every event lies on a time of the truth, unchanged otherwise: then nothing says
+        Completed when every event lies on a time of the truth, unchanged otherwise: then nothing shows
         when the other events were.
     """
     grid = np.unique(truth_time_s)
@@ -224,7 +224,7 @@ def _interpolate(
     if truth.velocity is not None:
         velocity = (1 - weight) * truth.velocity[left] + weight * truth.velocity[right]
     else:
-        # On the row before a gap the segment that ends there tells the velocity.
+        # On the row before a gap the segment that ends there gives the velocity.
         back = long & (elapsed <= SAME_TIME_S) & (left > first)
         velocity = _segment_velocity(truth, left - back, right - back, max_gap_s)
     return position, velocity, long & ~on_row

@@ -75,7 +75,7 @@ def is_positive_definite(covariance: FloatArray) -> NDArray[np.bool_]:
 
 
 def _have_factors(matrices: FloatArray) -> NDArray[np.bool_]:
-    """Halve until the factorisation, which fails for all if it fails for one, says which it was."""
+    """Bisect to find the matrix for which the factorisation fails, because it fails for all if it fails for one."""
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:

@@ -13,7 +13,7 @@ from stereophd.core.metrics.scans import PointSets, ScanScores
 
 
 def has_identities(estimates: PointSets) -> bool:
-    """Return whether estimates carry identities; without estimates nothing says that they do not."""
+    """Return whether estimates carry identities; true without estimates."""
     return len(estimates.label) == 0 or bool((estimates.label > UNLABELLED).any())
 
 

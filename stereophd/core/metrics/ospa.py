@@ -85,7 +85,7 @@ def match(distances: FloatArray, order: float, cutoff: float) -> Matching:
     Returns
     -------
     Matching
-        Pairs further apart than the cutoff are kept, and are to be told by their distance.
+        Pairs further apart than the cutoff are kept; their distance identifies them.
     """
     check_parameters(order, cutoff)
     truth = optimal_assignment(np.minimum(distances / cutoff, 1.0) ** order)

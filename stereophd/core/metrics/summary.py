@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray
 from stereophd.core.metrics.consistency import UNLABELLED, identity_switches, independent_count, nees_interval, whitened
+from stereophd.core.metrics.hota import hota
 from stereophd.core.metrics.identities import has_identities, identity_figures
+from stereophd.core.metrics.idf1 import identity_score
+from stereophd.core.metrics.near_pairs import NearPairs
 from stereophd.core.metrics.ospa import Ospa
 from stereophd.core.metrics.ospa2 import ospa2_of_windows
 from stereophd.core.metrics.rmse import (
@@ -105,7 +108,7 @@ def per_scan_columns(
 
 
 def figures(
-    estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
+    estimates: PointSets, truth: PointSets, scores: ScanScores, near: NearPairs, ospa2: Ospa, errors: PairErrors
 ) -> dict[str, Any]:
     """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
 
@@ -156,6 +159,7 @@ def figures(
         },
         # Without labels there are no identities to switch.
         "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
+        **_identity_scores(estimates, truth, near),
         "tracks": len(np.unique(labels)),
         **identity_figures(estimates, truth, scores, errors.switched),
         "nees": {
@@ -164,6 +168,28 @@ def figures(
             "dimension": POSITION_DIMENSION,
             "n": len(normalised),
             "n_independent": independent,
+        },
+    }
+
+
+def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs) -> dict[str, Any]:
+    """Return IDF1 and HOTA; NaN for estimates without identities."""
+    if not has_identities(estimates):
+        unknown = float("nan")
+        return {
+            "idf1": unknown, "id_precision": unknown, "id_recall": unknown,
+            "hota": dict.fromkeys(("mean", "detection", "association", "localisation"), unknown),
+        }  # fmt: skip
+    identity, curves = identity_score(estimates, truth, near), hota(estimates, truth, near)
+    return {
+        "idf1": identity.f1,
+        "id_precision": identity.precision,
+        "id_recall": identity.recall,
+        "hota": {
+            "mean": _mean(curves.hota),
+            "detection": _mean(curves.detection),
+            "association": _mean(curves.association),
+            "localisation": _mean(curves.localisation),
         },
     }
 

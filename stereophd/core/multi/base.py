@@ -24,8 +24,8 @@ from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
+from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.settings import FilterSettings
-from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.undetected import Undetected, expected_births, view_overlap
 from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.samples import SampleSets
@@ -138,12 +138,13 @@ class DisparityFilter(ABC):
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
         weights = mixture.weights * self.settings.survival_per_s**elapsed
-        homes, intervals = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
+        homes, dts = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
+        motion = self.motion.arrays(dts)
         moved = move(
             mixture.means,
             mixture.covariances,
             homes,
-            intervals,
+            dts,
             self.rig.space(event.camera, event.time_s),
             self.motion,
             self.sets,
@@ -152,9 +153,9 @@ class DisparityFilter(ABC):
             weights >= IMPORTANT_WEIGHT,
             self.threads,
             self.rig.region,
+            motion,
         )
         views = self.rig.views(event.time_s)
-        motion = self.motion.arrays(intervals)
         fade_out_of_view(
             weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
         )
@@ -176,7 +177,10 @@ class DisparityFilter(ABC):
         chosen = select_objects(
             state.mixture, self.settings.extraction, state.next_label, state.next_track, self.labels_may_split
         )
-        state = replace(state, mixture=chosen.mixture, next_label=chosen.next_label, next_track=chosen.next_track)
+        # `replace` takes longer
+        state = FilterState(
+            chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected
+        )
         mixture, index = chosen.mixture, chosen.index
         cameras, times = mixture.cameras[index], mixture.times[index]
         means, covariances = world_moments(

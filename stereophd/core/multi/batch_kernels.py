@@ -20,7 +20,7 @@ from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
-from stereophd.core.multi.survival import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
 from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.compilation import compiled
 
@@ -167,7 +167,7 @@ def update_intensities(
     found, first = 0, 0
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
-        updated, log_likelihoods[h] = update_intensity(before, seen, event, numbers, reduction.prune_weight)
+        updated, log_likelihoods[h], _ = update_intensity(before, seen, event, numbers, reduction.prune_weight)
         after = reduce_intensity(updated, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
@@ -192,7 +192,7 @@ def update_track_sets(
     found, first = 0, 0
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
-        updated, log_likelihoods[h] = update_tracks(before, seen, event, numbers, reduction.prune_weight)
+        updated, log_likelihoods[h], _ = update_tracks(before, seen, event, numbers, reduction.prune_weight)
         after, _ = reduce_tracks(updated, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)

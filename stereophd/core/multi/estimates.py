@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.multi.attribution import Claims
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -64,9 +66,12 @@ class Info:
         Components after reduction.
     detected : array of int
         Labels that the event detected (`stereophd.core.multi.attribution.detected_labels`).
+    claims : Claims, optional
+        Which detections they were.
     """
 
     log_likelihood: float
     cardinality_mean: float
     n_components: int
     detected: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64), compare=False)
+    claims: Claims | None = field(default=None, compare=False)

@@ -42,27 +42,10 @@ CHEAP = 300.0
 def association_marginals(
     tracks: Integers, detections: Integers, odds: Array, n_tracks: int, n_detections: int
 ) -> tuple[Array, Array, Array, float]:
-    """Marginal association probabilities of sparse pairs.
+    """Marginal association probabilities of sparse pairs, as those of `stereophd.core.multi.belief`.
 
-    Parameters
-    ----------
-    tracks, detections : arrays (p,) of int
-        Pairs.
-    odds : array (p,)
-        ``psi_ij``.
-    n_tracks, n_detections : int
-        Numbers of tracks and detections.
-
-    Returns
-    -------
-    pair : array (p,)
-        Probability that the track made the detection.
-    missed : array (n_tracks,)
-        Probability that a track made none.
-    unclaimed : array (n_detections,)
-        Probability that no track made a detection.
-    log_evidence : float
-        Logarithm of the sum over all associations of the product of their odds.
+    The log evidence is that of the sum over all associations of the product of their odds: exact where every
+    cluster is.
     """
     pair, missed, unclaimed = np.zeros(len(odds)), np.ones(n_tracks), np.ones(n_detections)
     solved = np.zeros(len(odds), dtype=np.bool_)

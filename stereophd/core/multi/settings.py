@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -13,7 +13,9 @@ from stereophd.core.settings import (
     FINITE,
     NOT_NAN,
     SMALLEST_TIME_S,
+    Count,
     NonNegative,
+    Positive,
     PositiveFraction,
     PositiveLength,
     parameter,
@@ -22,7 +24,7 @@ from stereophd.core.settings import (
 
 if TYPE_CHECKING:
     from stereophd.core.disparity.events import Rig
-    from stereophd.core.motion.models import Motion
+    from stereophd.core.motion.base import Motion
     from stereophd.core.multi.base import DisparityFilter
     from stereophd.core.numerics.samples import SampleSets
 
@@ -36,10 +38,6 @@ MISSED = (
 
 # A span of time above 0, or infinity, s.
 TimeConstant = Annotated[float, Interval(ge=SMALLEST_TIME_S), NOT_NAN]
-OUT_OF_VIEW = (
-    "time constant with which the existence of an object fades while it is outside every view, so that no false "
-    "track lives on there; .inf: it does not fade"
-)
 
 # More new objects in one frame, or a second, than any image can hold.
 BirthRate = Annotated[float, Interval(ge=1e-30, le=1e6), FINITE]
@@ -70,7 +68,7 @@ class BirthPrior:
     disparity: DisparityPrior | None = parameter(
         "prior of the disparity, px at the baseline",
         default=None,
-        advice="for the paper's scenes; depth_range says the same in plain lengths.",
+        advice="for the paper's scenes; depth_range states the same in plain lengths.",
     )
     depth_range: DepthRange | None = parameter(
         "near and far depth: two standard deviations either side in disparity",
@@ -127,36 +125,33 @@ class ExistenceHysteresis(Hysteresis):
     )
 
 
-class FilterSettings(Protocol):
+@settings
+class FilterSettings:
     """What the settings of every kind of filter hold, and how they become the filter."""
 
-    @property
-    def kind(self) -> str:
-        """The word that names the filter in a configuration: the name of its module in `kinds`."""
-
-    @property
-    def survival_per_s(self) -> float:
-        """Probability that an object survives one second."""
-
-    @property
-    def out_of_view_s(self) -> float:
-        """Time constant with which existence fades outside every view, s."""
-
-    @property
-    def birth(self) -> BirthPrior:
-        """Prior of new objects."""
-
-    @property
-    def prune_weight(self) -> float:
-        """Components below this weight are dropped: births must be heavier."""
-
-    @property
-    def missed(self) -> Missed:
-        """Effect of a miss on a component that is partly in view."""
-
-    @property
-    def extraction(self) -> Hysteresis:
-        """What is reported."""
+    kind: str = parameter("the word that names the filter: the name of its module in `filter_settings`")
+    survival_per_s: PositiveFraction = parameter(
+        "probability that an object survives one second",
+        default=0.99,
+        advice="exp(-1 / mean time in view, in s): 0.95 for objects that stay for 20 s.",
+    )
+    out_of_view_s: TimeConstant = parameter(
+        "time constant with which the existence of an object fades while it is outside every view, so that no false "
+        "track lives on there; .inf: it does not fade",
+        unit="s",
+        default=5.0,
+        advice="as long as an object may be hidden from every camera and still be the same one.",
+    )
+    birth: BirthPrior = parameter("prior of new objects")
+    prune_weight: Positive = parameter("components below this weight are dropped: births must be heavier")
+    max_components: Count = parameter(
+        "the heaviest components are kept",
+        default=1000,
+        advice="several times the number of objects; it bounds time and memory.",
+    )
+    missed: Missed = parameter(MISSED)
+    extraction: Hysteresis = parameter("what is reported as an object", default_factory=Hysteresis)
 
     def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> DisparityFilter:
         """Return the filter. Compiled code is imported here, so that settings are read without it."""
+        raise NotImplementedError

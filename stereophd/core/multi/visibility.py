@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.trips import disparity_scale
-from stereophd.core.geometry.kernels import pixel_in_view
+from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled

@@ -1,8 +1,8 @@
 """Every random stream of the package: its purpose, and its path of keys from the seed of the configuration.
 
-A stream is ``numpy.random.SeedSequence(seed, spawn_key=path)``. Two purposes of one command never share a path, so
-their numbers are independent. Numbers below 2**31 at the beginning of a path count the runs of ``simulate`` and
-``experiment``; purposes of a whole configuration begin at 2**31.
+A stream is ``numpy.random.SeedSequence(seed, spawn_key=path)``. No two purposes share a path, so their numbers
+are independent. Numbers below 2**31 at the beginning of a path count the runs of ``simulate`` and ``experiment``;
+purposes of a whole configuration begin at 2**31.
 
 What receives a stream may spawn from it (a camera, a start of a calibration, a step): paths go on there.
 """
@@ -73,17 +73,17 @@ RUN_SINGLE_OBJECT = RunPurpose((), ("experiment of one object",), "truth, detect
 FILTER_SAMPLES = Purpose(
     (FIRST_KEY,), ("track", "calibrate", "experiment"), "sample sets of a filter of many objects"
 )  # fmt: skip
-SINGLE_ESTIMATOR = Purpose((FIRST_KEY + 1,), ("track",), "particles and samples of a single-object estimator")
 CALIBRATION_STARTS = Purpose((FIRST_KEY + 1,), ("calibrate",), "cameras at which the starts of annealed begin")
 SEQUENTIAL_PARTICLES = Purpose((FIRST_KEY + 2,), ("calibrate",), "particles of method sequential")
 TEMPERED_PARTICLES = Purpose((FIRST_KEY + 3,), ("calibrate",), "particles of posterior smc")
 POSTERIOR_DRAWS = Purpose((FIRST_KEY + 4,), ("calibrate",), "draws from the posterior of method annealed")
 CALIBRATION_PAIRING = Purpose((FIRST_KEY + 5,), ("calibrate",), "pairing of tracks, one child a start")
+SINGLE_ESTIMATOR = Purpose((FIRST_KEY + 6,), ("track",), "particles and samples of a single-object estimator")
 BOUND_TRAJECTORIES = Purpose(
-    (FIRST_KEY + 1,), ("experiment", "experiment of one object"), "trajectories over which a bound is averaged"
+    (FIRST_KEY + 7,), ("experiment", "experiment of one object"), "trajectories over which a bound is averaged"
 )
 MOVE_REFERENCE = Purpose(
-    (FIRST_KEY + 2,), ("experiment", "experiment of one object"), "samples behind the moments that moves compare with"
+    (FIRST_KEY + 8,), ("experiment", "experiment of one object"), "samples behind the moments that moves compare with"
 )
 
 

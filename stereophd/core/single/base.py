@@ -1,7 +1,7 @@
 """One object seen by several cameras, without clutter: what all estimators have in common.
 
 An estimator is ``init / step / estimate`` over a frozen state: `SingleEstimator.step` takes a state and
-the event of one camera (at most one detection) to the next state, `SingleEstimator.estimate` says where
+the event of one camera (at most one detection) to the next state, `SingleEstimator.estimate` returns where
 the object is, in the world. Nothing is kept outside the state: the same state and event give the same
 result, of those that draw random numbers too.
 """
@@ -29,7 +29,7 @@ class SingleState:
     Attributes
     ----------
     time_s : float
-        Time for which `SingleEstimator.estimate` speaks: that of the last event, or later.
+        Time of the estimate of `SingleEstimator.estimate`: that of the last event, or later.
     home_s : float
         Time of what is known of the object: that of the last detection.
     n_events : int
@@ -116,7 +116,7 @@ class SingleEstimator(ABC, Generic[State]):
         """Return where the object is at the state's time; None before its first detection."""
 
     def at(self, state: State, time_s: float) -> State:
-        """Return the state of which `estimate` speaks for a time after the last event."""
+        """Return the state that `estimate` describes at a time after the last event."""
         return replace(state, time_s=time_s)
 
 

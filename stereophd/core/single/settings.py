@@ -33,7 +33,7 @@ class DisparitySettings:
 
 @settings
 class DisparityChoice:
-    """Gaussian on disparity space, carried as ``moments`` says (paper, Algorithm 2)."""
+    """Gaussian on disparity space, moved by the method of ``moments`` (paper, Algorithm 2)."""
 
     kind: Literal["disparity"] = parameter("the estimator", default="disparity")
 

@@ -1,7 +1,7 @@
 """Fixed-interval smoothing of tracks in the world.
 
-A log is offline: what a camera saw later says where an object was before. The Rauch-Tung-Striebel smoother
-runs back over the filtered world states of each track, with the motion model of the filter, and goes on
+A log is complete: later detections improve earlier states. The Rauch-Tung-Striebel smoother
+runs back over the filtered world states of each track, with the motion model of the filter, and continues
 past its confirmation to its first detection. Reference: H. E. Rauch, F. Tung and C. T. Striebel, "Maximum
 likelihood estimates of linear dynamic systems", AIAA Journal 3 (8), 1965.
 """

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 
 import stereophd
 from stereophd.errors import InputError, StereophdError
 from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.parts import PartStore
-from stereophd.experiments.engine.work import Chunk, ChunkResult, Part
-from stereophd.experiments.engine.workers import DaskWorkers, Workers, WorkersLostError, in_this_process, on_cores
+from stereophd.experiments.engine.work import Chunk, ChunkResult, Part, run_chunk
 from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.workers import ATTEMPTS, Workers, WorkersLostError, open_workers
 
 # Called with method, case and series of a run.
 See = Callable[[str, str, Sequence[Series]], None]
-
-# How often a run is tried, and how often in a row all workers may be lost without a run being finished.
-ATTEMPTS = 3
 
 # Runs of a chunk: enough chunks that workers share the work evenly and little is lost at an interruption,
 # but not so many that storing them takes longer than the runs.
@@ -80,7 +76,7 @@ def execute(
     Raises
     ------
     InputError
-        A run says that the configuration is at fault, or workers have another version of the package.
+        A run reports that the configuration is at fault, or workers have another version of the package.
     StereophdError
         A run failed `ATTEMPTS` times, or workers die without finishing a run.
     """
@@ -98,19 +94,16 @@ def execute(
         return
     if ledger.left < ledger.total:
         LOGGER.info("resuming: %d of %d runs are there", ledger.total - ledger.left, ledger.total)
-    if dask is not None:
-        with closing(DaskWorkers(dask)) as cluster:
-            _work(ledger, store, cluster, cluster.count, progress, see)
-    else:
-        _work(ledger, store, in_this_process if jobs == 1 else on_cores(jobs), jobs, progress, see)
+    with open_workers(jobs, dask) as workers:
+        _work(ledger, store, workers, progress, see)
 
 
-def _work(ledger: _Ledger, store: PartStore, workers: Workers, count: int, progress: Progress | None, see: See) -> None:
+def _work(ledger: _Ledger, store: PartStore, workers: Workers, progress: Progress | None, see: See) -> None:
     fruitless = 0
     while ledger.left:
         before = ledger.left
         try:
-            for result in workers(ledger.chunks(count)):
+            for result in workers(run_chunk, ledger.chunks(workers.count)):
                 _take(ledger, store, result)
                 for outcome in result.outcomes:
                     if outcome.error is None:
@@ -122,7 +115,7 @@ def _work(ledger: _Ledger, store: PartStore, workers: Workers, count: int, progr
             if fruitless == ATTEMPTS:
                 raise StereophdError(
                     f"workers died {ATTEMPTS} times without finishing a run: {error}; finished runs are in "
-                    f"{store.folder}, `resume=True` goes on"
+                    f"{store.folder}, `resume=True` continues"
                 ) from error
             LOGGER.warning("a worker died; the %d runs that are left go to new ones (%s)", ledger.left, error)
 
@@ -148,6 +141,6 @@ def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
         if count == ATTEMPTS:
             raise StereophdError(
                 f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.folder}, "
-                "`resume=True` goes on"
+                "`resume=True` continues"
             )
         LOGGER.warning("%s: failed, will be tried again: %s", name, outcome.error)

@@ -1,4 +1,4 @@
-"""Finished runs on the disk, so that an interrupted experiment goes on where it stopped.
+"""Finished runs on the disk, so that an interrupted experiment continues where it stopped.
 
 Every chunk is a small Parquet file in ``DIR/partial-HASH``; the hash is that of everything that decides
 about the values of a run (not of the number of runs, nor of what is reported), so that runs of another

@@ -173,7 +173,7 @@ def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: boo
     Raises
     ------
     InputError
-        The folder holds results or runs, and neither `resume` nor `force` allows to go on.
+        The folder holds results or runs, and neither `resume` nor `force` allows continuing.
     """
     out = store.folder.parent
     output_folder(out, True, [*files, PATTERN])

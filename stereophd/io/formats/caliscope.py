@@ -67,7 +67,7 @@ def _read_cameras(path: Path, options: ImportOptions, recording: ForeignRecordin
         raise InputError(f"{path}: expected tables [cameras.N] or [cam_N] with a matrix, found none")
     for key, values in tables.items():
         if values.get("ignore"):
-            recording.assumed.append(f"camera {key} is left out: the file says to ignore it")
+            recording.assumed.append(f"camera {key} is left out: the file marks it as ignored")
             continue
         name = options.name(f"cam{values.get('cam_id', values.get('port', key))}")
         recording.cameras[name] = toml_camera(name, values, options, str(path))

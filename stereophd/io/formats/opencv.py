@@ -7,7 +7,7 @@ own, named as the file. Where two cameras are there and one R, T without a name,
 the first camera is at the origin and R, T lead from its axes to those of the second.
 
 Conventions: pixels and camera axes are the native ones. ``x_camera = R x_world + T``, so the centre is ``-R^T T``.
-Coefficients: k1, k2, p1, p2, k3, k4, k5, k6; four of a fisheye where ``fisheye_model`` (or a key like it) says so.
+Coefficients: k1, k2, p1, p2, k3, k4, k5, k6; four of a fisheye where ``fisheye_model`` (or a similar key) is set.
 Lengths have the unit of the calibration board, which the files do not name.
 """
 

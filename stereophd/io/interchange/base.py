@@ -58,7 +58,7 @@ class ImportOptions:
     rename
         Camera of the source -> native name.
     length_unit
-        Unit of length of the source's cameras; None: as the format says, or metres.
+        Unit of length of the source's cameras; None: the unit of the format, or metres.
     time_unit
         Unit of the source's times.
     pixel_origin

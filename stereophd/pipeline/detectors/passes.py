@@ -37,7 +37,7 @@ LOGGER = logging.getLogger("stereophd")
 
 
 class _Settled:
-    """Labels that are confirmed and were seen by two cameras; what frames said of them since their last detection."""
+    """Labels that are confirmed and were seen by two cameras; the counts of the frames since their last detection."""
 
     def __init__(self) -> None:
         self.seen_by: dict[int, set[int]] = {}
@@ -50,8 +50,8 @@ class _Settled:
         return np.array(found, dtype=np.int64)
 
     def count(self, label: int, camera: int, detected: float, missed: float, sums: list[DetectorSums]) -> None:
-        """Keep what a frame said of a track until the track is detected again."""
-        if detected + missed <= 0.0:  # of a camera that never misses, given so: nothing can be said
+        """Keep the counts of a frame for a track until the track is detected again."""
+        if detected + missed <= 0.0:  # the camera never misses by its settings: nothing to estimate
             return
         waiting = self._waiting.setdefault(label, {}).setdefault(camera, [0.0, 0.0])
         # seen again later, it existed all the time

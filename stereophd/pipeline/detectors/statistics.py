@@ -43,7 +43,7 @@ from stereophd.core.multi.exact_association import association_marginals
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# A track whose alternatives are still undecided (the heaviest has less than this share) says nothing yet.
+# A track whose alternatives are still undecided (the heaviest has less than this share) is not counted yet.
 DECIDED_SHARE = 0.9
 # A detection that is more probably a track's than not counts as its next residual.
 LIKELY = 0.5

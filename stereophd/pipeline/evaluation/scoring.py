@@ -17,6 +17,8 @@ from stereophd.core.metrics.alignment import (
     last_event_of_each_time,
 )
 from stereophd.core.metrics.assignment import is_positive_definite
+from stereophd.core.metrics.following import follow
+from stereophd.core.metrics.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa
 from stereophd.core.metrics.visibility import Sightings, cameras_that_saw, leave_out_unseen
@@ -82,10 +84,12 @@ def score_tracks(
     if len(time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
     scores = score_scans(estimates, points, options.order, options.cutoff, mahalanobis=mahalanobis)
+    near = near_pairs(estimates, points, options.cutoff, mahalanobis=mahalanobis)
+    scores = follow(estimates, points, scores, near, options.order)
     ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
     return Scored(
-        figures=figures(estimates, points, scores, ospa2, errors),
+        figures=figures(estimates, points, scores, near, ospa2, errors),
         scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
         columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,

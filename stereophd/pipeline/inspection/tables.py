@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from stereophd.core.geometry.trajectory import COLUMNS
 from stereophd.errors import InputError
 from stereophd.io.provenance import from_metadata, length_unit
 from stereophd.io.tables import FLOAT, INTEGER, open_parquet, read_table
@@ -16,6 +17,7 @@ from stereophd.io.tables import FLOAT, INTEGER, open_parquet, read_table
 KINDS = (
     ("detections", ("time_s", "camera", "frame", "u_px", "v_px")),
     ("tracks", ("time_s", "track_id", "x", "y", "z")),
+    ("trajectory", COLUMNS),
     ("truth", ("time_s", "object_id", "x", "y", "z")),
     ("scans", ("time_s", "n_detections", "cardinality_estimate")),
     ("scores", ("time_s", "ospa", "n_truth")),

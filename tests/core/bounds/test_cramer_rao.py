@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.core.bounds import cramer_rao as bounds
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from tests.core.single import scenes
 
 POINT = np.array([3.0, -5.0, 120.0])

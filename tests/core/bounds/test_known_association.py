@@ -11,7 +11,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.settings import BirthPrior
 
 STARTS = np.array([[5.0, -3.0, 120.0], [-10.0, 8.0, 90.0]])

@@ -13,9 +13,10 @@ from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion
-from stereophd.core.multi.kinds.phd import PhdSettings
-from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.multi.filter_settings.phd import PhdSettings
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.settings import BirthPrior

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from stereophd.core.bounds.calibration import calibration_bound
-from stereophd.core.calibration import kernels
+from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.adjustment import SQUARED, Adjustment, Linearisation, Loss, Problem, adjust
 from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED, observability, pose_spread
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
@@ -21,7 +21,7 @@ from stereophd.core.calibration.trajectories import (
     positions,
 )
 from stereophd.core.geometry.camera import Detector
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from tests.core.calibration.scenes import STDS, MadeUp, make_problem
 
 STRAIGHT = ConstantVelocity([0.0, 0.0, 0.0])
@@ -84,7 +84,7 @@ def test_optimum_is_that_of_scipy(acceleration: float) -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), np.sqrt(np.diag(full)), rtol=0.02)
 
 
-@pytest.mark.parametrize("loss", [SQUARED, Loss(kernels.CAUCHY, 2.0), Loss(kernels.FLOOR, 1e-3)])
+@pytest.mark.parametrize("loss", [SQUARED, Loss(normal_equations.CAUCHY, 2.0), Loss(normal_equations.FLOOR, 1e-3)])
 def test_vectors_are_the_gradient_of_the_cost(loss: Loss) -> None:
     problem = make_problem(2, objects=2, frames=8)
     measurement = ScaleMeasurement("baseline", 41.0, 0.5, (0, 1))

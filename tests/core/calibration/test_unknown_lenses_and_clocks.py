@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.bounds.calibration import calibration_bound
-from stereophd.core.calibration import kernels
+from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.adjustment import SQUARED, Linearisation, Loss, Observations, Problem, adjust
 from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
@@ -17,7 +17,7 @@ from stereophd.core.calibration.trajectories import fit_states, interpolation, k
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 
 STDS = {
     "center": 0.3, "rotation": 0.02, "focal": 0.05, "aspect": 0.002, "principal_point": 8.0, "distortion": 0.02,
@@ -106,7 +106,7 @@ def problem_of(
     return Problem(guess, 0, knots, observations, loss), states
 
 
-@pytest.mark.parametrize("loss", [SQUARED, Loss(kernels.FLOOR, 1e-3)])
+@pytest.mark.parametrize("loss", [SQUARED, Loss(normal_equations.FLOOR, 1e-3)])
 @pytest.mark.parametrize("moving", [False, True])
 def test_vectors_are_the_gradient_of_the_cost(loss: Loss, moving: bool) -> None:
     still = {"velocity", "rotation_rate"}

@@ -11,7 +11,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.motion.models import Motion
+from stereophd.core.motion.base import Motion
 
 Array = NDArray[np.float64]
 

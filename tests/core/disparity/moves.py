@@ -15,7 +15,9 @@ import numpy as np
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.numerics.samples import SampleSets, draw_sample_sets
 from tests.core.disparity.cases import converging, make_camera, make_space, oracle_trip, random_covariance, state_in
 

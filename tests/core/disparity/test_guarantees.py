@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from stereophd.core.disparity import moments
 from stereophd.core.disparity.moments import move, world_moments
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from tests.core.disparity.cases import converging, make_camera, make_space, random_covariance, state_in
 from tests.core.disparity.moves import METHODS, Case, figure_7, nearly_linear, sample_sets
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from stereophd.core.disparity import linear_move, sample_move, trips
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
 from tests.core.disparity.cases import (

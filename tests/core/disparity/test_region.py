@@ -15,7 +15,8 @@ from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.disparity.trips import REGION_SLACK, region_mask
-from stereophd.core.motion.models import ConstantVelocity, Static
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.numerics.samples import RESERVE_SAMPLES, RESERVE_WIDTH, draw_sample_sets
 from stereophd.pipeline.build import build_region
 from tests.core.disparity.cases import (

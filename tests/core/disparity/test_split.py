@@ -7,7 +7,9 @@ import pytest
 
 from stereophd.core.disparity import moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, PARTLY_IN_VIEW
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from tests.core.disparity.cases import (
     converging,
     in_deviations,

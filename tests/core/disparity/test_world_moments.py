@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.moments import world_moments
-from stereophd.core.motion.models import ConstantVelocity, Static
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from tests.core.disparity.cases import (
     in_deviations,
     make_camera,

@@ -15,7 +15,7 @@ from numba import njit
 
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera, Clock, Detector
-from stereophd.core.geometry.kernels import pixel_in_view
+from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 

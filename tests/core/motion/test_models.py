@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.motion.models import ConstantVelocity, Static
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 
 steps = st.floats(-100.0, 100.0, allow_subnormal=False)
 accelerations = st.tuples(*[st.floats(0.0, 10.0, allow_subnormal=False)] * 3)

@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike
 from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion
-from stereophd.core.multi.kinds.phd import PhdSettings
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.settings import BirthPrior, Hysteresis

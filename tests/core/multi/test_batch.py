@@ -13,7 +13,9 @@ from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.disparity.events import make_rig
 from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.batch import BatchState, FilterBatch
 from stereophd.core.multi.phd import PhdFilter

@@ -10,9 +10,9 @@ import pytest
 
 from stereophd.core.disparity.events import make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.kinds import filters
+from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera
@@ -29,7 +29,7 @@ def kinds() -> list[Any]:
 class TestEveryKind:
     def test_its_word_is_the_name_of_its_module(self, word: str, kind: Any) -> None:
         assert kind(birth=BIRTH).kind == word
-        assert kind.__module__ == f"stereophd.core.multi.kinds.{word}"
+        assert kind.__module__ == f"stereophd.core.multi.filter_settings.{word}"
 
     def test_declares_every_parameter(self, word: str, kind: Any) -> None:
         assert dataclasses.is_dataclass(kind)

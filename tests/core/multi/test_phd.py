@@ -12,7 +12,8 @@ from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import ConstantVelocity, Static
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.mixture import GaussianMixture

@@ -13,7 +13,9 @@ from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.settings import BirthPrior

@@ -15,10 +15,12 @@ from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.estimates import Estimates, Info
-from stereophd.core.multi.kinds.pmb import PmbSettings
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.pmb_update import mix_gaussians

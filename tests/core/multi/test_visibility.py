@@ -8,7 +8,7 @@ import pytest
 from stereophd.core.disparity.events import make_event, make_rig
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.visibility import fade_out_of_view
 from tests.core.disparity.cases import make_camera

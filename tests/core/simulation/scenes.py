@@ -7,7 +7,7 @@ import numpy as np
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.simulation.detections import Scene, SimulatedFrame, simulate_frames
 from stereophd.core.simulation.objects import MovingObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid

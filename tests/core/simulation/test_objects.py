@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.simulation import drawing as drawing_module
 from stereophd.core.simulation.drawing import Drawing, draw_objects
 from stereophd.core.simulation.objects import MovingObject, Path, state_windows

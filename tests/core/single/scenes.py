@@ -11,7 +11,7 @@ from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.experiments.single_object.runs import LocalisationProblem, TrackingProblem
 
 SIGMA = math.sqrt(2.0)

@@ -11,7 +11,9 @@ import pytest
 from stereophd.core.disparity.events import Event, Rig, make_event
 from stereophd.core.disparity.prior import DisparityPrior, InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.motion.models import ConstantVelocity, Motion, Static
+from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator

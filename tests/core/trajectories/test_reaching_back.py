@@ -11,7 +11,7 @@ from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.motion.models import ConstantVelocity
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.trajectories.reaching_back import reach_back
 from stereophd.core.trajectories.smoothing import Trajectory
 

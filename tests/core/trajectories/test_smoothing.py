@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from stereophd.core.motion.models import ConstantVelocity, Static
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.static import Static
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
 

@@ -1,7 +1,7 @@
 """Lens models: one module each, found by its name, the word of ``distortion.model``.
 
 A module holds the model's settings, code and largest radius (`LENS`), and its formula as a plain function, which
-`stereophd.core.geometry.kernels` compiles.
+`stereophd.core.geometry.compiled_lenses` compiles.
 """
 
 from __future__ import annotations

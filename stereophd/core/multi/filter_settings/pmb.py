@@ -6,42 +6,29 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Interval
 
-from stereophd.core.multi.settings import MISSED, OUT_OF_VIEW, BirthPrior, ExistenceHysteresis, Missed, TimeConstant
+from stereophd.core.multi.settings import MISSED, ExistenceHysteresis, FilterSettings, Missed
 from stereophd.core.settings import (
     FINITE,
     NOT_NAN,
     Count,
     NonNegative,
     Positive,
-    PositiveFraction,
     parameter,
     settings,
 )
 
 if TYPE_CHECKING:
     from stereophd.core.disparity.events import Rig
-    from stereophd.core.motion.models import Motion
+    from stereophd.core.motion.base import Motion
     from stereophd.core.multi.pmb import PmbFilter
     from stereophd.core.numerics.samples import SampleSets
 
 
 @settings
-class PmbSettings:
+class PmbSettings(FilterSettings):
     """Poisson multi-Bernoulli filter (Williams 2015): labelled tracks."""
 
     kind: Literal["pmb"] = parameter("the filter", default="pmb")
-    survival_per_s: PositiveFraction = parameter(
-        "probability that an object survives one second",
-        default=0.99,
-        advice="exp(-1 / mean time in view, in s): 0.95 for objects that stay for 20 s.",
-    )
-    out_of_view_s: TimeConstant = parameter(
-        OUT_OF_VIEW,
-        unit="s",
-        default=5.0,
-        advice="as long as an object may be hidden from every camera and still be the same one.",
-    )
-    birth: BirthPrior = parameter("prior of new objects")
     recycle_below: Positive = parameter(
         "tracks of a smaller existence join the intensity of undetected objects", default=1e-3, advice="rarely changed."
     )

@@ -1,0 +1,95 @@
+"""What a command over many inputs prints, and how it ends."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from stereophd.cli.flags import with_flags
+from stereophd.cli.options import Session
+from stereophd.cli.terminal import print_data, quiet_pipe, to_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+# Not in the table: the folder says which log it is, and messages have lines of their own.
+_NOT_IN_TABLE = frozenset({"log", "message"})
+
+# Characters of a line of the table where no terminal limits it.
+_PIPED_WIDTH = 180
+
+
+def are_many(paths: Sequence[Path]) -> bool:
+    """Whether paths, some of which may be patterns, stand for other than one file."""
+    from stereophd.pipeline.batch.names import expand
+
+    return len(paths) > 1 or len(expand(paths)) > 1
+
+
+def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = False) -> None:
+    """Print the summary of a batch, and exit with its code: 2 where an input failed.
+
+    Parameters
+    ----------
+    session : Session
+    found : mapping
+        What `stereophd.pipeline.batch.run.run_batch` returns.
+    strict : bool
+        Whether warnings of checks ask for exit code 1.
+    """
+    rows = found["logs"]
+    if session.json:
+        print_data(to_json(found))
+    elif not session.quiet:
+        _print_table(rows, found)
+    code = found["exit_code"]
+    if code == 0 and strict and any(row.get("warnings") for row in rows):
+        code = 1
+    if code:
+        raise typer.Exit(code)
+
+
+def say_what_is_kept(out: Path) -> None:
+    """Say that an interrupted command can go on, if it can."""
+    from stereophd.pipeline.unfinished import can_resume
+
+    if can_resume(out) or any(out.glob("*/report.json")):
+        print(f"what is done is kept in {out}: --resume goes on", file=sys.stderr)
+
+
+def _print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> None:
+    """Print a row for each input, and the messages of those that failed."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH)
+    with quiet_pipe():
+        console.print(_table(rows))
+        for row in rows:
+            if row["message"]:
+                console.print(f"{escape(row['folder'])}: {escape(with_flags(row['message']))}", highlight=False)
+        console.print(f"{found['done']} done, {found['failed']} failed", highlight=False)
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    names = [name for name in rows[0] if name not in _NOT_IN_TABLE]
+    for name in names:
+        words = name in ("folder", "status")
+        table.add_column(name, justify="left" if words else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(escape(_text(row[name])) for name in names))
+    return table
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,99 @@
+"""Track the objects of many detection logs: a folder for each, and a summary of all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stereophd.commands.track import FILES, track
+from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.tables import FLOAT, INTEGER
+from stereophd.pipeline.batch.names import expand, folder_names
+from stereophd.pipeline.batch.run import Batch, Item, run_batch
+from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.unfinished import UNFINISHED_FILES
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Columns of ``summary.parquet`` beside those of every batch.
+COLUMNS = {
+    **dict.fromkeys(("frames", "detections", "tracks", "estimates"), INTEGER),
+    **dict.fromkeys(("duration_s", "log_likelihood"), FLOAT),
+    "warnings": INTEGER,
+}
+
+
+def track_logs(
+    loaded: LoadedConfig,
+    logs: Sequence[Path | str],
+    out_dir: Path | str,
+    force: bool = False,
+    threads: int = 1,
+    progress: Progress | None = None,
+    resume: bool = False,
+    jobs: int = 1,
+    dask: str | None = None,
+) -> dict[str, Any]:
+    """Track the objects of many detection logs.
+
+    A log that fails is a row of the summary with the reason; the others are tracked.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a ``filter`` section and cameras.
+    logs : sequence of path
+        Detection logs, or patterns such as ``day-*/detections.parquet``.
+    out_dir : path
+        Folder for the outputs: ``NAME/`` for each log, with the files of `stereophd.commands.track.track`, and
+        ``summary.parquet``. NAME is that of the log's file without its ending, or of its folder where the file is
+        called ``detections.parquet``.
+    force, threads, progress : bool, int, callable
+        As of `stereophd.commands.track.track`; `progress` is called with the logs done and their number.
+    resume : bool
+        Whether logs that are tracked already are left as they are.
+    jobs : int
+        Processes on this machine; the outputs do not depend on it.
+    dask : str, optional
+        Address of a Dask scheduler whose workers do the work instead.
+
+    Returns
+    -------
+    dict
+        ``logs``: the rows of the summary; ``done`` and ``failed``: their numbers; ``exit_code``.
+
+    Raises
+    ------
+    InputError
+        No log fits a pattern, one is given twice, or the output folder cannot be used.
+    """
+    paths = expand(logs)
+    items = [
+        Item(name, str(path), (Path(os.path.abspath(path)),))
+        for name, path in zip(folder_names(paths), paths, strict=True)
+    ]
+    metadata = to_metadata(provenance("track", loaded.record))
+    batch = Batch(
+        items, partial(_track, loaded, force, resume, threads), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
+    )
+    return run_batch(batch, out_dir, jobs, dask, force, resume, progress)
+
+
+def _track(
+    loaded: LoadedConfig, force: bool, resume: bool, threads: int, item: Item, out: Path, progress: Progress | None
+) -> Mapping[str, Any]:
+    """Track one log; return its values in the summary."""
+    report = track(loaded, item.paths[0], out, force, threads, progress, resume)
+    return {
+        "frames": report["input"]["frames"],
+        "detections": report["input"]["detections"],
+        "tracks": len(report["tracks"]),
+        "estimates": report["estimates"],
+        "duration_s": report["duration_s"],
+        "log_likelihood": report["log_likelihood"],
+        "warnings": sum(found["status"] == "warning" for found in report["checks"]),
+    }

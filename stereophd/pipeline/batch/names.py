@@ -1,0 +1,107 @@
+"""Which files a batch takes, and the name of the folder of each."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from stereophd.errors import InputError
+
+# File names that say what a file is, not which recording it belongs to: the folder names that.
+NATIVE_STEMS = frozenset({"detections", "tracks", "truth"})
+
+_WILD = frozenset("*?[")
+
+
+def expand(paths: Sequence[Path | str]) -> list[Path]:
+    """Return files, with patterns replaced by the files that fit them, in the order of their names.
+
+    Raises
+    ------
+    InputError
+        No file fits a pattern.
+    """
+    found: list[Path] = []
+    for path in map(Path, paths):
+        if path.exists() or not _WILD & set(str(path)):
+            found.append(path)
+            continue
+        fitting = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
+        if not fitting:
+            raise InputError(f"{path}: expected a pattern that fits a file, found no such file")
+        found += fitting
+    return found
+
+
+def folder_names(paths: Sequence[Path]) -> list[str]:
+    """Return a name for each file: its own without the ending, or where that only says what it is, its folder's.
+
+    Files that would have one name get the names of the folders above them in front, as many as they need to differ.
+
+    Raises
+    ------
+    InputError
+        A file is given twice.
+    """
+    places = [Path(os.path.abspath(path)) for path in paths]
+    for place, count in Counter(places).items():
+        if count > 1:
+            raise InputError(f"{place}: expected each file once, found it {count} times")
+    parts = [_parts(place) for place in places]
+    taken = [1] * len(parts)
+    while True:
+        names = ["-".join(part[-count:]) for part, count in zip(parts, taken, strict=True)]
+        groups: dict[str, list[int]] = {}
+        for index, name in enumerate(names):
+            groups.setdefault(name.casefold(), []).append(index)
+        alike = [group for group in groups.values() if len(group) > 1]
+        if not alike:
+            return names
+        longer = [index for group in alike for index in group if taken[index] < len(parts[index])]
+        if not longer:
+            first, second = alike[0][:2]
+            raise InputError(f"{paths[first]} and {paths[second]}: expected files of different names, found both alike")
+        for index in longer:
+            taken[index] += 1
+
+
+def _parts(place: Path) -> list[str]:
+    """Return the folders of a file, and its name without the ending where that names the recording."""
+    folders = [part for part in place.parent.parts if part != place.anchor]
+    return folders if place.stem in NATIVE_STEMS and folders else [*folders, place.stem]
+
+
+def pairs_by_name(left: Path, right: Path, left_name: str, right_name: str) -> Mapping[str, tuple[Path, Path]]:
+    """Match the files of two folders by their names.
+
+    Parameters
+    ----------
+    left, right : Path
+        Folders that hold ``NAME/FILE`` or ``NAME.parquet``, FILE being `left_name` or `right_name`.
+    left_name, right_name : str
+        Such as ``tracks.parquet`` and ``truth.parquet``.
+
+    Returns
+    -------
+    mapping
+        NAME -> file of each folder; every name of `left`, in order. The file of `right` may be missing there.
+
+    Raises
+    ------
+    InputError
+        A folder is none, or `left` holds no such file.
+    """
+    for folder in (left, right):
+        if not folder.is_dir():
+            raise InputError(f"{folder}: expected a folder, as {left if folder == right else right}, found none")
+    names = sorted(entry.name for entry in left.iterdir() if (entry / left_name).is_file())
+    if not names:
+        raise InputError(f"{left}: expected folders that hold {left_name}, found none")
+    pairs = {}
+    for name in names:
+        alone = right / f"{name}.parquet"
+        pairs[name] = (left / name / left_name, alone if alone.is_file() else right / name / right_name)
+    return pairs

@@ -1,0 +1,246 @@
+"""Run a command on many inputs: a folder for each, ``summary.parquet``, and one row for what failed.
+
+A fault of one input, whatever it is, is a row of the summary and stops no other. The files do not depend on where and
+in which order the inputs are done, nor on workers that die.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+import stereophd
+from stereophd.errors import InputError, StereophdError
+from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
+from stereophd.io.tables import FLOAT, INTEGER, STRING, TableWriter
+from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.workers import ATTEMPTS, Workers, complete, open_workers
+
+SUMMARY_FILE = "summary.parquet"
+
+DONE, FAILED = "done", "failed"
+
+# Columns of every summary; a command adds its own.
+COMMON = {"log": STRING, "folder": STRING, "status": STRING, "message": STRING}
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@dataclass(frozen=True)
+class Item:
+    """One input of a batch.
+
+    Attributes
+    ----------
+    name : str
+        Of its folder.
+    source : str
+        As the user gave it, for messages and the summary.
+    paths : tuple of Path
+        Its files, absolute: workers may have another current folder.
+    """
+
+    name: str
+    source: str
+    paths: tuple[Path, ...]
+
+
+# Does one item: called with it, its output folder and a progress function; returns values of its row.
+Work = Callable[[Item, Path, Progress | None], Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What is done for each input.
+
+    Attributes
+    ----------
+    items : sequence of Item
+    work : callable
+        A function of a module, or `functools.partial` of one, that writes the item's folder.
+    files : sequence of str
+        Files that it may write there.
+    columns : mapping
+        Names and types of its values; they are null where it fails.
+    metadata : mapping
+        Of ``summary.parquet``.
+    """
+
+    items: Sequence[Item]
+    work: Work
+    files: Sequence[str]
+    columns: Mapping[str, pa.DataType]
+    metadata: Mapping[bytes, bytes]
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """Values of a row, the exit code that they ask for, and what was logged meanwhile in another process."""
+
+    row: Mapping[str, Any]
+    exit_code: int = 0
+    logged: tuple[tuple[int, str], ...] = ()
+    version: str = stereophd.__version__
+
+
+def run_batch(
+    batch: Batch,
+    out_dir: Path | str,
+    jobs: int = 1,
+    dask: str | None = None,
+    force: bool = False,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Do all items of a batch.
+
+    Parameters
+    ----------
+    batch : Batch
+    out_dir : path
+        Output folder: ``NAME/`` for each item, and ``summary.parquet``.
+    jobs : int
+        Processes on this machine; 1: this one.
+    dask : str, optional
+        Address of a Dask scheduler whose workers do the work instead; they see the files under the same paths.
+    force, resume : bool
+        Whether the outputs of an earlier run may be replaced, and whether finished ones may stay; what they mean for
+        an item is its `work`'s matter.
+    progress : callable, optional
+        Called with the items done and their number.
+
+    Returns
+    -------
+    dict
+        ``logs``: the rows of the summary; ``done`` and ``failed``: their numbers; ``exit_code``.
+
+    Raises
+    ------
+    InputError
+        The output folder cannot be used, no scheduler answers, or workers have another version of the package.
+    """
+    if jobs < 1:
+        raise InputError(f"`jobs`: expected at least 1, found {jobs}")
+    out = Path(out_dir)
+    with output_lock(out):
+        _check_folder(batch, out, force, resume)
+        with open_workers(jobs, dask) as workers:
+            outcomes = _outcomes(batch, out.absolute(), workers, progress)
+        rows = [{**dict.fromkeys((*COMMON, *batch.columns)), **outcome.row} for outcome in outcomes]
+        _write_summary(out / SUMMARY_FILE, rows, batch)
+    failed = sum(row["status"] == FAILED for row in rows)
+    exit_code = max((outcome.exit_code for outcome in outcomes), default=0)
+    return {"logs": rows, "done": len(rows) - failed, "failed": failed, "exit_code": exit_code}
+
+
+def _check_folder(batch: Batch, out: Path, force: bool, resume: bool) -> None:
+    """Check that an output folder may be used; without its summary the batch there is not finished."""
+    names = [SUMMARY_FILE, *(f"*/{name}" for name in (*batch.files, f"{TEMPORARY_PREFIX}*"))]
+    found = output_folder(out, True, names)
+    if found and not (force or resume):
+        raise InputError(
+            f"output folder {out} already holds {found[0]}; use `resume=True` to do what is missing, or `force=True` "
+            "to replace it"
+        )
+    others = sorted({path.parts[0] for path in found if len(path.parts) > 1} - {item.name for item in batch.items})
+    if others:
+        LOGGER.warning("%s: folders of inputs that are not in this batch stay: %s", out, ", ".join(others))
+    (out / SUMMARY_FILE).unlink(missing_ok=True)
+
+
+def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress | None) -> list[_Outcome]:
+    """Do the items; return what became of each, in their order."""
+    found: dict[int, _Outcome] = {}
+    total = len(batch.items)
+
+    def tick(done: float = 0, of: float = 0) -> None:
+        if progress is not None:
+            progress(len(found), total)
+
+    attempt = partial(_attempt, batch.work, out, collect=workers.remote, tick=None if workers.remote else tick)
+    for number, outcome in complete(workers, attempt, batch.items):
+        item = batch.items[number]
+        if outcome is None:
+            why = f"{item.source}: the worker process died {ATTEMPTS} times, or once alone: is there enough memory?"
+            outcome = _Outcome(_failure(item, why), InputError.exit_code)
+        if outcome.version != stereophd.__version__:
+            raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {outcome.version}")
+        for level, text in outcome.logged:
+            LOGGER.log(level, "%s", text)
+        if outcome.row["status"] == FAILED:
+            LOGGER.error("%s: %s", item.name, outcome.row["message"])
+        found[number] = outcome
+        tick()
+    return [found[number] for number in range(total)]
+
+
+def _attempt(work: Work, out: Path, item: Item, collect: bool, tick: Progress | None) -> _Outcome:
+    """Do one item; whatever fails is its outcome."""
+    with _collected(collect) as logged:
+        try:
+            values = work(item, out / item.name, tick)
+        except InputError as error:
+            return _Outcome(_failure(item, str(error)), error.exit_code, tuple(logged))
+        except Exception as error:
+            text = " ".join(str(error).split())
+            if not isinstance(error, StereophdError):
+                text = f"internal error: {type(error).__name__}: {text or 'no details'}"
+            return _Outcome(_failure(item, text), StereophdError.exit_code, tuple(logged))
+    values = dict(values)
+    code = values.pop("exit_code", 0)
+    return _Outcome({**_row(item, DONE, ""), **values}, code, tuple(logged))
+
+
+def _row(item: Item, status: str, message: str) -> dict[str, Any]:
+    return {"log": item.source, "folder": item.name, "status": status, "message": message}
+
+
+def _failure(item: Item, message: str) -> dict[str, Any]:
+    return _row(item, FAILED, message)
+
+
+@contextlib.contextmanager
+def _collected(collect: bool) -> Iterator[list[tuple[int, str]]]:
+    """Collect the messages of this thread, if it runs in a process that shows none."""
+    messages: list[tuple[int, str]] = []
+    if not collect:
+        yield messages
+        return
+
+    thread = threading.get_ident()
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.thread == thread:
+                messages.append((record.levelno, record.getMessage()))
+
+    handler = Collector(logging.WARNING)
+    LOGGER.addHandler(handler)
+    try:
+        yield messages
+    finally:
+        LOGGER.removeHandler(handler)
+
+
+def _write_summary(path: Path, rows: Sequence[Mapping[str, Any]], batch: Batch) -> None:
+    """Write one row an item."""
+    columns = {**COMMON, **batch.columns}
+    fields = [pa.field(name, kind, nullable=name not in COMMON) for name, kind in columns.items()]
+    with atomic_write(path) as temporary, TableWriter(temporary, pa.schema(fields), batch.metadata) as table:
+        if rows:
+            table.append({name: _column([row[name] for row in rows], kind) for name, kind in columns.items()})
+
+
+def _column(values: list[Any], kind: pa.DataType) -> Any:
+    """Return a column as `TableWriter` takes it."""
+    if kind in (INTEGER, FLOAT):
+        return list(values)
+    return [str(value) for value in values]

@@ -1,0 +1,76 @@
+"""Do tracks and truth belong together? The default cutoff, and warnings where they come from different scenes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stereophd.core.metrics.alignment import Truth
+from stereophd.errors import InputError
+from stereophd.io.provenance import origin_sha256
+from stereophd.pipeline.evaluation.inputs import Tracks
+
+# The paper's cutoff: 20 cm, or 20 standard deviations.
+PAPER_CUTOFF, PAPER_UNIT = 20.0, "cm"
+# Share of the scans, and of the truth's period, that the two must have in common.
+LEAST_IN_COMMON = 0.5
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def default_cutoff(base: str, unit: str | None, record: Mapping[str, Any] | None, tracks_path: Path) -> float:
+    """Return the cutoff of an evaluation that states none.
+
+    Parameters
+    ----------
+    base : str
+        Base distance.
+    unit : str or None
+        Unit of length of the files.
+    record : mapping or None
+        Provenance of the tracks.
+    tracks_path : Path
+        For the message.
+
+    Raises
+    ------
+    InputError
+        Nothing gives the scale of the scene.
+    """
+    if base != "euclidean":
+        return PAPER_CUTOFF
+    stated = (((record or {}).get("config") or {}).get("evaluation") or {}).get("cutoff")
+    if isinstance(stated, int | float):
+        return float(stated)
+    if unit == PAPER_UNIT:
+        return PAPER_CUTOFF
+    lengths = "no unit of length" if unit is None else f"lengths in {unit}"
+    raise InputError(
+        f"{tracks_path}: expected `cutoff`, or evaluation.cutoff in the configuration of the tracks, found neither, "
+        f"and {lengths}; choose the largest position error that still counts as a find"
+    )
+
+
+def warn_of_another_scene(inputs: Mapping[str, Path], tracks: Tracks, truth: Truth, scans: Mapping[str, int]) -> None:
+    """Warn where provenance or times say that tracks and truth belong to different scenes."""
+    of_log = ((tracks.metadata or {}).get("origins") or {}).get("detections")
+    of_truth = origin_sha256(inputs["truth"])
+    if of_log is not None and of_truth is not None and of_log != of_truth:
+        LOGGER.warning(
+            "%s: another scene: these tracks were made from a log of another run than %s (by the provenance of both)",
+            inputs["tracks"], inputs["truth"],
+        )  # fmt: skip
+        return
+    time_s = tracks.events.time_s
+    if not len(time_s):
+        return
+    start, end = float(truth.time_s.min()), float(truth.time_s.max())
+    common = min(end, float(time_s.max())) - max(start, float(time_s.min()))
+    outside = scans["outside_truth"]
+    if outside > LEAST_IN_COMMON * (outside + scans["scored"]) and common < LEAST_IN_COMMON * (end - start):
+        LOGGER.warning(
+            "%s: %d of %d scans lie outside the times of %s (%g to %g s): do both belong to the same recording?",
+            inputs["tracks"], outside, outside + scans["scored"], inputs["truth"], start, end,
+        )  # fmt: skip
