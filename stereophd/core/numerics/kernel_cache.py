@@ -42,6 +42,7 @@ _HAS_USERS = hasattr(os, "getuid")
 
 LOGGER = logging.getLogger("stereophd")
 
+
 def _candidates() -> list[Path]:
     """Return the folders in which kernels may be kept, in the order in which they are tried.
 

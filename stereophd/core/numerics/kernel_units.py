@@ -70,7 +70,9 @@ def register(dispatcher: Any) -> None:
 
 def units_of(form: Any) -> tuple[Unit, ...]:
     """Return the units that the machine code of a form, just compiled, is linked against."""
-    found = dict.fromkeys(unit for library in form.library._linking_libraries for unit in getattr(library, _UNITS_OF, ()))
+    found = dict.fromkeys(
+        unit for library in form.library._linking_libraries for unit in getattr(library, _UNITS_OF, ())
+    )
     return tuple(found)
 
 
