@@ -33,6 +33,7 @@ FLAGS = {
     "ospa2_window": "--ospa2-window",
     "out_dir": "--out",
     "overrides": "--set",
+    "pieces_s": "--pieces",
     "pixel_origin": "--pixel-origin",
     "plots": "--plots",
     "rate_hz": "--rate",

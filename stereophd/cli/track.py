@@ -23,6 +23,18 @@ def track_command(
         int,
         typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it."),
     ] = 1,
+    pieces: Annotated[
+        float | None,
+        typer.Option(
+            "--pieces",
+            metavar="S",
+            help="Cut the log into pieces of at most S seconds, track them independently, and join their tracks.",
+            show_default=False,
+        ),
+    ] = None,
+    overlap: Annotated[
+        float, typer.Option("--overlap", metavar="S", help="Seconds before its own span from which a piece is tracked.")
+    ] = 20.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on where an interrupted run stopped; what is finished stays.")
     ] = False,
@@ -58,12 +70,13 @@ def track_command(
             if many:
                 from stereophd.commands.track_logs import track_logs
 
-                report = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask)
+                report = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask, pieces, overlap)
             else:
                 from stereophd.commands.track import track
                 from stereophd.pipeline.batch.names import expand
 
-                report = track(loaded, expand(log)[0], out, force, threads, progress, resume)
+                path = expand(log)[0]
+                report = track(loaded, path, out, force, threads, progress, resume, pieces, overlap, jobs, dask)
     except (KeyboardInterrupt, SystemExit):
         say_what_is_kept(out)
         raise

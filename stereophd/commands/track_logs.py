@@ -14,6 +14,7 @@ from stereophd.io.tables import FLOAT, INTEGER
 from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.batch.run import Batch, Item, run_batch
 from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.tracking.pieces import OVERLAP_S
 from stereophd.pipeline.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ def track_logs(
     resume: bool = False,
     jobs: int = 1,
     dask: str | None = None,
+    pieces_s: float | None = None,
+    overlap_s: float = OVERLAP_S,
 ) -> dict[str, Any]:
     """Track the objects of many detection logs.
 
@@ -60,6 +63,8 @@ def track_logs(
         Processes on this machine; the outputs do not depend on it.
     dask : str, optional
         Address of a Dask scheduler whose workers do the work instead.
+    pieces_s, overlap_s : float
+        As of `stereophd.commands.track.track`.
 
     Returns
     -------
@@ -77,17 +82,24 @@ def track_logs(
         for name, path in zip(folder_names(paths), paths, strict=True)
     ]
     metadata = to_metadata(provenance("track", loaded.record))
+    keywords = {"threads": threads, "pieces_s": pieces_s, "overlap_s": overlap_s}
     batch = Batch(
-        items, partial(_track, loaded, force, resume, threads), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
+        items, partial(_track, loaded, force, resume, keywords), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
     )
     return run_batch(batch, out_dir, jobs, dask, force, resume, progress)
 
 
 def _track(
-    loaded: LoadedConfig, force: bool, resume: bool, threads: int, item: Item, out: Path, progress: Progress | None
+    loaded: LoadedConfig,
+    force: bool,
+    resume: bool,
+    keywords: Mapping[str, Any],
+    item: Item,
+    out: Path,
+    progress: Progress | None,
 ) -> Mapping[str, Any]:
     """Track one log; return its values in the summary."""
-    report = track(loaded, item.paths[0], out, force, threads, progress, resume)
+    report = track(loaded, item.paths[0], out, force, progress=progress, resume=resume, **keywords)
     return {
         "frames": report["input"]["frames"],
         "detections": report["input"]["detections"],

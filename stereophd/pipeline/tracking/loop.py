@@ -167,7 +167,7 @@ class RunState(Generic[State]):
     estimator : State
         State of the estimator after the last event.
     events : int
-        Number of events so far: those that a run from a copy passes over (`EventStream`, `skip`).
+        Number of events so far: those that a run from a copy passes over.
     last : Record, optional
         Of the last event.
     forecast_from_s : float

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.cameras import CameraConfig, DetectorConfig
@@ -95,7 +95,12 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
     InputError
         The configuration has no filter or no cameras, or they do not fit each other.
     """
-    config, cameras = loaded.config, loaded.build_cameras()
+    return tracking_with(loaded, loaded.build_cameras(), threads)
+
+
+def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int) -> Tracking:
+    """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
+    config = loaded.config
     if not isinstance(config.filter, SingleSettings):
         multi_filter = build_filter(config, cameras, loaded.path, threads)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
@@ -119,8 +124,7 @@ def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: E
     cameras, detectors = estimate_detectors(
         tracking.cameras, estimated, lambda used: build_labelled_filter(config, used, path, threads), stream
     )
-    multi_filter = build_filter(config, cameras, path, threads)
-    return Tracking(multi_filter, multi_filter.motion, cameras, config.report, detectors)
+    return replace(tracking_with(loaded, cameras, threads), detectors=detectors)
 
 
 def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
