@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from stereophd.commands.track import FILES, track
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import FLOAT, INTEGER
-from stereophd.pipeline.batch.names import expand, folder_names
-from stereophd.pipeline.batch.run import Batch, Item, run_batch
+from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.tracking.pieces import OVERLAP_S
 from stereophd.pipeline.unfinished import UNFINISHED_FILES
@@ -76,15 +74,11 @@ def track_logs(
     InputError
         No log fits a pattern, one is given twice, or the output folder cannot be used.
     """
-    paths = expand(logs)
-    items = [
-        Item(name, str(path), (Path(os.path.abspath(path)),))
-        for name, path in zip(folder_names(paths), paths, strict=True)
-    ]
+    items = log_items(logs)
     metadata = to_metadata(provenance("track", loaded.record))
     keywords = {"threads": threads, "pieces_s": pieces_s, "overlap_s": overlap_s}
     batch = Batch(
-        items, partial(_track, loaded, force, resume, keywords), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
+        items, partial(_track, loaded, force, resume, keywords), _values, (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
     )
     return run_batch(batch, out_dir, jobs, dask, force, resume, progress)
 
@@ -98,8 +92,12 @@ def _track(
     out: Path,
     progress: Progress | None,
 ) -> Mapping[str, Any]:
-    """Track one log; return its values in the summary."""
-    report = track(loaded, item.paths[0], out, force, progress=progress, resume=resume, **keywords)
+    """Track one log."""
+    return track(loaded, item.paths[0], out, force, progress=progress, resume=resume, **keywords)
+
+
+def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the values of a row of the summary."""
     return {
         "frames": report["input"]["frames"],
         "detections": report["input"]["detections"],
