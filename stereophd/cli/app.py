@@ -25,6 +25,7 @@ from stereophd.cli import (
     export,
     importing,
     info,
+    init,
     interrupts,
     simulate,
     track,
@@ -58,6 +59,7 @@ app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)
+app.command("init")(init.init_command)
 app.add_typer(config.app, name="config")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,10 +53,16 @@ def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = Fals
         raise typer.Exit(code)
 
 
+def say_what_is_kept(out: Path) -> None:
+    """Say that an interrupted command can go on, if it can."""
+    from stereophd.pipeline.unfinished import can_resume
+
+    if can_resume(out) or any(out.glob("*/report.json")):
+        print(f"what is done is kept in {out}: --resume goes on", file=sys.stderr)
+
+
 def _print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> None:
     """Print a row for each input, and the messages of those that failed."""
-    import sys
-
     from rich.console import Console
     from rich.markup import escape
 

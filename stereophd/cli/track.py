@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.batch import are_many, finish_batch
+from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_report, progress_bar
 
 
@@ -23,11 +23,27 @@ def track_command(
         int,
         typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it."),
     ] = 1,
+    pieces: Annotated[
+        float | None,
+        typer.Option(
+            "--pieces",
+            metavar="S",
+            help="Cut the log into pieces of at most S seconds, track them independently, and join their tracks.",
+            show_default=False,
+        ),
+    ] = None,
+    overlap: Annotated[
+        float, typer.Option("--overlap", metavar="S", help="Seconds before its own span from which a piece is tracked.")
+    ] = 20.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on where an interrupted run stopped; what is finished stays.")
     ] = False,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
+    ] = False,
+    associations: Annotated[
+        bool,
+        typer.Option("--associations", help="Write which detection belongs to which track (report.associations)."),
     ] = False,
     strict: options.Strict = False,
     overrides: options.Set = None,
@@ -44,19 +60,28 @@ def track_command(
     """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
-    if smooth and loaded.config.report.smooth is None:
-        loaded = load(config, [*(overrides or []), "report.smooth={}"], seed, cameras)
-    if are_many(log):
-        from stereophd.commands.track_logs import track_logs
-
+    wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
+    wanted += ["report.associations=true"] if associations else []
+    if wanted:
+        loaded = load(config, [*(overrides or []), *wanted], seed, cameras)
+    many = are_many(log)
+    try:
         with progress_bar(session, "track") as progress:
-            found = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask)
-        finish_batch(session, found, strict)
-        return
-    from stereophd.commands.track import track
-    from stereophd.pipeline.batch.names import expand
+            if many:
+                from stereophd.commands.track_logs import track_logs
 
-    with progress_bar(session, "track") as progress:
-        report = track(loaded, expand(log)[0], out, force=force, threads=threads, progress=progress, resume=resume)
-    print_report(session, report)
-    exit_if_strict(strict, report)
+                report = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask, pieces, overlap)
+            else:
+                from stereophd.commands.track import track
+                from stereophd.pipeline.batch.names import expand
+
+                path = expand(log)[0]
+                report = track(loaded, path, out, force, threads, progress, resume, pieces, overlap, jobs, dask)
+    except (KeyboardInterrupt, SystemExit):
+        say_what_is_kept(out)
+        raise
+    if many:
+        finish_batch(session, report, strict)
+    else:
+        print_report(session, report)
+        exit_if_strict(strict, report)

@@ -29,8 +29,15 @@ from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.run import SCANS_FILE, TRACKS_FILE, reported_records, write_tracks
+from stereophd.pipeline.tracking.run import (
+    ASSOCIATIONS_FILE,
+    SCANS_FILE,
+    TRACKS_FILE,
+    reported_records,
+    write_tracks,
+)
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
@@ -40,7 +47,7 @@ if TYPE_CHECKING:
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
-FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, "report.json", *PLOTS)
+FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, "report.json", *PLOTS)
 # What is required -> the statuses of a report that meet it.
 ACCEPTED = {
     None: (DETERMINED, PARTLY, UNDETERMINED),
@@ -80,13 +87,14 @@ def calibrate(
         Detection log.
     out_dir : path
         Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
-        cameras ``cameras.yaml``, and the ``tracks.parquet`` and ``scans.parquet`` made with them.
+        cameras ``cameras.yaml``, and the tables of ``track`` made with them.
     force : bool
         Whether the outputs of an earlier run may be replaced.
     jobs : int
         Processes (threads, of particles; -1: as many as there are cores); the outputs do not depend on it.
     resume : bool
-        Continue from the checkpoint of an interrupted run; the outputs are those of an uninterrupted one.
+        Continue from the checkpoint of an interrupted run; the outputs are those of an uninterrupted one. The results
+        of a finished run stay as they are.
     plots : bool, optional
         Whether to draw plots; default if matplotlib is installed.
     progress : callable, optional
@@ -116,6 +124,9 @@ def calibrate(
     jobs = effective_n_jobs(jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
+    record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
+    if resume and (done := finished_report(out_dir, record, force)) is not None:
+        return _accepted(done, require, log_path)
     drawn = whether_to_draw(plots)
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
@@ -136,7 +147,6 @@ def calibrate(
                 LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
             raise
         report = build_report(section, problem, outcome, loaded.config.units.length)
-        record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
         _write_posterior(out, problem, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
             cameras = problem.parameters.build(outcome.values)
@@ -153,6 +163,11 @@ def calibrate(
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
+    return _accepted(report, require, log_path)
+
+
+def _accepted(report: dict[str, Any], require: str | None, log_path: Path | str) -> dict[str, Any]:
+    """Return a report that satisfies `require`; raise `GateError` otherwise."""
     if report["status"] not in ACCEPTED[require]:
         raise GateError(f"{log_path}: the cameras are {report['status']}: {report['reason']}", report)
     if report["status"] != DETERMINED:
@@ -195,4 +210,4 @@ def _track(
     multi_filter = pmb_filter(loaded, cameras)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
-    return write_tracks(records, out, metadata, cameras, report.max_position_std)
+    return write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))

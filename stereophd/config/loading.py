@@ -21,6 +21,7 @@ from stereophd.config.report import CameraTimes
 from stereophd.config.yaml import KeyPath, Place, Tree, parse_yaml, read_yaml
 from stereophd.errors import InputError
 from stereophd.io.provenance import ConfigRecord, sha256_of
+from stereophd.io.trajectories import pack_poses, read_trajectory
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
@@ -127,9 +128,12 @@ def load_config(
     unit: str | None = None
     if cameras_file is not None:
         unit, inputs["cameras"] = _inline_cameras(tree, cameras_file)
+    else:
+        _inline_trajectories(tree, source.parent)
     for key, change in changes:
         if key != ("cameras",):
             _apply(tree, key, change)
+    _inline_trajectories(tree, Path())  # those that overrides name
     if seed is not None:
         _apply(tree, ("seed",), Tree(seed, {(): Place("`seed`")}))
     config = _validate(Config, tree)
@@ -159,6 +163,7 @@ def make_config(values: Mapping[str, Any], name: str = "configuration") -> Loade
     inputs: dict[str, str] = {}
     if isinstance(tree.data.get("cameras"), str):
         _, inputs["cameras"] = _inline_cameras(tree, Path(tree.data["cameras"]))
+    _inline_trajectories(tree, Path())
     config = _validate(Config, tree)
     _check_camera_of_reports(config, tree)
     return _loaded(config, Path(name), inputs, tree)
@@ -193,6 +198,7 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
         for key, value in changes.items():
             change = Tree(copy.deepcopy(value), {(): Place(f"{loaded.path}: {where}")})
             _apply(tree, _key_path(key), change)
+    _inline_trajectories(tree, loaded.path.parent)
     return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 
 
@@ -210,7 +216,9 @@ def load_cameras(path: Path | str) -> CamerasFile:
     InputError
         As `load_config`.
     """
-    return _validate(CamerasFile, read_camera_tree(Path(path)).tree)
+    tree = read_camera_tree(Path(path)).tree
+    _inline_trajectories(tree, Path(path).parent)
+    return _validate(CamerasFile, tree)
 
 
 def json_schema() -> dict[str, Any]:
@@ -259,9 +267,30 @@ def _check_camera_of_reports(config: Config, tree: Tree) -> None:
 def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
     """Put the cameras of a file into the tree; return their unit of length, if stated, and the file's hash."""
     read = read_camera_tree(path)
+    _inline_trajectories(read.tree, path.parent)
     checked = _validate(CamerasFile, read.tree)
     _apply(tree, ("cameras",), read.tree, ("cameras",))
     return checked.units.length if read.has_unit else None, read.sha256
+
+
+def _inline_trajectories(tree: Tree, folder: Path) -> None:
+    """Put the poses of trajectory files into the tree, so that what is resolved needs no other file."""
+    cameras = tree.data.get("cameras") if isinstance(tree.data, dict) else None
+    if not isinstance(cameras, dict):
+        return
+    units = tree.data.get("units")
+    unit = units.get("length") if isinstance(units, dict) else None
+    for name, camera in cameras.items():
+        pose = camera.get("pose") if isinstance(camera, dict) else None
+        if not isinstance(pose, dict) or not isinstance(pose.get("trajectory"), str):
+            continue
+        file = folder / pose["trajectory"]
+        try:
+            trajectory = read_trajectory(file, unit if isinstance(unit, str) else None)
+        except InputError as error:
+            where = tree.place(("cameras", name, "pose", "trajectory"))
+            raise InputError(f"{where}: cameras.{name}.pose.trajectory: {error}") from None
+        pose["trajectory"] = {"file": file.name, "poses": pack_poses(trajectory)}
 
 
 def _parse_override(text: str) -> tuple[KeyPath, Tree]:

@@ -89,6 +89,21 @@ class ReportConfig(Model):
         default=None,
         advice="the largest error that is of use to you; it hides tracks that one camera alone sees.",
     )
+    min_track_length: Duration = parameter(
+        "leave out tracks whose first and last estimates are less than this apart, s",
+        default=0.0,
+        unit="s",
+        advice="longer than false tracks last, and shorter than the objects that matter stay in view.",
+    )
+    associations: bool = parameter(
+        "write associations.parquet: which detection belongs to which track, with which probability", default=False
+    )
+    std_columns: bool = parameter(
+        "write columns std_x, std_y and std_z into tracks.parquet: standard deviations of the position along the "
+        "axes of the world",
+        default=False,
+        advice="true for programs that cannot read the column covariance.",
+    )
     smooth: SmoothConfig | None = parameter(
         "smooth every track over the whole log, which is then held in memory; default off", default=None
     )

@@ -101,7 +101,7 @@ def read_checkpoint(path: Path, identity: str, classes: Iterable[type]) -> dict[
             if document["identity"] != identity:
                 raise InputError(f"{path}: expected a checkpoint of this configuration and log, found another's")
             members = {name: archive[name] for name in archive.files if name != MARK}
-        parts = _Decoder(members, _reachable(classes)).decode(document["parts"])
+        parts = _Decoder(members, reachable_classes(classes)).decode(document["parts"])
     except InputError:
         raise
     except FileNotFoundError:
@@ -127,8 +127,8 @@ def _is_named_tuple(kind: type) -> bool:
     return issubclass(kind, tuple) and hasattr(kind, "_fields")
 
 
-def _reachable(classes: Iterable[type]) -> dict[str, type]:
-    """Return classes and those in the annotations of their fields, by name."""
+def reachable_classes(classes: Iterable[type]) -> dict[str, type]:
+    """Return dataclasses and named tuples, and those in the annotations of their fields, by name."""
     found: dict[str, type] = {}
     waiting = list(classes)
     while waiting:

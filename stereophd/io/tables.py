@@ -26,6 +26,7 @@ from stereophd.io.table_reading import (
 )
 
 __all__ = [
+    "ASSOCIATIONS",
     "COVARIANCE",
     "DETECTIONS",
     "FLOAT",
@@ -34,6 +35,7 @@ __all__ = [
     "ROW_GROUP_ROWS",
     "RUNS",
     "SCANS",
+    "STD",
     "STRING",
     "SUMMARY",
     "TRACKS",
@@ -68,8 +70,24 @@ DETECTIONS = _schema({**_KEY, "u_px": FLOAT, "v_px": FLOAT}, nullable=("u_px", "
 OBJECT_ID = pa.field("object_id", INTEGER, nullable=True)
 #: One row a true object and time.
 TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **_POSITION, **_VELOCITY})
-#: One row a reported object and event; the covariance is 6x6, row-major, in the world frame.
-TRACKS = _schema({**_KEY, "track_id": INTEGER, **_POSITION, **_VELOCITY, "covariance": COVARIANCE, "existence": FLOAT})
+#: One row a reported object and event; the covariance is 6x6, row-major, in the world frame; status is one of the two.
+TRACKS = _schema(
+    {
+        **_KEY,
+        "track_id": INTEGER,
+        **_POSITION,
+        **_VELOCITY,
+        "covariance": COVARIANCE,
+        "existence": FLOAT,
+        "status": STRING,
+    }
+)
+#: Status of an estimate; tables without the column hold confirmed ones only.
+CONFIRMED, TENTATIVE = "confirmed", "tentative"
+#: Optional columns of tracks: standard deviations of the position along the axes of the world.
+STD = tuple(pa.field(name, FLOAT, nullable=False) for name in ("std_x", "std_y", "std_z"))
+#: One row a detection and reported track that it may belong to.
+ASSOCIATIONS = _schema({**_KEY, "u_px": FLOAT, "v_px": FLOAT, "track_id": INTEGER, "probability": FLOAT})
 #: One row an event.
 SCANS = _schema(
     {

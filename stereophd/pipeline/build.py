@@ -108,7 +108,9 @@ def report_times(config: ReportConfig) -> ReportTimes:
     """Return when estimates are reported."""
     times = config.times
     return ReportTimes(
-        times.camera if isinstance(times, CameraTimes) else None, times.grid if isinstance(times, GridTimes) else None
+        times.camera if isinstance(times, CameraTimes) else None,
+        times.grid if isinstance(times, GridTimes) else None,
+        config.max_position_std,
     )
 
 

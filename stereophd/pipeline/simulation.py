@@ -13,6 +13,8 @@ from stereophd.config.simulate import SimulateConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.settings import ESTIMATE
+from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene
 from stereophd.core.simulation.drawing import Drawing, draw_objects
 from stereophd.core.simulation.objects import MovingObject
@@ -27,7 +29,7 @@ def scene_motion(config: Config) -> Motion:
     if settings.motion is not None:
         own: Any = settings.motion
         # a scene has no noise that it does not state
-        if own.acceleration_std is None:
+        if own.acceleration_std in (None, ESTIMATE):
             own = replace(own, acceleration_std=0.0)
         built: Motion = own.build()
         return built
@@ -59,6 +61,7 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     schedules = tuple(
         Schedule(camera.frame_rate_hz or settings.frame_rate_hz, start_s, end_s, camera.phase_s) for camera in cameras
     )
+    _check_covered(cameras, schedules, start_s, end_s)
     truth = None if settings.truth_rate_hz is None else Schedule(settings.truth_rate_hz, start_s, end_s)
     grid = TimeGrid(schedules, truth)
     motion = scene_motion(config)
@@ -77,6 +80,20 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
         )
         objects += draw_objects(drawing, cameras, grid, motion, drawn_seed, len(objects))
     return Scene(tuple(cameras), grid, objects, motion)
+
+
+def _check_covered(cameras: Sequence[Camera], schedules: Sequence[Schedule], start_s: float, end_s: float) -> None:
+    """Refuse a run that is longer than the known trajectory of a camera."""
+    for camera, schedule in zip(cameras, schedules, strict=True):
+        if camera.pose.path is None:
+            continue
+        first, last = camera.pose.span
+        _, times = schedule.window(start_s, end_s)
+        if len(times) and not (first - SAME_TIME_S <= times[0] and times[-1] <= last + SAME_TIME_S):
+            raise InputError(
+                f"cameras.{camera.name}.pose.trajectory: expected poses that cover the frames of the run "
+                f"({times[0]:.10g} to {times[-1]:.10g} s), found {first:.10g} to {last:.10g} s"
+            )
 
 
 def _given_objects(settings: SimulateConfig, start_s: float, seed: np.random.SeedSequence) -> tuple[MovingObject, ...]:

@@ -6,11 +6,14 @@ as estimators take it: undistorted, with its noise, on the true time. A *scan* i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.numerics.times import SAME_TIME_S
+from stereophd.errors import InputError
 from stereophd.io.logs import Frame, LogReader
 from stereophd.pipeline.progress import Progress
 
@@ -34,8 +37,8 @@ class EventStream:
         In order of true time, ties in the order of the cameras.
     progress : callable, optional
         Called with the rows of the log that were read and their total.
-    skip : int
-        Events at the beginning that are passed over, for a run that continues from a saved state.
+    from_s, until_s : float
+        Events before `from_s` are passed over, and the first one from `until_s` on is the last.
     """
 
     def __init__(
@@ -43,17 +46,19 @@ class EventStream:
         cameras: Sequence[Camera],
         frames: LogReader | Sequence[Frame],
         progress: Progress | None = None,
-        skip: int = 0,
+        from_s: float = -math.inf,
+        until_s: float = math.inf,
     ) -> None:
         self.cameras = tuple(cameras)
         self.frames = frames
         self.not_invertible = 0
         self._progress = progress
-        self._skip = skip
+        self._from_s = from_s
+        self._until_s = until_s
 
     def with_cameras(self, cameras: Sequence[Camera]) -> EventStream:
         """Return a stream of the same frames for cameras with other detectors."""
-        return EventStream(cameras, self.frames, self._progress, self._skip)
+        return EventStream(cameras, self.frames, self._progress, self._from_s, self._until_s)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -76,8 +81,8 @@ class EventStream:
 
     def __iter__(self) -> Iterator[Event]:
         self.not_invertible = 0
-        for number, frame in enumerate(self.frames):
-            if number < self._skip:
+        for number, frame in enumerate(covered(self.cameras, self.frames, self.source)):
+            if frame.time_s < self._from_s:
                 continue
             camera = self.cameras[frame.camera].at(frame.time_s)
             event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame)
@@ -85,6 +90,8 @@ class EventStream:
             yield event
             if number % PROGRESS_EVERY == 0:
                 self._report()
+            if frame.time_s >= self._until_s:
+                break
         self._report(done=True)
 
     def _report(self, done: bool = False) -> None:
@@ -93,8 +100,34 @@ class EventStream:
             self._progress(total if done else self.frames.counts["rows"], total)
 
 
+def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> Iterator[Frame]:
+    """Pass frames on while the trajectories of their cameras cover their times.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    frames : iterable of Frame
+    source : str
+        Name of the log, for messages.
+
+    Raises
+    ------
+    InputError
+        A frame lies before the first or after the last pose of its camera.
+    """
+    spans = [camera.pose.span for camera in cameras]
+    for frame in frames:
+        first, last = spans[frame.camera]
+        if not first - SAME_TIME_S <= frame.time_s <= last + SAME_TIME_S:
+            raise InputError(
+                f"{source}: camera {cameras[frame.camera].name}, frame {frame.frame}: expected a true time that the "
+                f"trajectory of the camera covers ({first:.10g} to {last:.10g} s), found {frame.time_s:.10g} s"
+            )
+        yield frame
+
+
 def open_stream(
-    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None, skip: int = 0
+    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None
 ) -> EventStream:
     """Open a detection log with the settings of a configuration (section ``input``).
 
@@ -104,7 +137,7 @@ def open_stream(
     cameras : sequence of Camera
     path : path
         The log.
-    progress, skip
+    progress : callable, optional
         As of `EventStream`.
 
     Raises
@@ -113,7 +146,7 @@ def open_stream(
         The log cannot be read (see `stereophd.io.logs.LogReader`).
     """
     reader = LogReader(path, cameras, config.input.on_bad_row, config.input.image_margin_px)
-    return EventStream(cameras, reader, progress, skip)
+    return EventStream(cameras, reader, progress)
 
 
 def frames_in_order(cameras: Sequence[Camera], simulated: Iterable[SimulatedFrame]) -> list[Frame]:

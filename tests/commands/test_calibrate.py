@@ -95,9 +95,16 @@ def test_outputs_are_those_of_track_and_depend_on_nothing_else(scene: Path, resu
 # what each way needs beside QUICK, and the step after which it is interrupted
 WAYS = {
     "annealed": (("calibration.method=annealed",), 1),
-    "sequential": (
+    "plain": (
         ("calibration.method=sequential", "calibration.sequential={moves: none, particles: 12, likelihood: phd}"),
         30,
+    ),
+    "sequential": (
+        (
+            "calibration.method=sequential",
+            "calibration.sequential={particles: 8, first_particles: 8, moves_per_step: 1, inflation: [2]}",
+        ),
+        4,
     ),
     "smc": (
         (
@@ -362,12 +369,8 @@ def test_all_cores_are_used_by_default(scene: Path, tmp_path: Path, capsys: pyte
     from stereophd.cli.app import run
 
     words = ["calibrate", str(CONFIG), str(scene / "detections.parquet"), "--cameras", str(scene / "guess.yaml")]
-    words += [
-        "--set",
-        "calibration.method=sequential",
-        "--set",
-        "calibration.sequential={moves: none, particles: 30, samples: 32, likelihood: phd}",
-    ]
+    small = "calibration.sequential={moves: none, particles: 30, samples: 32, likelihood: phd}"
+    words += ["--set", "calibration.method=sequential", "--set", small]
     run([*words, "--out", str(tmp_path / "out"), "--no-plots"])
     assert "internal error" not in capsys.readouterr().err
     one = calibrate(

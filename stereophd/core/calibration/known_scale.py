@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.fits import adjusted_to, marginal_fit
+from stereophd.core.calibration.fits import adjusted_to
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
 from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.trajectories import interpolation, positions
@@ -52,8 +50,7 @@ def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) ->
 
 def rescaled(task: Task, fit: Fit, measurement: ScaleMeasurement) -> Fit:
     """Adjust again, with the scale measured."""
-    again = adjusted_to(task, fit, fit.observations, fit.observations.trajectories, fit.detections, measurement)
-    return marginal_fit(replace(task, scale=measurement), again)
+    return adjusted_to(task, fit, fit.observations, fit.observations.trajectories, fit.detections, measurement)
 
 
 def mean_speeds(fit: Fit) -> Array:

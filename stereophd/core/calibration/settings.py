@@ -37,6 +37,12 @@ class AnnealedSettings:
     min_detections: Annotated[int, Interval(ge=4, le=LARGEST_COUNT)] = parameter(
         "a track counts from this many detections in each of two cameras on", default=16
     )
+    shared_error_px: Annotated[float, Interval(ge=0, le=1e6), FINITE] = parameter(
+        "detections of one object in succession within so many pixels may share an error, as those of an object that "
+        "hovers do; how much is estimated from the residuals; 0: each is a measurement of its own",
+        default=60.0,
+        unit="px",
+    )
     min_tracked: Fraction = parameter(
         "a start succeeds only if tracks that two cameras share explain this part of the detections that are not "
         "expected to be false",

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.looking import rotations
 from stereophd.core.calibration.recording import Recording
 from stereophd.core.geometry.camera import Camera
 
@@ -161,8 +160,5 @@ def _common_times(
 
 def poses_at(camera: Camera, times: Array) -> tuple[Array, Array]:
     """Rotations (n, 3, 3) and centres (n, 3) of a camera at true times (n,)."""
-    pose, elapsed = camera.pose, (times - camera.pose.time_s)[:, None]
-    centers = pose.center + elapsed * pose.velocity
-    if not pose.rotation_rate.any():
-        return np.broadcast_to(pose.rotation, (len(times), 3, 3)), centers
-    return rotations(-elapsed * pose.rotation_rate) @ pose.rotation, centers
+    found = camera.pose.motions(times)
+    return found.rotations, found.centers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,9 @@ from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
+
+# Packed spaces of moving cameras that are kept.
+MOST_KEPT = 4096
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Event:
         Detections of the frame that were left out, because the lens model cannot be inverted there.
     own_noise : bool
         Whether the noise is that of each detection, and not that of the detector.
+    pixels : array (m, 2), optional
+        The detections as in the log, distorted.
     """
 
     time_s: float
@@ -51,6 +56,7 @@ class Event:
     frame: int = -1
     not_invertible: int = 0
     own_noise: bool = False
+    pixels: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -80,13 +86,21 @@ class Rig:
     packed: Array
     moving: bool
     region: Array | None = None
+    _kept: dict[tuple[int, float], Array] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     def space(self, camera: int, time_s: float) -> Array:
         """Packed space (30,) of a camera at a time."""
-        if not self.moving:
+        if not self.moving or self.cameras[camera].pose.is_static:
             return np.asarray(self.packed[camera])
-        frozen = self.cameras[camera].at(time_s)
-        return DisparitySpace(frozen, self.baseline, self.rectification).packed()
+        # components stay at home at the time of an earlier event: the same spaces are asked for again and again
+        kept = self._kept.get((camera, time_s))
+        if kept is None:
+            if len(self._kept) >= MOST_KEPT:
+                self._kept.clear()
+            frozen = self.cameras[camera].at(time_s)
+            kept = DisparitySpace(frozen, self.baseline, self.rectification).packed()
+            self._kept[camera, time_s] = kept
+        return kept
 
     def spaces(self, cameras: NDArray[np.int64], times: Array) -> Array:
         """Packed spaces (n, 30) of components, each at home in a camera at a time."""
@@ -148,7 +162,7 @@ def make_event(
     delays = camera.row_delays(pixels[order, 1])
     return Event(
         time_s, index, points[order], covariances[order], areas[order], delays, frame, len(pixels) - len(order),
-        sigma is not None,
+        sigma is not None, pixels[order],
     )  # fmt: skip
 
 

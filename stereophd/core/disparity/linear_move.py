@@ -175,8 +175,11 @@ def _moving_to_world(
 
     The object moves by interval number `k` of `motion`.
     """
-    reach, keep, drift, max_speed = motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed
+    reach, keep, max_speed = motion.reach[k], motion.keep[k], motion.max_speed
     position_noise, velocity_noise = motion.position_noise[k], motion.velocity_noise[k]
+    # scalars: what is read from an array inside the loop keeps it from being vectorised
+    drift = motion.drift[k]
+    d0, d1, d2, d3, d4, d5 = drift[0], drift[1], drift[2], drift[3], drift[4], drift[5]
     m0, m1, m2, m3, m4, m5 = mean[0] - home[CX], mean[1] - home[CY], mean[2], mean[3], mean[4], mean[5]
     l00 = factor[0, 0]
     l10, l11 = factor[1, 0], factor[1, 1]
@@ -190,14 +193,11 @@ def _moving_to_world(
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8]
     c0, c1, c2 = home[CENTER], home[CENTER + 1], home[CENTER + 2]
     per_fx, per_fy, scale = 1.0 / home[FX], 1.0 / home[FY], disparity_scale(home)
-    total = 0
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
         a3, a4, a5 = samples[3, i], samples[4, i], samples[5, i]
         disparity = m2 + l20 * a0 + l21 * a1 + l22 * a2
-        near = disparity * FARTHEST_SAMPLE >= m2
-        weights[i] = 1.0 if near else 0.0
-        total += near
+        weights[i] = 1.0 if disparity * FARTHEST_SAMPLE >= m2 else 0.0
         per_disparity = 1.0 / disparity
         depth = scale * per_disparity
         growth = (m5 + l50 * a0 + l51 * a1 + l52 * a2 + l53 * a3 + l54 * a4 + l55 * a5) * per_disparity
@@ -211,13 +211,16 @@ def _moving_to_world(
         vx, vy, vz = slow * vx, slow * vy, slow * vz
         x, y, depth = x + reach * vx, y + reach * vy, depth + reach * vz
         vx, vy, vz = keep * vx, keep * vy, keep * vz
-        points[0, i] = c0 + r00 * x + r10 * y + r20 * depth + position_noise * noise[0, i] + drift[0]
-        points[1, i] = c1 + r01 * x + r11 * y + r21 * depth + position_noise * noise[1, i] + drift[1]
-        points[2, i] = c2 + r02 * x + r12 * y + r22 * depth + position_noise * noise[2, i] + drift[2]
-        points[3, i] = r00 * vx + r10 * vy + r20 * vz + velocity_noise * noise[3, i] + drift[3]
-        points[4, i] = r01 * vx + r11 * vy + r21 * vz + velocity_noise * noise[4, i] + drift[4]
-        points[5, i] = r02 * vx + r12 * vy + r22 * vz + velocity_noise * noise[5, i] + drift[5]
-    return float(total)
+        points[0, i] = c0 + r00 * x + r10 * y + r20 * depth + position_noise * noise[0, i] + d0
+        points[1, i] = c1 + r01 * x + r11 * y + r21 * depth + position_noise * noise[1, i] + d1
+        points[2, i] = c2 + r02 * x + r12 * y + r22 * depth + position_noise * noise[2, i] + d2
+        points[3, i] = r00 * vx + r10 * vy + r20 * vz + velocity_noise * noise[3, i] + d3
+        points[4, i] = r01 * vx + r11 * vy + r21 * vz + velocity_noise * noise[4, i] + d4
+        points[5, i] = r02 * vx + r12 * vy + r22 * vz + velocity_noise * noise[5, i] + d5
+    total = 0.0
+    for i in range(samples.shape[1]):
+        total += weights[i]
+    return total
 
 
 @compiled

@@ -53,6 +53,7 @@ def move(
     important: NDArray[np.bool_] | None = None,
     threads: int = 1,
     region: Array | None = None,
+    intervals: MotionArrays | None = None,
 ) -> Moved:
     """Carry Gaussians into the disparity space of a camera, over an interval of time.
 
@@ -81,6 +82,8 @@ def move(
         Components are shared out over this many threads; the result does not depend on it.
     region : array (8,), optional
         Where objects can be: see `stereophd.core.disparity.trips.region_mask`.
+    intervals : MotionArrays, optional
+        Those of `motion` over `dts`, where they are known already.
 
     Returns
     -------
@@ -92,7 +95,7 @@ def move(
     moved = allocate_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
-    which, intervals = np.arange(len(means)), motion.arrays(dts)
+    which, intervals = np.arange(len(means)), motion.arrays(dts) if intervals is None else intervals
     if sets.method in ("adaptive", "unscented", "linear"):
         which = _low_order(means, covariances, homes, intervals, destination, sets, region, moved)
 

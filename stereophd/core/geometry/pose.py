@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stereophd.core.geometry.rotations import rotations
+from stereophd.core.geometry.trajectory import Motions, MountedPath
+
 FloatArray = NDArray[np.float64]
 
 # A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
@@ -109,8 +112,8 @@ class Pose:
     """Pose of a camera: ``x_camera = rotation @ (x_world - center)``.
 
     Camera axes: x right, y down, z forward. A moving camera has a constant velocity of its centre and a
-    constant angular velocity about its own axes; `rotation` and `center` hold at `time_s`. Poses are
-    equal when all their values are, and their arrays are read-only.
+    constant angular velocity about its own axes, or it follows a known path; `rotation` and `center` hold at
+    `time_s`. Poses are equal when all their values are, and their arrays are read-only.
 
     Parameters
     ----------
@@ -126,6 +129,8 @@ class Pose:
         the right.
     time_s : float
         Time at which rotation and center hold, s.
+    path : MountedPath, optional
+        The camera follows it at all times; the other values are those at `time_s` (see `following`).
 
     Raises
     ------
@@ -138,6 +143,7 @@ class Pose:
     velocity: FloatArray
     rotation_rate: FloatArray
     time_s: float
+    path: MountedPath | None
 
     def __init__(
         self,
@@ -146,6 +152,7 @@ class Pose:
         velocity: ArrayLike = (0.0, 0.0, 0.0),
         rotation_rate: ArrayLike = (0.0, 0.0, 0.0),
         time_s: float = 0.0,
+        path: MountedPath | None = None,
     ) -> None:
         def assign(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
@@ -155,11 +162,19 @@ class Pose:
         assign("velocity", _frozen(velocity, (3,), "velocity"))
         assign("rotation_rate", _frozen(rotation_rate, (3,), "rotation_rate"))
         assign("time_s", float(time_s))
+        assign("path", path)
 
-    def _key(self) -> tuple[bytes, ...]:
+    @staticmethod
+    def following(path: MountedPath, time_s: float | None = None) -> Pose:
+        """Return the pose of a camera on a path at a time, s; by default the first of its trajectory."""
+        time_s = path.trajectory.span[0] if time_s is None else time_s
+        turns, centers, velocities, rates = path.at(np.array([time_s]))
+        return Pose(turns[0], centers[0], velocities[0], rates[0], time_s, path)
+
+    def _key(self) -> tuple[object, ...]:
         arrays = (self.rotation, self.center, self.velocity, self.rotation_rate, np.float64(self.time_s))
         # Adding zero makes -0.0 and 0.0 the same bytes, as they are the same number.
-        return tuple((array + 0.0).tobytes() for array in arrays)
+        return (*((array + 0.0).tobytes() for array in arrays), self.path)
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Pose) else NotImplemented
@@ -170,7 +185,12 @@ class Pose:
     @property
     def is_static(self) -> bool:
         """Whether the pose is the same at all times."""
-        return not (self.velocity.any() or self.rotation_rate.any())
+        return self.path is None and not (self.velocity.any() or self.rotation_rate.any())
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, s, at which the pose is known."""
+        return (-math.inf, math.inf) if self.path is None else self.path.trajectory.span
 
     def at(self, time_s: float) -> Pose:
         """Return the pose moved to a time, s; the pose itself if it is static.
@@ -180,6 +200,8 @@ class Pose:
         """
         if self.is_static:
             return self
+        if self.path is not None:
+            return Pose.following(self.path, time_s)
         elapsed = time_s - self.time_s
         return Pose(
             rotation=rotation_from_vector(-elapsed * self.rotation_rate) @ self.rotation,
@@ -188,6 +210,17 @@ class Pose:
             rotation_rate=self.rotation_rate,
             time_s=time_s,
         )
+
+    def motions(self, times: FloatArray) -> Motions:
+        """Return rotations, centres and their rates at times (n,), s, as `at` has them one by one."""
+        if self.path is not None:
+            return self.path.at(times)
+        elapsed = (times - self.time_s)[:, None]
+        turns = np.broadcast_to(self.rotation, (len(times), 3, 3))
+        if self.rotation_rate.any():
+            turns = rotations(-elapsed * self.rotation_rate) @ self.rotation
+        rates = (np.broadcast_to(one, (len(times), 3)) for one in (self.velocity, self.rotation_rate))
+        return Motions(turns, self.center + elapsed * self.velocity, *rates)
 
     def to_camera(self, x_world: ArrayLike) -> FloatArray:
         """Map world positions (n, 3) to camera axes (n, 3), length, at the pose's own time."""

@@ -47,6 +47,8 @@ class PointSets:
         Identity of the object or track.
     covariance : (n, 3, 3) array or None
         Of the position.
+    confirmed : (n,) bool array or None
+        Whether each estimate is confirmed rather than tentative; None where that is not known.
     """
 
     start: IntArray
@@ -54,6 +56,7 @@ class PointSets:
     velocity: FloatArray
     label: IntArray
     covariance: FloatArray | None = None
+    confirmed: NDArray[np.bool_] | None = None
 
     @property
     def scans(self) -> int:
@@ -82,7 +85,8 @@ class PointSets:
 
     def _rows(self, start: IntArray, rows: IntArray) -> PointSets:
         covariance = None if self.covariance is None else self.covariance[rows]
-        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance)
+        confirmed = None if self.confirmed is None else self.confirmed[rows]
+        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance, confirmed)
 
 
 @dataclass(frozen=True)
@@ -153,7 +157,7 @@ def score_scans(
     for scans, m, n in batches_of_one_size(estimates.counts, truth.counts):
         rows = estimates.start[scans][:, None] + np.arange(m)
         columns = truth.start[scans][:, None] + np.arange(n)
-        matching = match(_distances(estimates, truth, rows, columns, mahalanobis), order, cutoff)
+        matching = match(base_distances(estimates, truth, rows, columns, mahalanobis), order, cutoff)
         values[:, scans] = _distances_of(matching, n, order, cutoff)
         near = matching.distance < cutoff
         n_matched[scans] = near.sum(axis=1)
@@ -189,10 +193,10 @@ def batches_of_one_size(n_estimates: IntArray, n_truth: IntArray) -> Iterator[tu
             yield group[first : first + step], m, n
 
 
-def _distances(
+def base_distances(
     estimates: PointSets, truth: PointSets, rows: IntArray, columns: IntArray, mahalanobis: bool
 ) -> FloatArray:
-    """Return the base distances (k, m, n) between the points of a batch."""
+    """Return the base distances (k, m, n) between the points of a batch, given by their rows (k, m) and (k, n)."""
     x, y = estimates.position[rows], truth.position[columns]
     if mahalanobis and estimates.covariance is not None:
         return mahalanobis_distances(x, y, estimates.covariance[rows])

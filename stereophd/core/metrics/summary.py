@@ -9,8 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray
+from stereophd.core.metrics.confirmation import Waits
 from stereophd.core.metrics.consistency import UNLABELLED, identity_switches, independent_count, nees_interval, whitened
+from stereophd.core.metrics.hota import hota
 from stereophd.core.metrics.identities import has_identities, identity_figures
+from stereophd.core.metrics.idf1 import identity_score
+from stereophd.core.metrics.near_pairs import NearPairs
 from stereophd.core.metrics.ospa import Ospa
 from stereophd.core.metrics.ospa2 import ospa2_of_windows
 from stereophd.core.metrics.rmse import (
@@ -105,7 +109,13 @@ def per_scan_columns(
 
 
 def figures(
-    estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
+    estimates: PointSets,
+    truth: PointSets,
+    scores: ScanScores,
+    near: NearPairs,
+    ospa2: Ospa,
+    errors: PairErrors,
+    waits: Waits,
 ) -> dict[str, Any]:
     """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
 
@@ -156,14 +166,51 @@ def figures(
         },
         # Without labels there are no identities to switch.
         "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
+        **_identity_scores(estimates, truth, near),
         "tracks": len(np.unique(labels)),
         **identity_figures(estimates, truth, scores, errors.switched),
+        "confirmation": _confirmation(waits),
         "nees": {
             "position": _mean(normalised),
             "interval_95": [low, high],
             "dimension": POSITION_DIMENSION,
             "n": len(normalised),
             "n_independent": independent,
+        },
+    }
+
+
+def _confirmation(waits: Waits) -> dict[str, Any]:
+    """Return how long objects wait until they are confirmed."""
+    times = waits.confirmed_s
+    return {
+        "mean_s": _mean(times),
+        "median_s": float(np.median(times)) if len(times) else float("nan"),
+        "max_s": float(times.max()) if len(times) else float("nan"),
+        "first_report_mean_s": _mean(waits.reported_s),
+        "objects": len(times),
+        "never": waits.never,
+    }
+
+
+def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs) -> dict[str, Any]:
+    """Return IDF1 and HOTA; NaN for estimates without identities."""
+    if not has_identities(estimates):
+        unknown = float("nan")
+        return {
+            "idf1": unknown, "id_precision": unknown, "id_recall": unknown,
+            "hota": dict.fromkeys(("mean", "detection", "association", "localisation"), unknown),
+        }  # fmt: skip
+    identity, curves = identity_score(estimates, truth, near), hota(estimates, truth, near)
+    return {
+        "idf1": identity.f1,
+        "id_precision": identity.precision,
+        "id_recall": identity.recall,
+        "hota": {
+            "mean": _mean(curves.hota),
+            "detection": _mean(curves.detection),
+            "association": _mean(curves.association),
+            "localisation": _mean(curves.localisation),
         },
     }
 

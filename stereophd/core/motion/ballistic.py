@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Flow
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
@@ -49,6 +50,10 @@ class Ballistic(ConstantVelocity):
         reach, keep, _ = super().flow(dt)
         gravity, time = np.asarray(self.gravity), np.asarray(dt)[..., None]
         return Flow(reach, keep, np.concatenate([0.5 * time**2 * gravity, time * gravity], axis=-1))
+
+    def arrays(self, dt: Array) -> MotionArrays:
+        """Return what compiled code reads for intervals (n,)."""
+        return super().arrays(dt)._replace(drift=self.flow(dt).drift)
 
 
 @settings

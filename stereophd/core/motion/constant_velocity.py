@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Flow, Motion, Noise, NoiseFactor, accelerations, check_speed
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
 from stereophd.core.settings import PositiveLength, parameter, settings
@@ -23,6 +25,13 @@ Array = NDArray[np.float64]
 # The factor of [[1 / 3, 1 / 2], [1 / 2, 1]].
 POSITION_WITH_VELOCITY = 0.5
 POSITION_ALONE = 1.0 / math.sqrt(12.0)
+
+
+@lru_cache(maxsize=64)
+def _constants(count: int) -> tuple[Array, Array, Array, Array]:
+    """What `MotionArrays` holds for any intervals: `keep`, `drift`, `with_velocity`, `alone`. Only to be read."""
+    flags = np.ones(count)
+    return flags, np.zeros((count, 6)), POSITION_WITH_VELOCITY * flags, POSITION_ALONE * flags
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,18 @@ class ConstantVelocity(Motion):
         std = np.sqrt(abs(dt))
         size = np.shape(dt)
         return NoiseFactor(std * dt, std, np.full(size, POSITION_WITH_VELOCITY), np.full(size, POSITION_ALONE))
+
+    def arrays(self, dt: Array) -> MotionArrays:
+        """Return what compiled code reads for intervals (n,): `Motion.arrays`, in a third of its time."""
+        std = np.sqrt(abs(dt))
+        keep, drift, with_velocity, alone = _constants(len(dt))
+        return MotionArrays(
+            dt, keep, std * dt, std, with_velocity, alone, drift, self._noise_std, self.speed_limit
+        )  # fmt: skip
+
+    @cached_property
+    def _noise_std(self) -> Array:
+        return self.noise_std
 
     def shocks(self, dt: Array, normal: Array) -> tuple[Array, Array]:
         """Return noise of positions and of velocities (n, 3) over intervals (n,), from standard normals (n, 2, 3).

@@ -1,6 +1,8 @@
-"""Which tracks an event detected."""
+"""Which tracks an event detected, and by which detections."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,46 @@ from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+class Claims(NamedTuple):
+    """Which labels the detections of an event belong to, with which probability.
+
+    Attributes
+    ----------
+    labels : array (n,) of int
+        Several rows of one label and detection are alternatives: their probabilities add up.
+    detections : array (n,) of int
+        Rows of the event's detections.
+    probabilities : array (n,)
+        That the object of the label exists and made the detection (in a PHD, the expected number of such objects).
+        What is missing to 1 for a detection is the probability of clutter and of objects that were not kept.
+    """
+
+    labels: Integers
+    detections: Integers
+    probabilities: Array
+
+
+@compiled
+def claims_of(labels: Integers, weights: Array, n_missed: int, updated: Integers) -> Claims:
+    """Return the claims of an update, before reduction.
+
+    Parameters
+    ----------
+    labels, weights : arrays (n,)
+        Components after the update: those that it missed, those `updated` by a detection each, and one newborn a
+        detection.
+    n_missed : int
+        Number of those missed.
+    updated : array (k,) of int
+        Detection of each of those updated.
+    """
+    n_detected = len(labels) - n_missed
+    detections = np.empty(n_detected, dtype=np.int64)
+    detections[: len(updated)] = updated
+    detections[len(updated) :] = np.arange(n_detected - len(updated))
+    return Claims(labels[n_missed:].copy(), detections, weights[n_missed:].copy())
 
 
 @compiled

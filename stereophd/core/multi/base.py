@@ -138,12 +138,13 @@ class DisparityFilter(ABC):
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
         weights = mixture.weights * self.settings.survival_per_s**elapsed
-        homes, intervals = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
+        homes, dts = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
+        motion = self.motion.arrays(dts)
         moved = move(
             mixture.means,
             mixture.covariances,
             homes,
-            intervals,
+            dts,
             self.rig.space(event.camera, event.time_s),
             self.motion,
             self.sets,
@@ -152,9 +153,9 @@ class DisparityFilter(ABC):
             weights >= IMPORTANT_WEIGHT,
             self.threads,
             self.rig.region,
+            motion,
         )
         views = self.rig.views(event.time_s)
-        motion = self.motion.arrays(intervals)
         fade_out_of_view(
             weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
         )
@@ -176,7 +177,10 @@ class DisparityFilter(ABC):
         chosen = select_objects(
             state.mixture, self.settings.extraction, state.next_label, state.next_track, self.labels_may_split
         )
-        state = replace(state, mixture=chosen.mixture, next_label=chosen.next_label, next_track=chosen.next_track)
+        # `replace` takes longer
+        state = FilterState(
+            chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected
+        )
         mixture, index = chosen.mixture, chosen.index
         cameras, times = mixture.cameras[index], mixture.times[index]
         means, covariances = world_moments(
@@ -190,10 +194,12 @@ class DisparityFilter(ABC):
         )
         estimates = Estimates(mixture.tracks[index], means, covariances, chosen.existence, mixture.labels[index])
         finite = np.isfinite(means)
-        if finite.all():
+        if finite.all() and not chosen.tentative.any():
             return state, estimates
         # an object at infinity has no position
-        return state, estimates.take(np.asarray(finite.all(axis=1)))
+        placed = np.asarray(finite.all(axis=1))
+        tentative = estimates.take(placed & chosen.tentative)
+        return state, replace(estimates.take(placed & ~chosen.tentative), tentative=tentative)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

@@ -167,7 +167,7 @@ def update_intensities(
     found, first = 0, 0
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
-        updated, log_likelihoods[h] = update_intensity(before, seen, event, numbers, reduction.prune_weight)
+        updated, log_likelihoods[h], _ = update_intensity(before, seen, event, numbers, reduction.prune_weight)
         after = reduce_intensity(updated, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
@@ -192,7 +192,7 @@ def update_track_sets(
     found, first = 0, 0
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
-        updated, log_likelihoods[h] = update_tracks(before, seen, event, numbers, reduction.prune_weight)
+        updated, log_likelihoods[h], _ = update_tracks(before, seen, event, numbers, reduction.prune_weight)
         after, _ = reduce_tracks(updated, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.multi.attribution import detected_labels
+from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_intensities
 from stereophd.core.multi.estimates import Info
@@ -55,22 +55,23 @@ class PhdFilter(DisparityFilter):
         """Update with the detections of an event: eq. (5), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, detected = _update(
+        reduced, log_likelihood, detected, claims = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
             self.event_numbers(event, state.next_label, prediction.births), reduction,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
-            Info(log_likelihood, float(reduced.weights.sum()), reduced.size, detected),
+            Info(log_likelihood, float(reduced.weights.sum()), reduced.size, detected, claims),
         )
 
 
 @compiled
 def _update(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction
-) -> tuple[GaussianMixture, float, Integers]:
-    """`update_intensity`, which labels were detected, and `reduce_intensity`, in one call."""
-    updated, log_likelihood = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
+) -> tuple[GaussianMixture, float, Integers, Claims]:
+    """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
+    updated, log_likelihood, by = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
     detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
-    return reduce_intensity(updated, reduction), log_likelihood, detected
+    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by)
+    return reduce_intensity(updated, reduction), log_likelihood, detected, claims

@@ -16,6 +16,7 @@ from stereophd.core.multi.reduce import reduce_mixture
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 class PhdReduction(NamedTuple):
@@ -30,7 +31,7 @@ class PhdReduction(NamedTuple):
 @compiled
 def update_intensity(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, prune_weight: float
-) -> tuple[GaussianMixture, float]:
+) -> tuple[GaussianMixture, float, Integers]:
     """Update an intensity; no reduction.
 
     Parameters
@@ -49,6 +50,8 @@ def update_intensity(
         Missed components, detected ones, and one newborn a detection, in this order.
     log_likelihood : float
         Of the event's detections, per distorted pixel.
+    updated : array of int
+        Detection of each detected component.
     """
     points, noises, areas, delays, birth_means, birth_covariances = event
     detected = numbers.p_detect * moved.fraction * mixture.weights
@@ -74,7 +77,7 @@ def update_intensity(
     out.weights[begin:end], out.means[begin:end], out.covariances[begin:end] = weights[kept], means, covariances
     out.weights[end:] = born * per_area / totals
     out.means[end:], out.covariances[end:] = birth_means, birth_covariances
-    return out, log_likelihood
+    return out, log_likelihood, detections
 
 
 @compiled

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.multi.attribution import detected_labels
+from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.estimates import Info
@@ -65,23 +65,24 @@ class PmbFilter(DisparityFilter):
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, detected, expected = _update(
+        reduced, log_likelihood, detected, expected, claims = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
             self.event_numbers(event, state.next_label, prediction.births), reduction,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
-            Info(log_likelihood, expected, reduced.size, detected),
+            Info(log_likelihood, expected, reduced.size, detected, claims),
         )
 
 
 @compiled
 def _update(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PmbReduction
-) -> tuple[GaussianMixture, float, Integers, float]:
-    """`update_tracks`, which labels were detected, and `reduce_tracks`, in one call."""
-    updated, log_likelihood = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
+) -> tuple[GaussianMixture, float, Integers, float, Claims]:
+    """`update_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
+    updated, log_likelihood, by = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
+    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by)
     reduced, expected = reduce_tracks(updated, reduction)
-    return reduced, log_likelihood, detected, expected
+    return reduced, log_likelihood, detected, expected, claims

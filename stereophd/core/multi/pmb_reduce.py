@@ -18,6 +18,7 @@ from stereophd.core.multi.mixture import (
     allocate_mixture,
     copy_components,
     copy_gaussian,
+    slice_components,
     take_components,
 )
 from stereophd.core.multi.pmb_update import group
@@ -63,17 +64,22 @@ def reduce_tracks(mixture: GaussianMixture, settings: PmbReduction) -> tuple[Gau
         names[member[k]] = labels[k]
         existence[member[k]] += weights[k]
     _keep_most_probable(existence, names, settings.max_components)
-    hypotheses = _merge_hypotheses(
-        _drop_negligible(mixture, member, existence, prune_weight, settings.least_share), hypothesis_distance
-    )
-    undetected = take_components(mixture, np.flatnonzero((labels == UNLABELLED) & (weights >= prune_weight)))
+    index, kept_weights = _drop_negligible(mixture, member, existence, prune_weight, settings.least_share)
+    hypotheses = _merge_hypotheses(mixture, index, kept_weights, hypothesis_distance)
     held = existence[np.searchsorted(names, hypotheses.labels)] >= settings.recycle_below
-    tracks = _join_tracks(
-        take_components(hypotheses, np.flatnonzero(held)), settings.merge_distance, hypothesis_distance
-    )
-    recycled = take_components(hypotheses, np.flatnonzero(~held & (hypotheses.weights >= prune_weight)))
-    recycled.labels[:] = UNLABELLED
-    return _concatenate(tracks, undetected, recycled), tracks.weights.sum()
+    tracks = np.flatnonzero(held)
+    undetected = np.flatnonzero((labels == UNLABELLED) & (weights >= prune_weight))
+    recycled = np.flatnonzero(~held & (hypotheses.weights >= prune_weight))
+    first, second = len(tracks), len(tracks) + len(undetected)
+    out = allocate_mixture(second + len(recycled), mixture.means.shape[1])
+    copy_components(hypotheses, tracks, out, 0)
+    copy_components(mixture, undetected, out, first)
+    copy_components(hypotheses, recycled, out, second)
+    out.labels[second:] = UNLABELLED
+    joined, changed = _join_tracks(slice_components(out, 0, first), settings.merge_distance, hypothesis_distance)
+    if changed:
+        out = _concatenate(joined, slice_components(out, first, len(out.weights)))
+    return out, joined.weights.sum()
 
 
 @compiled
@@ -92,31 +98,35 @@ def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> N
 @compiled
 def _drop_negligible(
     mixture: GaussianMixture, member: Integers, existence: Array, prune_weight: float, least_share: float
-) -> GaussianMixture:
-    """Hypotheses worth keeping; what is dropped of a track goes to its other hypotheses: existence stays."""
+) -> tuple[Integers, Array]:
+    """Hypotheses worth keeping, and their weights; what is dropped of a track goes to its others: existence stays."""
     weights, labels = mixture.weights, mixture.labels
     remains = np.zeros(len(existence))
-    kept = np.zeros(len(member), dtype=np.bool_)
+    index = np.empty(len(member), dtype=np.int64)
+    count = 0
     for k in range(len(member)):
         whole = existence[member[k]]
         if labels[k] != UNLABELLED and weights[k] >= least_share * whole and whole >= prune_weight:
-            kept[k] = True
+            index[count] = k
+            count += 1
             remains[member[k]] += weights[k]
-    index = np.flatnonzero(kept)
-    found = take_components(mixture, index)
-    found_weights = found.weights
-    for i in range(len(index)):
+    kept_weights = np.empty(count)
+    for i in range(count):
         g = member[index[i]]
-        found_weights[i] *= min(existence[g], MOST_EXISTENCE) / remains[g]
-    return found
+        kept_weights[i] = weights[index[i]] * (min(existence[g], MOST_EXISTENCE) / remains[g])
+    return index[:count], kept_weights
 
 
 @compiled
-def _merge_hypotheses(mixture: GaussianMixture, distance: float) -> GaussianMixture:
-    """Merge hypotheses of one label that agree; ordered by label, then by falling weight."""
-    order = np.argsort(-mixture.weights, kind="mergesort")
-    order = order[np.argsort(mixture.labels[order], kind="mergesort")]
-    found = take_components(mixture, order)
+def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, distance: float) -> GaussianMixture:
+    """Merge hypotheses of one label that agree; ordered by label, then by falling weight.
+
+    The hypotheses are those components of a mixture that have these indices, with the weights given.
+    """
+    order = np.argsort(-given, kind="mergesort")
+    order = order[np.argsort(mixture.labels[index[order]], kind="mergesort")]
+    found = take_components(mixture, index[order])
+    found.weights[:] = given[order]
     weights, means, covariances, cameras, times, labels, tracks, reported = found
     leaders = np.empty(len(weights), dtype=np.int64)
     merged, start = 0, 0
@@ -149,21 +159,21 @@ def _merge_hypotheses(mixture: GaussianMixture, distance: float) -> GaussianMixt
 
 
 @compiled
-def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance: float) -> GaussianMixture:
-    """Give tracks whose heaviest hypotheses agree one label: of two identities the older."""
+def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance: float) -> tuple[GaussianMixture, bool]:
+    """Give tracks whose heaviest hypotheses agree one label: of two identities the older; whether there were any."""
     weights, labels, tracks, reported = mixture.weights, mixture.labels, mixture.tracks, mixture.reported
     first = np.ones(len(labels), dtype=np.bool_)
     first[1:] = labels[1:] != labels[:-1]
     heads = np.flatnonzero(first)
     if len(heads) < 2 or distance <= 0.0:
-        return mixture
+        return mixture, False
     # an identity once reported counts more than existence, and of two the older keeps its name
     heads = heads[np.argsort(-weights[heads], kind="mergesort")]
     seniority = np.where(tracks[heads] >= 0, tracks[heads], np.iinfo(np.int64).max)
     heads = heads[np.argsort(seniority, kind="mergesort")]
     senior = _seniors(take_components(mixture, heads), distance)
     if (senior == np.arange(len(heads))).all():
-        return mixture
+        return mixture, False
     for h in range(len(heads)):
         if senior[h] != h:
             head = heads[senior[h]]
@@ -175,7 +185,7 @@ def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance:
         existence[member[k]] += weights[k]
     for k in range(len(weights)):
         weights[k] /= max(existence[member[k]], 1.0)
-    return _merge_hypotheses(mixture, hypothesis_distance)
+    return _merge_hypotheses(mixture, np.arange(len(weights)), weights, hypothesis_distance), True
 
 
 @compiled
@@ -217,10 +227,9 @@ def _within(difference: Array, covariance: Array, distance: float) -> bool:
 
 
 @compiled
-def _concatenate(first: GaussianMixture, second: GaussianMixture, third: GaussianMixture) -> GaussianMixture:
-    a, b, c = len(first.weights), len(second.weights), len(third.weights)
-    out = allocate_mixture(a + b + c, first.means.shape[1])
+def _concatenate(first: GaussianMixture, second: GaussianMixture) -> GaussianMixture:
+    a, b = len(first.weights), len(second.weights)
+    out = allocate_mixture(a + b, first.means.shape[1])
     copy_components(first, np.arange(a), out, 0)
     copy_components(second, np.arange(b), out, a)
-    copy_components(third, np.arange(c), out, a + b)
     return out

@@ -51,7 +51,7 @@ def group(keys: Integers) -> tuple[Integers, int]:
 @compiled
 def update_tracks(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, prune_weight: float
-) -> tuple[GaussianMixture, float]:
+) -> tuple[GaussianMixture, float, Integers]:
     """Update tracks and the intensity of undetected objects; no reduction.
 
     Parameters
@@ -70,6 +70,8 @@ def update_tracks(
         Missed components, detected ones, and one new track a detection, in this order.
     log_likelihood : float
         Of the event's detections, per distorted pixel: the value of the association problem.
+    updated : array of int
+        Detection of each detected component.
     """
     weights, labels = mixture.weights, mixture.labels
     points, noises, areas, delays, _, _ = event
@@ -140,7 +142,7 @@ def update_tracks(
     end = count + len(chosen)
     out.weights[count:end], out.means[count:end], out.covariances[count:end] = taken[kept], means, covariances
     out.weights[end:], out.means[end:], out.covariances[end:] = existence, new_means, new_covariances
-    return out, log_likelihood + log_bethe
+    return out, log_likelihood + log_bethe, detections[chosen]
 
 
 @compiled

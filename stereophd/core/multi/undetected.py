@@ -78,13 +78,15 @@ def expected_births(
     before = before or Undetected(np.zeros(cameras), np.ones(cameras))
     if prior.per_frame is not None:
         return float(prior.per_frame), before
-    initial = prior.initial
-    if initial is None:
-        surplus = len(event.points) - detector.clutter_per_frame
-        initial = max(surplus / max(detector.p_detect, 1e-9), LEAST_INITIAL)
-    counts, share = before.counts + prior.per_s * elapsed, before.initial_share.copy()
-    counts[event.camera] += share[event.camera] * initial
-    share[event.camera] = 0.0
+    counts, share = before.counts + prior.per_s * elapsed, before.initial_share
+    if share[event.camera] > 0.0:
+        initial = prior.initial
+        if initial is None:
+            surplus = len(event.points) - detector.clutter_per_frame
+            initial = max(surplus / max(detector.p_detect, 1e-9), LEAST_INITIAL)
+        counts[event.camera] += share[event.camera] * initial
+        share = share.copy()
+        share[event.camera] = 0.0
     left = 1.0 - detector.p_detect * overlap[:, event.camera]
     return float(counts[event.camera]), Undetected(counts * left, share * left)
 

@@ -38,6 +38,9 @@ LEAST_RATIO = 1e-6
 # An object that is more probable than this was there, and a detection more probably its own than not counts as its.
 PROBABLE = 0.5
 
+# The terms of an event that says nothing.
+NOTHING: tuple[Array, float] = (np.zeros(0), 1.0)
+
 
 @dataclass(frozen=True)
 class Extended:
@@ -48,10 +51,13 @@ class Extended:
     trajectory : Trajectory
     detected : tuple of int
         Numbers of the events, among those added, with a detection that is probably the object's.
+    shares : tuple of array
+        For each of these events, the probability of each of its detections to be the object's.
     """
 
     trajectory: Trajectory
     detected: tuple[int, ...] = ()
+    shares: tuple[Array, ...] = ()
 
 
 def reach_back(
@@ -81,14 +87,16 @@ def reach_back(
     """
     first = int(trajectory.events[0])
     # in logarithms: of the factor of all events so far, and of the weight of each event as the first
-    factor, weights, found = 0.0, [0.0], []
+    factor, weights = 0.0, [0.0]
+    found: list[tuple[int, Array]] = []
     for number in range(first - 1, -1, -1):
         if trajectory.times[0] - times[number] > max_gap_s or factor < max(weights) + np.log(LEAST_RATIO):
             break
         event = events[number]
-        detected, missed = (0.0, 1.0) if event is None else _factors(trajectory, others, number, event, cameras, motion)
+        by, missed = NOTHING if event is None else _factors(trajectory, others, number, event, cameras, motion)
+        detected = float(by.sum())
         if detected > missed:
-            found.append(number)
+            found.append((number, by / (detected + missed)))
         weights.append(factor + np.log(detected) if detected > 0.0 else -np.inf)
         factor += np.log(detected + missed) if detected + missed > 0.0 else -np.inf
     shares = np.exp(np.array(weights) - max(weights))
@@ -99,7 +107,8 @@ def reach_back(
         return Extended(trajectory)
     earlier = np.arange(first - back, first)
     extended = extend_back(trajectory, earlier, times[earlier], motion, trajectory.existence[0] * there[back:0:-1])
-    return Extended(extended, tuple(number for number in found if number >= first - back))
+    found = [one for one in found if one[0] >= first - back]
+    return Extended(extended, tuple(number for number, _ in found), tuple(shares for _, shares in found))
 
 
 def _factors(
@@ -109,14 +118,14 @@ def _factors(
     event: Event,
     cameras: Sequence[Camera],
     motion: Motion,
-) -> tuple[float, float]:
-    """Return the terms of L for an event: detected, and missed."""
+) -> tuple[Array, float]:
+    """Return the terms of L for an event: of each detection, and missed."""
     camera = cameras[event.camera].at(event.time_s)
     transition = motion.transition(float(event.time_s - trajectory.times[0]))
     state, covariance = transition.predict(trajectory.states[0], trajectory.covariances[0])
     p_detect, densities = _detections(camera, event, state, covariance)
     if p_detect == 0.0:
-        return 0.0, 1.0
+        return NOTHING
     background = np.full(len(event.points), camera.detector.clutter_per_frame / (camera.width * camera.height))
     for other in others:
         k = int(np.searchsorted(other.events, number))
@@ -127,7 +136,9 @@ def _factors(
     likely = densities > 0.0
     # without clutter a detection near the track is the object's, all but surely
     others_density = np.maximum(background[likely], LEAST_RATIO * densities[likely])
-    return p_detect * float((densities[likely] / others_density).sum()), 1.0 - p_detect
+    terms = np.zeros(len(densities))
+    terms[likely] = p_detect * densities[likely] / others_density
+    return terms, 1.0 - p_detect
 
 
 def _detections(camera: Camera, event: Event, state: Array, covariance: Array) -> tuple[float, Array]:

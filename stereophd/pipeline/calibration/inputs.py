@@ -30,7 +30,7 @@ from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.build import build_filter
-from stereophd.pipeline.stream import open_stream
+from stereophd.pipeline.stream import covered, open_stream
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -151,14 +151,21 @@ def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Came
     for quantity in quantities():
         for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True):
             if std > 0.0 and component not in quantity.available(camera):
-                raise InputError(
-                    f"{place}.{quantity.prior}: expected coefficients of its lens model {camera.lens.model} "
-                    f"({', '.join(quantity.available(camera)) or 'none'}), found {component}"
-                )
+                raise InputError(f"{place}.{quantity.prior}: {_unavailable(quantity, component, camera)}")
             if std > 0.0:
                 unknown.add(quantity.name)
     if unknown & {"velocity", "rotation_rate"} and ("readout" in unknown or camera.readout_s != 0.0):
         raise InputError(f"{place}: expected no readout of a camera that moves, found one beside rates")
+
+
+def _unavailable(quantity: Quantity, component: str, camera: Camera) -> str:
+    """Say why a camera does not have a component."""
+    if quantity.named:
+        known = ", ".join(quantity.available(camera)) or "none"
+        return f"expected coefficients of its lens model {camera.lens.model} ({known}), found {component}"
+    if camera.pose.path is None:
+        return "expected a camera that a body of known trajectory carries (pose.trajectory), found one without"
+    return "expected no prior of the pose of a camera on a known trajectory (mount_center_std, mount_rotation_std_deg)"
 
 
 def prior_stds(section: CalibrationConfig, camera: str, quantity: Quantity) -> tuple[float, ...]:
@@ -237,7 +244,8 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     parameters, reference = build_parameters(loaded)
     scale = build_scale(loaded, parameters)
     stream = open_stream(loaded.config, parameters.cameras, log_path)
-    recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in stream.frames])
+    frames = covered(parameters.cameras, stream.frames, stream.source)
+    recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
     _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)

@@ -21,7 +21,7 @@ from stereophd.core.calibration.annealed import (
     start_values,
 )
 from stereophd.core.calibration.clock_search import offset_places
-from stereophd.core.calibration.fits import fit_until
+from stereophd.core.calibration.fits import fit_until, marginal_fit
 from stereophd.core.calibration.known_scale import measured_scale, rescaled
 from stereophd.core.calibration.posterior import laplace_draws
 from stereophd.core.calibration.scale import ScaleMeasurement
@@ -71,6 +71,7 @@ def annealed_outcome(
     if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
         doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
     task, fit = _at_known_scale(section, task, best.fit, details)
+    fit = marginal_fit(task, fit)
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
     if (against := prior_disagreement(task.parameters, mean)) is not None:
         doubt = f"with the known {section.scale.kind} {against}"

@@ -12,6 +12,7 @@ from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.pipeline.checks.geometry import check_geometry, measure
 from stereophd.pipeline.checks.sample import MOST_FRAMES, CameraSample, sample_log
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
+from stereophd.pipeline.stream import covered
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -42,12 +43,12 @@ def check_log(loaded: LoadedConfig, log_path: Path | str, thorough: bool = True)
     Raises
     ------
     InputError
-        The configuration has no cameras; the log is not usable.
+        The configuration has no cameras; the log is not usable, or the known trajectory of a camera does not cover it.
     """
     cameras = loaded.build_cameras()
     reader = LogReader(log_path, cameras, "drop", float("inf"))
     most = MOST_FRAMES if thorough else QUICK_FRAMES
-    samples = sample_log(reader, cameras, most)
+    samples = sample_log(covered(cameras, reader, str(log_path)), cameras, most)
     whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
     return check_samples(loaded, samples, thorough, whole)
 
@@ -65,6 +66,9 @@ def check_samples(
     ]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
+    if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
+        why = f"geometry and settings are checked of cameras that stand still; moving: {', '.join(moving)}"
+        return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples), thorough)
     findings += check_geometry(geometry, thorough)
     if not any(found.name == "geometry.cause" for found in warnings_of(tuple(findings))):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.cameras import CameraConfig
+from stereophd.core.geometry.pose import Pose
 
 Floats = NDArray[np.float64]
 
@@ -57,6 +58,7 @@ def _row(name: str, config: CameraConfig) -> dict[str, Any]:
         "center": camera.pose.center.tolist(),
         "looks_along": camera.pose.rotation[2].tolist(),
         "moves": not camera.pose.is_static,
+        "trajectory": _trajectory(camera.pose),
         "sigma_px": list(config.detector.sigma_px),
         "p_detect": config.detector.p_detect,
         "clutter_per_frame": config.detector.clutter_per_frame,
@@ -64,6 +66,21 @@ def _row(name: str, config: CameraConfig) -> dict[str, Any]:
         "frame_rate_hz": config.frame_rate_hz,
         "clock": config.clock.model_dump(),
         "readout_s": config.readout_s,
+    }
+
+
+def _trajectory(pose: Pose) -> dict[str, Any] | None:
+    """Return the poses, period and length of a known trajectory; None of a camera without one."""
+    if pose.path is None:
+        return None
+    poses = pose.path.trajectory.poses
+    steps = np.linalg.norm(np.diff(poses[:, 1:4], axis=0), axis=1)
+    return {
+        "poses": len(poses),
+        "first_s": float(poses[0, 0]),
+        "last_s": float(poses[-1, 0]),
+        "longest_gap_s": float(np.diff(poses[:, 0]).max()),
+        "length": float(steps.sum()),
     }
 
 

@@ -19,14 +19,20 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.numerics.times import TIME_DECIMALS, same_time
+from stereophd.pipeline.tracking.associations import Associated, Associations
 
 # Events between two clearances of what is known of dead tracks.
 FORGET_EVERY = 50
 
+# Cameras that must have detected a tentative object.
+SUPPORT = 2
+
 
 @dataclass(frozen=True)
 class ReportTimes:
-    """When estimates are reported: after every event, or as its one field that is set requires.
+    """When estimates are reported: after every event, or as the camera or grid that is set requires.
+
+    With `max_position_std`, also how certain they must be.
 
     Attributes
     ----------
@@ -34,14 +40,21 @@ class ReportTimes:
         After every frame of this camera.
     grid_s : float, optional
         At the multiples of this interval, s, from the first event to the last.
+    max_position_std : float, optional
+        Associations are those of tracks whose position was at least once as certain as this.
     """
 
     camera: str | None = None
     grid_s: float | None = None
+    max_position_std: float | None = None
 
     def after(self, camera: str) -> bool:
         """Whether estimates are reported after an event of this camera."""
         return self.grid_s is None and self.camera in (None, camera)
+
+    def certain(self, estimates: Estimates) -> Estimates:
+        """Return the estimates that are certain enough."""
+        return estimates if self.max_position_std is None else estimates.certain(self.max_position_std)
 
 
 @dataclass(frozen=True)
@@ -69,6 +82,9 @@ class Record:
     is_event : bool
     event : Event, optional
         The detections themselves, where a run keeps them.
+    associations : tuple of Associated
+        Detections that reported tracks claim: those of the event, and earlier ones of tracks that are reported for
+        the first time.
     """
 
     time_s: float
@@ -82,6 +98,7 @@ class Record:
     reported: bool = True
     is_event: bool = True
     event: Event | None = None
+    associations: tuple[Associated, ...] = ()
 
 
 class EstimatorState(Protocol):
@@ -153,12 +170,13 @@ class RunState(Generic[State]):
     estimator : State
         State of the estimator after the last event.
     events : int
-        Number of events so far: those that a run from a copy passes over (`EventStream`, `skip`).
+        Number of events so far: those that a run from a copy passes over.
     last : Record, optional
         Of the last event.
     forecast_from_s : float
         Times of the grid from here on are still to be predicted.
     attribution : Attribution
+    associations : Associations
     """
 
     estimator: State
@@ -166,10 +184,11 @@ class RunState(Generic[State]):
     last: Record | None = None
     forecast_from_s: float = -math.inf
     attribution: Attribution = field(default_factory=Attribution)
+    associations: Associations = field(default_factory=Associations)
 
     def copy(self) -> RunState[State]:
         """Return a copy that does not change when the run continues."""
-        return replace(self, attribution=Attribution(self.attribution.pending))
+        return replace(self, attribution=Attribution(self.attribution.pending), associations=self.associations.copy())
 
 
 def run_estimator(
@@ -203,34 +222,58 @@ def run_estimator(
     names = [camera.name for camera in estimator.rig.cameras]
     for event in events:
         if times.grid_s is not None:
-            yield from _forecasts(estimator, run, times.grid_s, event.time_s - same_time(event.time_s))
+            yield from _forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
         name = names[event.camera]
         first_label = run.estimator.next_label
         run.estimator, info, estimates = estimator.step(run.estimator, event)
         attributed = run.attribution.update(name, info.detected, estimates)
+        estimates = _supported(estimates, run, len(names))
+        associations = run.associations.update(event, name, info.claims)
+        if times.after(name):
+            associations += tuple(run.associations.report(times.certain(estimates)))
         run.last = record = Record(
             event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,
-            times.after(name), event=event if keep_events else None,
+            times.after(name), event=event if keep_events else None, associations=associations,
         )  # fmt: skip
         run.forecast_from_s = event.time_s - same_time(event.time_s)
         if run.events % FORGET_EVERY == 0:
             run.attribution.keep(run.estimator.labels)
+            run.associations.keep(run.estimator.labels)
         run.events += 1
         yield record
     if times.grid_s is not None and run.last is not None:
-        yield from _forecasts(estimator, run, times.grid_s, run.last.time_s + same_time(run.last.time_s))
+        yield from _forecasts(estimator, run, times, run.last.time_s + same_time(run.last.time_s))
 
 
-def _forecasts(estimator: Estimator[State], run: RunState[State], grid_s: float, until_s: float) -> Iterator[Record]:
+def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Estimates:
+    """Return estimates with only those tentative objects that two cameras have detected.
+
+    In the first events of a log, as many as there are cameras, one camera is enough: most of what the first frames show
+    was there before the recording, and no second camera may have had a frame.
+    """
+    tentative = estimates.tentative
+    if tentative is None:
+        return estimates
+    pending = run.attribution.pending
+    least = 1 if run.events < cameras else SUPPORT
+    kept = np.array([len(pending.get(label, ())) >= least for label in tentative.labels.tolist()], dtype=bool)
+    return replace(estimates, tentative=tentative.take(kept) if kept.any() else None)
+
+
+def _forecasts(
+    estimator: Estimator[State], run: RunState[State], times: ReportTimes, until_s: float
+) -> Iterator[Record]:
     """Yield the objects after the last event at the times of the grid before `until_s`."""
     last = run.last
-    if last is None:
+    if last is None or times.grid_s is None:
         return
-    for time_s in grid_times(grid_s, run.forecast_from_s, until_s):
+    for time_s in grid_times(times.grid_s, run.forecast_from_s, until_s):
         info, estimates = estimator.forecast(run.estimator, last.info, time_s)
+        estimates = _supported(estimates, run, len(estimator.rig.cameras))
         run.forecast_from_s = math.nextafter(time_s, math.inf)
         yield Record(
-            time_s, last.camera, last.frame, 0, run.estimator.next_label, info, estimates, is_event=False
+            time_s, last.camera, last.frame, 0, run.estimator.next_label, info, estimates, is_event=False,
+            associations=tuple(run.associations.report(times.certain(estimates))),
         )  # fmt: skip
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.config.report import ReportConfig
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
@@ -18,7 +19,9 @@ from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
-from stereophd.io.tables import TableWriter
+from stereophd.io.tables import CONFIRMED, STD, TENTATIVE, TableWriter
+from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
+from stereophd.pipeline.tracking.explained import Explained
 from stereophd.pipeline.tracking.loop import Record
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
@@ -36,29 +39,38 @@ class _Identity:
     last_s: float
     n_estimates: int = 0
     existence: float = 0.0
+    speed: float = 0.0
+    position_std: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Where records go: one row an estimate, one row an event and, if asked, one row an association."""
+
+    tracks: TableWriter
+    scans: TableWriter
+    associations: TableWriter | None = None
 
 
 def write_records(
-    records: Iterable[Record],
-    tracks: TableWriter,
-    scans: TableWriter,
-    cameras: Sequence[str],
-    max_position_std: float | None = None,
+    records: Iterable[Record], tables: Tables, cameras: Sequence[Camera], report: ReportConfig
 ) -> dict[str, Any]:
     """Write what is to be reported as it comes; return the figures of the run for ``report.json``.
 
     Parameters
     ----------
     records : iterable of Record
-    tracks, scans : TableWriter
-    cameras : sequence of str
-        Names, in order, for the numbers of detections of each track.
-    max_position_std : float, optional
-        Estimates of a less certain position are left out.
+    tables : Tables
+    cameras : sequence of Camera
+        In order, for the figures of each camera.
+    report : ReportConfig
+        Which estimates are written, and which columns.
     """
+    tracks, scans = tables.tracks, tables.scans
+    explained = Explained(cameras)
     identities: dict[int, _Identity] = {}
     detections: dict[int, Counter[str]] = {}
-    events, log_likelihood = 0, 0.0
+    events, confirmed, log_likelihood = 0, 0, 0.0
     first_s, last_s = math.nan, math.nan
     # since the last row: what happened between two reports belongs to the second
     new_detections, new_log_likelihood = 0, 0.0
@@ -71,11 +83,15 @@ def write_records(
         new_log_likelihood += record.info.log_likelihood
         for track_id, counts in record.attributed.items():
             detections.setdefault(track_id, Counter()).update(counts)
+        explained.add(record)
+        if tables.associations is not None:
+            for sightings in record.associations:
+                tables.associations.append(sightings.columns())
         if not record.reported:
             continue
         estimates = record.estimates
-        if max_position_std is not None:
-            estimates = estimates.certain(max_position_std)
+        if report.max_position_std is not None:
+            estimates = estimates.certain(report.max_position_std)
         key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
         scans.append(
             {
@@ -88,45 +104,60 @@ def write_records(
             }
         )
         new_detections, new_log_likelihood = 0, 0.0
-        if len(estimates.track_ids):
-            tracks.append({**key, **_columns(estimates)})
+        for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
+            if level is not None and len(level.track_ids):
+                tracks.append({**key, **_columns(level, report.std_columns), "status": status})
+        confirmed += len(estimates.track_ids)
         _summarise(identities, estimates, record.time_s)
     return {
         "events": events,
         "duration_s": last_s - first_s,
         "reports": scans.rows,
-        "estimates": tracks.rows,
+        "estimates": confirmed,
+        "tentative_estimates": tracks.rows - confirmed,
         "log_likelihood": log_likelihood,
+        "cameras": explained.report(),
         "tracks": [
             {
                 "track_id": track_id,
                 "first_s": identity.first_s,
                 "last_s": identity.last_s,
                 "n_estimates": identity.n_estimates,
-                "n_detections": {name: detections.get(track_id, Counter())[name] for name in cameras},
+                "n_detections": {camera.name: detections.get(track_id, Counter())[camera.name] for camera in cameras},
                 "mean_existence": identity.existence / identity.n_estimates,
+                "mean_speed": identity.speed / identity.n_estimates,
+                "mean_position_std": identity.position_std / identity.n_estimates,
             }
             for track_id, identity in sorted(identities.items())
         ],
     }
 
 
-def _columns(estimates: Estimates) -> dict[str, Any]:
+def _columns(estimates: Estimates, std_columns: bool) -> dict[str, Any]:
     """Columns of ``tracks.parquet`` of one event."""
+    std = np.sqrt(np.diagonal(estimates.covariances[:, :3, :3], axis1=1, axis2=2)) if std_columns else None
     return {
         "track_id": estimates.track_ids,
         **{name: estimates.states[:, axis] for axis, name in enumerate(STATE_COLUMNS)},
         "covariance": estimates.covariances,
         "existence": estimates.existence,
+        **({} if std is None else {field.name: std[:, axis] for axis, field in enumerate(STD)}),
     }
 
 
 def _summarise(identities: dict[int, _Identity], estimates: Estimates, time_s: float) -> None:
-    for track_id, existence in zip(estimates.track_ids.tolist(), estimates.existence.tolist(), strict=True):
+    if not len(estimates.track_ids):
+        return
+    speeds = np.sqrt(np.einsum("ni,ni->n", estimates.states[:, 3:], estimates.states[:, 3:]))
+    stds = np.sqrt(np.trace(estimates.covariances[:, :3, :3], axis1=1, axis2=2))
+    columns = (estimates.track_ids, estimates.existence, speeds, stds)
+    for track_id, existence, speed, std in zip(*(column.tolist() for column in columns), strict=True):
         identity = identities.setdefault(track_id, _Identity(time_s, time_s))
         identity.last_s = time_s
         identity.n_estimates += 1
         identity.existence += existence
+        identity.speed += speed
+        identity.position_std += std
 
 
 def smoothed_records(
@@ -164,9 +195,37 @@ def smoothed_records(
         for number in one.detected:
             track_id = name(one.trajectory.track_id)
             detections[number].setdefault(track_id, Counter())[whole[number].camera] += 1
-    for record, found, attributed in zip(whole, rows, detections, strict=True):
+    associations = _continued_associations(whole, extended, name)
+    for record, found, attributed, sightings in zip(whole, rows, detections, associations, strict=True):
         found.sort(key=lambda row: row[0])
-        yield replace(record, estimates=_estimates(found), attributed=attributed)
+        yield replace(record, estimates=_estimates(found), attributed=attributed, associations=sightings)
+
+
+def _continued_associations(
+    whole: Sequence[Record], extended: Sequence[Extended], name: Callable[[int], int]
+) -> list[tuple[Associated, ...]]:
+    """Associations of every record, under the names of the stitched tracks, each with its own event.
+
+    With them the detections to which smoothed tracks reach back.
+    """
+    numbers = {(one.time_s, one.camera, one.frame): number for number, one in enumerate(whole) if one.is_event}
+    out: list[list[Associated]] = [[] for _ in whole]
+    for record in whole:
+        for one in record.associations:
+            names = np.array([name(track_id) for track_id in one.track_ids.tolist()])
+            out[numbers[one.time_s, one.camera, one.frame]].append(replace(one, track_ids=names))
+    for track in extended:
+        track_id = name(track.trajectory.track_id)
+        for number, shares in zip(track.detected, track.shares, strict=True):
+            event, record = whole[number].event, whole[number]
+            if event is None or event.pixels is None:
+                continue
+            kept = np.flatnonzero(shares >= LEAST_PROBABILITY)
+            ids = np.full(len(kept), track_id)
+            out[number].append(
+                Associated(record.time_s, record.camera, record.frame, event.pixels[kept], ids, shares[kept])
+            )
+    return [tuple(sightings) for sightings in out]
 
 
 def _reach_back(

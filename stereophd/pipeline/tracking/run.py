@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from stereophd.config.cameras import CameraConfig, DetectorConfig
 from stereophd.config.report import ReportConfig
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
@@ -13,18 +16,20 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
-from stereophd.io.tables import SCANS, TRACKS, TableWriter
+from stereophd.io.tables import ASSOCIATIONS, SCANS, STD, TRACKS, TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
-from stereophd.pipeline.tracking.outputs import smoothed_records, write_records
+from stereophd.pipeline.tracking.journal import RecordJournal, journaled_records
+from stereophd.pipeline.tracking.lifetimes import lasting
+from stereophd.pipeline.tracking.loop import Estimator, Record, run_estimator
+from stereophd.pipeline.tracking.outputs import Tables, smoothed_records, write_records
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-TRACKS_FILE, SCANS_FILE = "tracks.parquet", "scans.parquet"
+TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", "associations.parquet"
 
 
 @dataclass(frozen=True)
@@ -51,11 +56,11 @@ class Tracking:
     report: ReportConfig
     detectors: dict[str, Any] | None = None
 
-    def records(self, stream: EventStream, run: RunState[Any] | None = None) -> Iterator[Record]:
-        """Yield the records of a log, smoothed if the configuration asks for it; start from `run`, if it is given."""
+    def records(self, stream: EventStream, journal: RecordJournal | None = None) -> Iterator[Record]:
+        """Yield the records of a log, smoothed if the configuration asks for it; go on from a journal, if given."""
         if isinstance(self.estimator, SingleTracker):
-            return reported_records(self.estimator, self.motion, at_most_one(stream), self.report, run=run)
-        return reported_records(self.estimator, self.motion, stream, self.report, keep_events=True, run=run)
+            return reported_records(self.estimator, self.motion, at_most_one(stream), self.report, journal=journal)
+        return reported_records(self.estimator, self.motion, stream, self.report, keep_events=True, journal=journal)
 
 
 def reported_records(
@@ -64,17 +69,22 @@ def reported_records(
     events: Iterable[Event],
     report: ReportConfig,
     keep_events: bool = False,
-    run: RunState[Any] | None = None,
+    journal: RecordJournal | None = None,
 ) -> Iterator[Record]:
-    """Yield the records of events, smoothed if the section ``report`` asks for it.
+    """Yield the records of events, smoothed and without short tracks if the section ``report`` asks for it.
 
-    With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs.
+    With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs. With a
+    `journal` the run goes on from there, and what it gives is kept there.
     """
     smooth = report.smooth
-    records = run_estimator(estimator, events, report_times(report), keep_events and smooth is not None, run)
-    if smooth is None:
-        return records
-    return smoothed_records(records, estimator.rig.cameras, motion, smooth.max_gap_s)
+    times, keep_events = report_times(report), keep_events and smooth is not None
+    if journal is None:
+        records = run_estimator(estimator, events, times, keep_events)
+    else:
+        records = journaled_records(estimator, events, times, keep_events, journal)
+    if smooth is not None:
+        records = smoothed_records(records, estimator.rig.cameras, motion, smooth.max_gap_s)
+    return lasting(records, report.min_track_length) if report.min_track_length > 0.0 else records
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
@@ -85,7 +95,12 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
     InputError
         The configuration has no filter or no cameras, or they do not fit each other.
     """
-    config, cameras = loaded.config, loaded.build_cameras()
+    return tracking_with(loaded, loaded.build_cameras(), threads)
+
+
+def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int) -> Tracking:
+    """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
+    config = loaded.config
     if not isinstance(config.filter, SingleSettings):
         multi_filter = build_filter(config, cameras, loaded.path, threads)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
@@ -109,8 +124,21 @@ def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: E
     cameras, detectors = estimate_detectors(
         tracking.cameras, estimated, lambda used: build_labelled_filter(config, used, path, threads), stream
     )
-    multi_filter = build_filter(config, cameras, path, threads)
-    return Tracking(multi_filter, multi_filter.motion, cameras, config.report, detectors)
+    return replace(tracking_with(loaded, cameras, threads), detectors=detectors)
+
+
+def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
+    """Return the descriptions of cameras with the detectors of others, as given and no longer to be estimated."""
+    out = {}
+    for camera in cameras:
+        found = camera.detector
+        detector = DetectorConfig(
+            sigma_px=(float(found.sigma[0]), float(found.sigma[1])),
+            p_detect=float(found.p_detect),
+            clutter_per_frame=float(found.clutter_per_frame),
+        )
+        out[camera.name] = described[camera.name].model_copy(update={"detector": detector})
+    return out
 
 
 def estimated_cameras(loaded: LoadedConfig) -> list[str]:
@@ -124,11 +152,20 @@ def write_tracks(
     out: OutputFolder,
     metadata: Mapping[bytes, bytes],
     cameras: Sequence[Camera],
-    max_position_std: float | None,
+    report: ReportConfig,
 ) -> dict[str, Any]:
-    """Write ``tracks.parquet`` and ``scans.parquet``; return the figures of the run for ``report.json``."""
-    with (
-        TableWriter(out.path(TRACKS_FILE), TRACKS, metadata) as tracks,
-        TableWriter(out.path(SCANS_FILE), SCANS, metadata) as scans,
-    ):
-        return write_records(records, tracks, scans, [camera.name for camera in cameras], max_position_std)
+    """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
+
+    Returns
+    -------
+    dict
+        The figures of the run for ``report.json``.
+    """
+    schema = functools.reduce(lambda schema, column: schema.append(column), STD if report.std_columns else (), TRACKS)
+    with contextlib.ExitStack() as files:
+        tracks = files.enter_context(TableWriter(out.path(TRACKS_FILE), schema, metadata))
+        scans = files.enter_context(TableWriter(out.path(SCANS_FILE), SCANS, metadata))
+        third = TableWriter(out.path(ASSOCIATIONS_FILE), ASSOCIATIONS, metadata) if report.associations else None
+        if third is not None:
+            files.enter_context(third)
+        return write_records(records, Tables(tracks, scans, third), cameras, report)

@@ -14,6 +14,7 @@ from stereophd.config.model import Config
 from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
+from stereophd.core.multi.attribution import Claims
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
@@ -101,7 +102,9 @@ class SingleTracker:
         new, info = self.estimator.step(state.estimator, event)
         estimate = self.estimator.estimate(new)
         known = estimate is not None
-        full = Info(info.log_likelihood, float(known), int(known), TRACK[: len(event.points)])
+        detected = TRACK[: len(event.points)]
+        claims = Claims(detected, detected, np.ones(len(detected)))
+        full = Info(info.log_likelihood, float(known), int(known), detected, claims)
         return SingleTrackerState(new, known), full, _estimates(estimate, self.point)
 
     def forecast(self, state: SingleTrackerState, info: Info, time_s: float) -> tuple[Info, Estimates]:

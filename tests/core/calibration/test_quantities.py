@@ -8,11 +8,13 @@ import pytest
 
 from stereophd.config.calibration import CameraPrior
 from stereophd.core.calibration.quantities.base import TIMES, Quantity
-from stereophd.core.calibration.quantities.looking import left_jacobians, look, rotations
+from stereophd.core.calibration.quantities.looking import left_jacobians, look
 from stereophd.core.calibration.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.rotations import rotations
+from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 
 LENSES = {
     "none": Lens(),
@@ -24,17 +26,34 @@ LENSES = {
 SIZES = {
     "center": 0.5, "rotation": 0.2, "focal": 0.3, "aspect": 0.02, "principal_point": 15.0, "distortion": 0.01,
     "clock_offset": 0.5, "clock_rate": 1e-3, "readout": 0.02, "velocity": 0.3, "rotation_rate": 0.05,
+    "mount_center": 0.4, "mount_rotation": 0.2,
 }  # fmt: skip
 
 
-def make_camera(lens: str = "brown_conrady", moving: bool = True) -> Camera:
-    """A camera of which nothing is zero."""
+def make_camera(lens: str = "brown_conrady", moving: bool = True, mounted: bool = False) -> Camera:
+    """A camera of which nothing is zero, at rest, moving steadily, or mounted on a body of known trajectory."""
     rates = ((0.1, -0.2, 0.05), (0.02, -0.03, 0.04)) if moving else ()
     pose = Pose(rotation_from_vector([0.1, -0.3, 0.2]), [1.0, -2.0, 0.5], *rates, time_s=2.0 if moving else 0.0)
+    pose = Pose.following(mounted_path(), 2.0) if mounted else pose
     return Camera(
         "one", 800, 600, 700.0, 690.0, 410.0, 305.0, pose, LENSES[lens], Detector((1.0, 1.0), 0.9, 1.0),
         clock=Clock(0.3, 1.001), readout_s=0.015,
     )  # fmt: skip
+
+
+def mounted_path() -> MountedPath:
+    """A camera on a body that sways and turns gently between random poses."""
+    rng = np.random.default_rng(11)
+    vectors = 0.1 * rng.standard_normal((12, 3))
+    quaternions = np.column_stack([np.ones(12), 0.5 * vectors])
+    quaternions /= np.linalg.norm(quaternions, axis=1)[:, None]
+    poses = np.column_stack([np.arange(12.0) - 2.0, 0.2 * rng.standard_normal((12, 3)), quaternions])
+    return MountedPath(BodyTrajectory(poses), rotation_from_vector([0.05, -0.1, 0.1]), [0.2, -0.1, 0.3])
+
+
+def camera_for(quantity: Quantity, lens: str = "brown_conrady", moving: bool = True) -> Camera:
+    """A camera that has the quantity."""
+    return make_camera(lens, moving, mounted=quantity.name.startswith("mount"))
 
 
 def draw(quantity: Quantity, camera: Camera, seed: int = 1) -> np.ndarray:
@@ -49,8 +68,9 @@ members = pytest.mark.parametrize("quantity", quantities(), ids=lambda quantity:
 @members
 @pytest.mark.parametrize("lens", LENSES)
 def test_difference_finds_what_was_applied(quantity: Quantity, lens: str) -> None:
-    camera = make_camera(lens)
+    camera = camera_for(quantity, lens)
     values = draw(quantity, camera)
+    assert values.any() or quantity.name == "distortion"
     moved = quantity.apply(camera, values)
     np.testing.assert_allclose(quantity.difference(camera, moved), values, atol=1e-12)
     back = quantity.apply(moved, -values)
@@ -60,8 +80,9 @@ def test_difference_finds_what_was_applied(quantity: Quantity, lens: str) -> Non
             np.testing.assert_allclose(other.difference(camera, moved), 0.0, atol=1e-10)
 
 
-def test_the_order_of_quantities_does_not_matter() -> None:
-    camera = make_camera()
+@pytest.mark.parametrize("mounted", [False, True])
+def test_the_order_of_quantities_does_not_matter(mounted: bool) -> None:
+    camera = make_camera(mounted=mounted)
     for one, other in itertools.combinations(quantities(), 2):
         first, second = draw(one, camera, 2), draw(other, camera, 3)
         there = other.apply(one.apply(camera, first), second)
@@ -74,7 +95,7 @@ def test_the_order_of_quantities_does_not_matter() -> None:
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
 def test_derivative_is_that_of_finite_differences(quantity: Quantity, lens: str, moving: bool) -> None:
-    camera = make_camera(lens, moving)
+    camera = camera_for(quantity, lens, moving)
     rng = np.random.default_rng(4)
     count = 20
     log_times, rows = rng.uniform(0.0, 6.0, count), rng.uniform(0.0, 1.0, count)
@@ -108,9 +129,10 @@ def test_derivative_is_that_of_finite_differences(quantity: Quantity, lens: str,
     assert np.isfinite(pixels).all()
 
 
+@pytest.mark.parametrize("mounted", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
-def test_pixels_are_those_of_the_camera(lens: str) -> None:
-    camera = make_camera(lens)
+def test_pixels_are_those_of_the_camera(lens: str, mounted: bool) -> None:
+    camera = make_camera(lens, mounted=mounted)
     points = camera.pose.to_world(np.random.default_rng(5).uniform([-2, -2, 4], [2, 2, 9], (10, 3)))
     for time_s in (2.0, 5.0):
         still = np.zeros((10, 3))
@@ -140,26 +162,34 @@ def test_every_quantity_has_a_prior_and_unique_names(quantity: Quantity) -> None
 @members
 def test_the_entry_leads_back_to_the_camera(quantity: Quantity) -> None:
     from stereophd.config.cameras import CameraConfig
+    from stereophd.config.from_camera import camera_config
     from stereophd.pipeline.calibration.inputs import with_quantities
 
-    camera = make_camera(moving=quantity.name != "readout")
+    camera = camera_for(quantity, moving=quantity.name != "readout")
     camera = replace(camera, readout_s=0.0) if quantity.name != "readout" else camera
-    config = CameraConfig.model_validate(
-        {
-            "image_size_px": (800, 600),
-            "intrinsics": {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy},
-            "pose": {
-                "center": tuple(camera.pose.center.tolist()),
-                "rotation_matrix": tuple(map(tuple, camera.pose.rotation.tolist())),
-                "velocity": tuple(camera.pose.velocity.tolist()),
-                "rotation_rate_deg_s": tuple(np.degrees(camera.pose.rotation_rate).tolist()),
-                "time_s": camera.pose.time_s,
-            },
-            "detector": {"sigma_px": (1.0, 1.0), "p_detect": 0.9, "clutter_per_frame": 1.0},
-            "distortion": {"model": "brown_conrady", **{n: getattr(camera.lens, n) for n in ("k1", "k2", "p1", "p2")}},
-            "clock": {"offset_s": 0.3, "rate": 1.001},
-            "readout_s": camera.readout_s,
-        }
+    config = (
+        camera_config(camera)
+        if camera.pose.path is not None
+        else CameraConfig.model_validate(
+            {
+                "image_size_px": (800, 600),
+                "intrinsics": {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy},
+                "pose": {
+                    "center": tuple(camera.pose.center.tolist()),
+                    "rotation_matrix": tuple(map(tuple, camera.pose.rotation.tolist())),
+                    "velocity": tuple(camera.pose.velocity.tolist()),
+                    "rotation_rate_deg_s": tuple(np.degrees(camera.pose.rotation_rate).tolist()),
+                    "time_s": camera.pose.time_s,
+                },
+                "detector": {"sigma_px": (1.0, 1.0), "p_detect": 0.9, "clutter_per_frame": 1.0},
+                "distortion": {
+                    "model": "brown_conrady",
+                    **{n: getattr(camera.lens, n) for n in ("k1", "k2", "p1", "p2")},
+                },
+                "clock": {"offset_s": 0.3, "rate": 1.001},
+                "readout_s": camera.readout_s,
+            }
+        )
     )
     start = config.build("one")
     moved = quantity.apply(start, draw(quantity, start))

@@ -89,6 +89,20 @@ def _components(components: tuple[str, ...], camera: Camera) -> tuple[str, ...]:
     return components
 
 
+def without_path(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
+    """Return the function that finds components in cameras that follow no known trajectory."""
+    return partial(_by_path, components, False)
+
+
+def on_path(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
+    """Return the function that finds components in cameras that follow a known trajectory."""
+    return partial(_by_path, components, True)
+
+
+def _by_path(components: tuple[str, ...], follows: bool, camera: Camera) -> tuple[str, ...]:
+    return components if (camera.pose.path is not None) == follows else ()
+
+
 @dataclass(frozen=True)
 class Quantity:
     """One kind of unknown of a camera.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import LENGTH, MOVES, CameraView, Quantity, all_of
+from stereophd.core.calibration.quantities.base import LENGTH, MOVES, CameraView, Quantity, without_path
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
@@ -20,7 +20,9 @@ CENTER = ("center_x", "center_y", "center_z")
 
 
 def apply(camera: Camera, values: Array) -> Camera:
-    """Move the centre by values (3,)."""
+    """Move the centre by values (3,); not one on a known path."""
+    if camera.pose.path is not None:
+        return camera
     pose = camera.pose
     moved = Pose(pose.rotation, pose.center + values, pose.velocity, pose.rotation_rate, pose.time_s)
     return replace(camera, pose=moved)
@@ -28,6 +30,8 @@ def apply(camera: Camera, values: Array) -> Camera:
 
 def difference(camera: Camera, other: Camera) -> Array:
     """Return what moves one centre to the other, both at the time of the first pose."""
+    if camera.pose.path is not None:
+        return np.zeros(3)
     return np.asarray(other.pose.at(camera.pose.time_s).center - camera.pose.center)
 
 
@@ -37,7 +41,9 @@ def derivative(view: CameraView, values: Array) -> Array:
 
 
 def entry(camera: Camera) -> Mapping[str, Any]:
-    """Return the centre."""
+    """Return the centre; nothing of a camera on a known path."""
+    if camera.pose.path is not None:
+        return {}
     return {"pose": {"center": camera.pose.center.tolist()}}
 
 
@@ -57,7 +63,7 @@ QUANTITY = Quantity(
     derivative=derivative,
     entry=entry,
     affects=MOVES,
-    available=all_of(CENTER),
+    available=without_path(CENTER),
     of_the_frame=True,
     pack=pack,
 )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from stereophd.core.calibration.quantities.base import CameraView
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole
+from stereophd.core.geometry.rotations import cross_matrices, rotations
 
 Array = NDArray[np.float64]
 
@@ -28,13 +29,20 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
     pose = camera.pose
     elapsed = times - pose.time_s
     turns = None
-    offsets = world - pose.center
-    if pose.velocity.any():
-        offsets = offsets - elapsed[:, None] * pose.velocity
-    points = product(pose.rotation, offsets)
-    if pose.rotation_rate.any():
-        turns = rotations(-elapsed[:, None] * pose.rotation_rate)
-        points = product(turns, points)
+    camera_velocity, camera_rate = pose.velocity, pose.rotation_rate
+    if pose.path is not None:
+        found = pose.path.at(times)
+        camera_velocity, camera_rate = found.velocities, found.rates
+        turns = found.rotations @ pose.rotation.T
+        points = product(found.rotations, world - found.centers)
+    else:
+        offsets = world - pose.center
+        if pose.velocity.any():
+            offsets = offsets - elapsed[:, None] * pose.velocity
+        points = product(pose.rotation, offsets)
+        if pose.rotation_rate.any():
+            turns = rotations(-elapsed[:, None] * pose.rotation_rate)
+            points = product(turns, points)
     visible = points[:, 2] > 0.0
     depths = np.where(visible, points[:, 2], 1.0)
     focal = np.array([camera.fx, camera.fy])
@@ -49,9 +57,9 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
     pixels = distorted * focal + [camera.cx, camera.cy]
     axes = pose.rotation if turns is None else turns @ pose.rotation
     by_world = row_product(by_point, axes)
-    motion = np.einsum("nij,nj->ni", by_world, velocities - pose.velocity)
+    motion = np.einsum("nij,nj->ni", by_world, velocities - camera_velocity)
     if turns is not None:
-        motion += np.einsum("nij,nj->ni", by_point, np.cross(points, pose.rotation_rate))
+        motion += np.einsum("nij,nj->ni", by_point, np.cross(points, camera_rate))
     return CameraView(
         camera, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world, motion,
         pixels,
@@ -92,25 +100,9 @@ def turned(view: CameraView, axes: Array) -> Array:
     return out
 
 
-def _cross_matrices(vectors: Array) -> Array:
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
-
-
-def rotations(vectors: Array) -> Array:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), rad (`stereophd.core.geometry.pose`)."""
-    cross = _cross_matrices(vectors)
-    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
-    # sin(a) / a and (1 - cos a) / a^2, to full precision at a = 0
-    return np.asarray(
-        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * cross @ cross
-    )
-
-
 def left_jacobians(vectors: Array) -> Array:
     """Left Jacobians (n, 3, 3) of rotation vectors (n, 3): exp(v + dv) = exp(J dv) exp(v) to first order."""
-    cross = _cross_matrices(vectors)
+    cross = cross_matrices(vectors)
     angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
     safe = np.where(angle < 1e-4, 1.0, angle)
     second = np.where(angle < 1e-4, 0.5, (1.0 - np.cos(safe)) / safe**2)

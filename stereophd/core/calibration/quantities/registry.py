@@ -20,6 +20,8 @@ NAMES = (
     "readout",
     "velocity",
     "rotation_rate",
+    "mount_center",
+    "mount_rotation",
 )
 
 

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import MOVES, RADIANS, CameraView, Quantity, all_of
-from stereophd.core.calibration.quantities.looking import left_jacobians, rotations, turned
+from stereophd.core.calibration.quantities.base import MOVES, RADIANS, CameraView, Quantity, without_path
+from stereophd.core.calibration.quantities.looking import left_jacobians, turned
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
+from stereophd.core.geometry.rotations import rotations
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,9 @@ ROTATION = ("rotation_x", "rotation_y", "rotation_z")
 
 
 def apply(camera: Camera, values: Array) -> Camera:
-    """Turn the camera by a rotation vector (3,), rad."""
+    """Turn the camera by a rotation vector (3,), rad; not one on a known path."""
+    if camera.pose.path is not None:
+        return camera
     pose = camera.pose
     turn = rotation_from_vector(values)
     moved = Pose(turn @ pose.rotation, pose.center, pose.velocity, pose.rotation_rate, pose.time_s)
@@ -33,6 +36,8 @@ def apply(camera: Camera, values: Array) -> Camera:
 
 def difference(camera: Camera, other: Camera) -> Array:
     """Return what turns one camera to the other, both at the time of the first pose."""
+    if camera.pose.path is not None:
+        return np.zeros(3)
     return rotation_to_vector(other.pose.at(camera.pose.time_s).rotation @ camera.pose.rotation.T)
 
 
@@ -43,7 +48,9 @@ def derivative(view: CameraView, values: Array) -> Array:
 
 
 def entry(camera: Camera) -> Mapping[str, Any]:
-    """Return the rotation matrix."""
+    """Return the rotation matrix; nothing of a camera on a known path."""
+    if camera.pose.path is not None:
+        return {}
     return {"pose": {"rotation_matrix": camera.pose.rotation.tolist(), "rotation_vector_deg": None}}
 
 
@@ -66,7 +73,7 @@ QUANTITY = Quantity(
     derivative=derivative,
     entry=entry,
     affects=MOVES,
-    available=all_of(ROTATION),
+    available=without_path(ROTATION),
     of_the_frame=True,
     pack=pack,
 )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import MOVES, RADIANS_PER_SECOND, CameraView, Quantity, all_of
+from stereophd.core.calibration.quantities.base import MOVES, RADIANS_PER_SECOND, CameraView, Quantity, without_path
 from stereophd.core.calibration.quantities.looking import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
@@ -20,7 +20,9 @@ ROTATION_RATE = ("rotation_rate_x", "rotation_rate_y", "rotation_rate_z")
 
 
 def apply(camera: Camera, values: Array) -> Camera:
-    """Add values (3,) to the angular velocity, rad/s."""
+    """Add values (3,) to the angular velocity, rad/s; not one on a known path."""
+    if camera.pose.path is not None:
+        return camera
     pose = camera.pose
     moved = Pose(pose.rotation, pose.center, pose.velocity, pose.rotation_rate + values, pose.time_s)
     return replace(camera, pose=moved)
@@ -28,6 +30,8 @@ def apply(camera: Camera, values: Array) -> Camera:
 
 def difference(camera: Camera, other: Camera) -> Array:
     """Return the difference of the angular velocities."""
+    if camera.pose.path is not None:
+        return np.zeros(3)
     return np.asarray(other.pose.rotation_rate - camera.pose.rotation_rate)
 
 
@@ -39,7 +43,9 @@ def derivative(view: CameraView, values: Array) -> Array:
 
 
 def entry(camera: Camera) -> Mapping[str, Any]:
-    """Return the angular velocity in degrees."""
+    """Return the angular velocity in degrees; nothing of a camera on a known path."""
+    if camera.pose.path is not None:
+        return {}
     rate = np.degrees(camera.pose.rotation_rate).tolist()
     return {"pose": {"rotation_rate_deg_s": rate, "time_s": camera.pose.time_s}}
 
@@ -57,6 +63,6 @@ QUANTITY = Quantity(
     derivative=derivative,
     entry=entry,
     affects=MOVES,
-    available=all_of(ROTATION_RATE),
+    available=without_path(ROTATION_RATE),
     of_the_frame=True,
 )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.quantities.base import LENGTH_PER_SECOND, MOVES, CameraView, Quantity, all_of
+from stereophd.core.calibration.quantities.base import LENGTH_PER_SECOND, MOVES, CameraView, Quantity, without_path
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 
@@ -19,7 +19,9 @@ VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 
 
 def apply(camera: Camera, values: Array) -> Camera:
-    """Add values (3,) to the velocity, length/s."""
+    """Add values (3,) to the velocity, length/s; not one on a known path."""
+    if camera.pose.path is not None:
+        return camera
     pose = camera.pose
     moved = Pose(pose.rotation, pose.center, pose.velocity + values, pose.rotation_rate, pose.time_s)
     return replace(camera, pose=moved)
@@ -27,6 +29,8 @@ def apply(camera: Camera, values: Array) -> Camera:
 
 def difference(camera: Camera, other: Camera) -> Array:
     """Return the difference of the velocities."""
+    if camera.pose.path is not None:
+        return np.zeros(3)
     return np.asarray(other.pose.velocity - camera.pose.velocity)
 
 
@@ -36,7 +40,9 @@ def derivative(view: CameraView, values: Array) -> Array:
 
 
 def entry(camera: Camera) -> Mapping[str, Any]:
-    """Return the velocity."""
+    """Return the velocity; nothing of a camera on a known path."""
+    if camera.pose.path is not None:
+        return {}
     return {"pose": {"velocity": camera.pose.velocity.tolist(), "time_s": camera.pose.time_s}}
 
 
@@ -51,6 +57,6 @@ QUANTITY = Quantity(
     derivative=derivative,
     entry=entry,
     affects=MOVES,
-    available=all_of(VELOCITY),
+    available=without_path(VELOCITY),
     of_the_frame=True,
 )

@@ -1,0 +1,49 @@
+"""Many rotations at once: rotation vectors, matrices and quaternions, in arrays with a leading axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def cross_matrices(vectors: Array) -> Array:
+    """Matrices (..., 3, 3) whose product with a vector is its cross product with vectors (..., 3)."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    zero = np.zeros_like(x)
+    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+
+
+def rotations(vectors: Array) -> Array:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), rad (`stereophd.core.geometry.pose`)."""
+    cross = cross_matrices(vectors)
+    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
+    # sin(a) / a and (1 - cos a) / a^2, to full precision at a = 0
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * cross @ cross
+    )
+
+
+def quaternion_matrices(quaternions: Array) -> Array:
+    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4) in the order w, x, y, z."""
+    w, vector = quaternions[:, 0, None, None], quaternions[:, 1:]
+    cross = cross_matrices(vector)
+    return np.asarray(np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross)
+
+
+def quaternion_products(first: Array, second: Array) -> Array:
+    """Products (n, 4) of quaternions in the order w, x, y, z: the rotation `second`, then `first`."""
+    w, v = first[:, :1], first[:, 1:]
+    other_w, other_v = second[:, :1], second[:, 1:]
+    scalar = w * other_w - (v * other_v).sum(axis=1, keepdims=True)
+    return np.concatenate([scalar, w * other_v + other_w * v + np.cross(v, other_v)], axis=1)
+
+
+def quaternion_vectors(quaternions: Array) -> Array:
+    """Rotation vectors (n, 3), rad, of unit quaternions (n, 4); the shorter way round."""
+    q = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
+    sine = np.linalg.norm(q[:, 1:], axis=1)
+    small = sine < 1e-12
+    angle = 2.0 * np.arctan2(sine, q[:, 0])
+    return np.asarray(np.where(small, 2.0, angle / np.where(small, 1.0, sine))[:, None] * q[:, 1:])

@@ -1,0 +1,165 @@
+"""Known trajectories: the poses of a body over time, and a camera mounted on it.
+
+Between two poses the body's origin moves straight and the body turns steadily about a fixed axis (K. Shoemake,
+"Animating rotation with quaternion curves", SIGGRAPH 1985: slerp), so velocity and angular velocity are constant there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stereophd.core.geometry.rotations import (
+    quaternion_matrices,
+    quaternion_products,
+    quaternion_vectors,
+    rotations,
+)
+
+Array = NDArray[np.float64]
+
+# A quaternion whose norm differs more than this from 1 is refused rather than normalised.
+LARGEST_NORM_DEFECT = 1e-3
+# Columns of the poses of a trajectory.
+COLUMNS = ("time_s", "x", "y", "z", "qw", "qx", "qy", "qz")
+
+
+class Motions(NamedTuple):
+    """Poses and their rates at n times.
+
+    `rotations` (n, 3, 3) lead from world axes to those of the body or camera, `centers` (n, 3) are its origin in the
+    world, `velocities` (n, 3) the velocity of that, length/s, and `rates` (n, 3) its angular velocity about its own
+    axes, rad/s.
+    """
+
+    rotations: Array
+    centers: Array
+    velocities: Array
+    rates: Array
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class BodyTrajectory:
+    """The poses of a body in the world.
+
+    Parameters
+    ----------
+    poses : array_like (n, 8)
+        At least two rows of `COLUMNS`: time, s, increasing; origin of the body in the world, length; unit quaternion
+        that turns the body's axes into the world's (TUM's convention).
+
+    Raises
+    ------
+    ValueError
+        A value is not finite, times do not increase, or a quaternion is not of norm 1. Rows are counted from 0.
+    """
+
+    poses: Array
+
+    def __init__(self, poses: ArrayLike) -> None:
+        rows = np.array(poses, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or len(rows) < 2:
+            raise ValueError(f"expected two or more poses of {len(COLUMNS)} numbers, found shape {rows.shape}")
+        bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+        if len(bad):
+            raise ValueError(f"row {bad[0]}: expected finite numbers, found {rows[bad[0]].tolist()}")
+        late = np.flatnonzero(np.diff(rows[:, 0]) <= 0.0)
+        if len(late):
+            before, after = rows[late[0], 0], rows[late[0] + 1, 0]
+            raise ValueError(f"row {late[0] + 1}: expected increasing times, found {after:g} s after {before:g} s")
+        norms = np.linalg.norm(rows[:, 4:], axis=1)
+        off = np.flatnonzero(np.abs(norms - 1.0) > LARGEST_NORM_DEFECT)
+        if len(off):
+            raise ValueError(f"row {off[0]}: expected a quaternion of norm 1, found norm {norms[off[0]]:.6g}")
+        rows.setflags(write=False)
+        object.__setattr__(self, "poses", rows)
+
+    def __eq__(self, other: object) -> bool:
+        return np.array_equal(self.poses, other.poses) if isinstance(other, BodyTrajectory) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.poses.tobytes())
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.poses[0, 0]), float(self.poses[-1, 0])
+
+    @cached_property
+    def _body_axes(self) -> Array:
+        """Rotations (n, 3, 3) from world to body axes."""
+        quaternions = self.poses[:, 4:] / np.linalg.norm(self.poses[:, 4:], axis=1)[:, None]
+        return np.swapaxes(quaternion_matrices(quaternions), 1, 2)
+
+    @cached_property
+    def _rates(self) -> Array:
+        """Angular velocity (n - 1, 3) of each segment about the body's own axes, rad/s."""
+        quaternions = self.poses[:, 4:] / np.linalg.norm(self.poses[:, 4:], axis=1)[:, None]
+        backwards = quaternions * [1.0, -1.0, -1.0, -1.0]
+        turns = quaternion_vectors(quaternion_products(backwards[:-1], quaternions[1:]))
+        return np.asarray(turns / np.diff(self.poses[:, 0])[:, None])
+
+    def at(self, times: Array) -> Motions:
+        """Return the poses of the body at times (n,), s; beyond its ends the trajectory stands still."""
+        first, last = self.span
+        inside = np.clip(times, first, last)
+        segment = np.clip(np.searchsorted(self.poses[:, 0], inside, side="right") - 1, 0, len(self.poses) - 2)
+        elapsed = (inside - self.poses[segment, 0])[:, None]
+        step = (self.poses[segment + 1, 0] - self.poses[segment, 0])[:, None]
+        velocities = (self.poses[segment + 1, 1:4] - self.poses[segment, 1:4]) / step
+        rates = self._rates[segment]
+        turned = rotations(-elapsed * rates) @ self._body_axes[segment]
+        moving = ((times >= first) & (times <= last))[:, None]
+        return Motions(
+            turned, self.poses[segment, 1:4] + elapsed * velocities, velocities * moving, rates * moving
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class MountedPath:
+    """A camera that a body with a known trajectory carries.
+
+    Parameters
+    ----------
+    trajectory : BodyTrajectory
+    rotation : (3, 3) array_like
+        From the body's axes to the camera's (hand-eye).
+    center : (3,) array_like
+        Optical centre in the body's axes, length.
+    """
+
+    trajectory: BodyTrajectory
+    rotation: Array
+    center: Array
+
+    def __init__(self, trajectory: BodyTrajectory, rotation: ArrayLike, center: ArrayLike) -> None:
+        object.__setattr__(self, "trajectory", trajectory)
+        for name, values in (("rotation", rotation), ("center", center)):
+            array = np.array(values, dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def _key(self) -> tuple[bytes, bytes, BodyTrajectory]:
+        return (self.rotation + 0.0).tobytes(), (self.center + 0.0).tobytes(), self.trajectory
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, MountedPath) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def at(self, times: Array) -> Motions:
+        """Return the poses of the camera at times (n,), s."""
+        body = self.trajectory.at(times)
+        to_world = np.swapaxes(body.rotations, 1, 2)
+        lever = np.cross(body.rates, self.center)
+        return Motions(
+            np.asarray(self.rotation @ body.rotations),
+            body.centers + to_world @ self.center,
+            body.velocities + np.einsum("nij,nj->ni", to_world, lever),
+            np.asarray(body.rates @ self.rotation.T),
+        )

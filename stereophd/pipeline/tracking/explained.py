@@ -1,0 +1,123 @@
+"""How well tracks explain what the cameras report: detections of tracks, and their residuals, camera by camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.io.json_text import finite_or_none
+from stereophd.pipeline.tracking.loop import Record
+
+Array = NDArray[np.float64]
+
+# A detection that belongs to a track more probably than not has a residual.
+PROBABLE = 0.5
+# Residuals are computed so many at a time.
+BATCH = 2048
+
+
+def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> Array:
+    """Return detections minus reprojected states (n, 2), in distorted pixels; NaN where a state is out of view.
+
+    Parameters
+    ----------
+    camera : Camera
+    times : array (n,)
+        Times of the frames, s.
+    states : array (n, 6)
+        Positions and velocities at these times; a row that the shutter reads later is seen where the object is then.
+    pixels : array (n, 2)
+        Detections as in the log.
+    """
+    delays = camera.row_delays(pixels[:, 1])
+    positions = states[:, :3] if delays is None else states[:, :3] + delays[:, None] * states[:, 3:]
+    if camera.pose.is_static:
+        return np.asarray(pixels - camera.project(positions))
+    projected = [camera.at(t).project(x[None])[0] for t, x in zip(times.tolist(), positions, strict=True)]
+    return np.asarray(pixels - np.reshape(projected, (-1, 2)))
+
+
+@dataclass
+class _Sums:
+    """Sums over what one camera reported."""
+
+    frames: int = 0
+    detections: int = 0
+    explained: float = 0.0
+    residuals: int = 0
+    total: Array = field(default_factory=lambda: np.zeros(2))
+    squares: float = 0.0
+    times: list[float] = field(default_factory=list)
+    states: list[Array] = field(default_factory=list)
+    pixels: list[Array] = field(default_factory=list)
+
+
+class Explained:
+    """Running figures of every camera.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    """
+
+    def __init__(self, cameras: Sequence[Camera]) -> None:
+        self._cameras = {camera.name: camera for camera in cameras}
+        self._sums = {name: _Sums() for name in self._cameras}
+
+    def add(self, record: Record) -> None:
+        """Take in one record."""
+        if record.is_event:
+            sums = self._sums[record.camera]
+            sums.frames += 1
+            sums.detections += record.n_detections
+        for sightings in record.associations:
+            sums = self._sums[sightings.camera]
+            sums.explained += float(sightings.probabilities.sum())
+            if sightings.time_s != record.time_s or not record.is_event or sightings.camera != record.camera:
+                continue
+            place = {track: row for row, track in enumerate(record.estimates.track_ids.tolist())}
+            probable = np.flatnonzero(sightings.probabilities > PROBABLE).tolist()
+            ids = sightings.track_ids.tolist()
+            for row in probable:
+                if ids[row] in place:
+                    sums.times.append(record.time_s)
+                    sums.states.append(record.estimates.states[place[ids[row]]])
+                    sums.pixels.append(sightings.pixels[row])
+            if len(sums.times) >= BATCH:
+                self._flush(record.camera)
+
+    def _flush(self, name: str) -> None:
+        sums = self._sums[name]
+        if not sums.times:
+            return
+        found = residuals_px(
+            self._cameras[name], np.array(sums.times), np.array(sums.states), np.array(sums.pixels)
+        )  # fmt: skip
+        found = found[np.isfinite(found).all(axis=1)]
+        sums.residuals += len(found)
+        sums.total = sums.total + found.sum(axis=0)
+        sums.squares += float((found**2).sum())
+        sums.times, sums.states, sums.pixels = [], [], []
+
+    def report(self) -> dict[str, Any]:
+        """Return the figures of every camera for ``report.json``."""
+        out: dict[str, Any] = {}
+        for name, sums in self._sums.items():
+            self._flush(name)
+            count = sums.residuals
+            out[name] = {
+                "frames": sums.frames,
+                "detections": sums.detections,
+                "explained_detections": sums.explained,
+                "explained_share": finite_or_none(sums.explained / sums.detections) if sums.detections else None,
+                "residuals": count,
+                # of one axis
+                "residual_rms_px": float(np.sqrt(sums.squares / (2 * count))) if count else None,
+                "residual_mean_px": (sums.total / count).tolist() if count else None,
+            }
+        return out

@@ -1,0 +1,235 @@
+"""The records of an unfinished run on the disk, with the state from which the run goes on.
+
+A run writes its records in chunks to a folder inside its output folder, and about once a minute the state of its
+estimator. A run that is killed goes on from there: the records of the folder, and those that follow from the state and
+the rest of the log, are the records of an undisturbed run, and so are the files that are made of them. What the folder
+holds is data, never code (`stereophd.io.checkpoints`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from stereophd.core.disparity.events import Event
+from stereophd.errors import InputError
+from stereophd.io.atomic import atomic_write
+from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
+from stereophd.io.columns import pack, unpack
+from stereophd.pipeline.tracking.associations import Associations
+from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, run_estimator
+
+STATE_FILE = "state.npz"
+
+# Seconds between two states that are kept; more where keeping one takes more than a hundredth of it.
+KEEP_EVERY_S = 60.0
+MOST_SHARE = 0.01
+
+# A chunk has at most so many records, or estimates in them: some megabytes.
+CHUNK_RECORDS = 20_000
+
+
+@dataclass(frozen=True)
+class SavedRun:
+    """A `RunState`, without what the records hold.
+
+    Attributes
+    ----------
+    estimator : object
+        State of the estimator.
+    events : int
+    forecast_from_s : float
+    pending : list
+        Labels not reported yet, and their detections by camera.
+    tracks, claims : list
+        Labels reported so far with their tracks, and labels not reported yet with what they claim.
+    chunks : list
+        Spans of the chunks that lead up to this state (`RecordChunks`).
+    """
+
+    estimator: Any
+    events: int
+    forecast_from_s: float
+    pending: list[Any]
+    tracks: list[Any]
+    claims: list[Any]
+    chunks: list[tuple[float, float]]
+
+    @classmethod
+    def of(cls, run: RunState[Any], chunks: Sequence[tuple[float, float]]) -> SavedRun:
+        """Return what is to be kept of a run."""
+        return cls(
+            run.estimator,
+            run.events,
+            run.forecast_from_s,
+            [[label, dict(counts)] for label, counts in run.attribution.pending.items()],
+            [list(pair) for pair in run.associations.known.items()],
+            [[label, list(rows)] for label, rows in run.associations.pending.items()],
+            list(chunks),
+        )
+
+    def run_state(self, last: Record | None) -> RunState[Any]:
+        """Return the state of the run, `last` being the record of its last event."""
+        return RunState(
+            self.estimator,
+            self.events,
+            last,
+            self.forecast_from_s,
+            Attribution(dict(self.pending)),
+            Associations(dict(self.tracks), dict(self.claims)),
+        )
+
+
+class RecordChunks:
+    """Records in files of some megabytes each.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when there is something to keep.
+    identity : str
+        Of configuration and log; files of another run are refused.
+    """
+
+    def __init__(self, folder: Path, identity: str) -> None:
+        self.folder = folder
+        self.identity = identity
+        #: Times of the first and the last record of each chunk, s.
+        self.spans: list[tuple[float, float]] = []
+        self._waiting: list[Record] = []
+        self._estimates = 0
+
+    def add(self, record: Record) -> None:
+        """Keep a record; what only the loop needs is left out."""
+        self._waiting.append(replace(record, event=None, info=replace(record.info, claims=None)))
+        self._estimates += len(record.estimates.track_ids)
+        if max(len(self._waiting), self._estimates) >= CHUNK_RECORDS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the records that wait."""
+        if not self._waiting:
+            return
+        self.write(self._path(len(self.spans)).name, {"records": pack(self._waiting)})
+        self.spans.append((self._waiting[0].time_s, self._waiting[-1].time_s))
+        self._waiting, self._estimates = [], 0
+
+    def write(self, name: str, parts: dict[str, Any]) -> None:
+        """Write another file of the folder."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with atomic_write(self.folder / name) as temporary:
+            write_checkpoint(temporary, self.identity, parts)
+
+    def read(self, from_s: float = -math.inf, until_s: float = math.inf) -> Iterator[Record]:
+        """Yield the records of the chunks from one time to before another."""
+        classes = reachable_classes([Record])
+        for number, (first_s, last_s) in enumerate(self.spans):
+            if last_s < from_s or first_s >= until_s:
+                continue
+            for record in unpack(read_checkpoint(self._path(number), self.identity, [Record])["records"], classes):
+                if from_s <= record.time_s < until_s:
+                    yield record
+
+    def keep_only(self, spans: Sequence[tuple[float, float]]) -> None:
+        """Take over the first chunks, and forget the others."""
+        self.spans = list(spans)
+        kept = {self._path(number).name for number in range(len(self.spans))}
+        for path in self.folder.glob("records-*.npz"):
+            if path.name not in kept:
+                path.unlink()
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"records-{number:06d}.npz"
+
+
+class RecordJournal:
+    """The records of one unfinished run, and its last state.
+
+    Parameters
+    ----------
+    folder, identity
+        As of `RecordChunks`.
+    estimator : Estimator
+        What runs.
+    """
+
+    def __init__(self, folder: Path, identity: str, estimator: Estimator[Any]) -> None:
+        self.chunks = RecordChunks(folder, identity)
+        self._classes = [SavedRun, Record, *_classes_of(estimator.init())]
+        self._next_s = time.monotonic() + KEEP_EVERY_S
+
+    def load(self) -> SavedRun | None:
+        """Return the last state that was kept, or None; records after it are forgotten.
+
+        Raises
+        ------
+        InputError
+            The folder holds a state of another run, or a damaged one.
+        """
+        path = self.chunks.folder / STATE_FILE
+        saved = None
+        if path.exists():
+            saved = read_checkpoint(path, self.chunks.identity, self._classes)["run"]
+            if not isinstance(saved, SavedRun):
+                raise InputError(f"{path}: expected the state of a run, found something else")
+        self.chunks.keep_only([] if saved is None else saved.chunks)
+        return saved
+
+    def add(self, record: Record, run: RunState[Any]) -> None:
+        """Keep a record, of which `run` is the state; the state too, if the last time was a while ago."""
+        self.chunks.add(record)
+        start = time.monotonic()
+        if start < self._next_s:
+            return
+        self.chunks.flush()
+        self.chunks.write(STATE_FILE, {"run": SavedRun.of(run, self.chunks.spans)})
+        now = time.monotonic()
+        self._next_s = now + max(KEEP_EVERY_S, (now - start) / MOST_SHARE)
+
+
+def journaled_records(
+    estimator: Estimator[Any],
+    events: Iterable[Event],
+    times: ReportTimes,
+    keep_events: bool,
+    journal: RecordJournal,
+) -> Iterator[Record]:
+    """Run an estimator as `run_estimator` does, from where the journal ends, and keep what it gives there.
+
+    Parameters
+    ----------
+    estimator, events, times, keep_events
+        As of `stereophd.pipeline.tracking.loop.run_estimator`; all events of the log.
+    journal : RecordJournal
+        Loaded.
+
+    Yields
+    ------
+    Record
+        Those of the journal, then those that follow.
+    """
+    run: RunState[Any] = RunState(estimator.init())
+    saved = journal.load()
+    rest = iter(events)
+    if saved is not None:
+        last = None
+        for record in journal.chunks.read():
+            event = next(rest) if record.is_event else None
+            last = record if record.is_event else last
+            yield replace(record, event=event if keep_events else None)
+        run = saved.run_state(last)
+    for record in run_estimator(estimator, rest, times, keep_events, run):
+        journal.add(record, run)
+        yield record
+
+
+def _classes_of(value: Any) -> list[type]:
+    """Return the dataclasses of an object and of what it holds."""
+    if not is_dataclass(value) or isinstance(value, type):
+        return []
+    inner = [kind for field in fields(value) for kind in _classes_of(getattr(value, field.name))]
+    return [type(value), *inner]

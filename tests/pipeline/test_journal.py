@@ -1,0 +1,160 @@
+"""A killed `track` goes on from its journal to the bytes of an undisturbed run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.errors import InputError
+from stereophd.io.columns import pack, unpack
+from stereophd.pipeline.tracking import journal
+
+from .test_report_times import SCENE
+from .test_stream import SINGLE
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[LoadedConfig, Path]:
+    folder = tmp_path_factory.mktemp("journal")
+    (folder / "scene.yaml").write_text(SCENE)
+    loaded = load_config(folder / "scene.yaml", ["simulate.duration_s=10.0"])
+    simulate(loaded, folder / "scene")
+    return loaded, folder / "scene" / "detections.parquet"
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+class Killed(BaseException):
+    """As an end of the process: nothing is caught or tidied up."""
+
+
+@pytest.fixture
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the state after every record, and two records in a chunk at most."""
+    monkeypatch.setattr(journal, "KEEP_EVERY_S", 0.0)
+    monkeypatch.setattr(journal, "MOST_SHARE", 1e9)
+
+
+def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[], Any]) -> None:
+    """Run until so many records were kept."""
+    add = journal.RecordJournal.add
+    count = 0
+
+    def counted(self: journal.RecordJournal, record: Any, state: Any) -> None:
+        nonlocal count
+        if count == records:
+            raise Killed
+        count += 1
+        add(self, record, state)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(journal.RecordJournal, "add", counted)
+        with pytest.raises(Killed):
+            run()
+
+
+@pytest.mark.usefixtures("often")
+@pytest.mark.parametrize(
+    "changes", [["report.associations=true"], ["report.smooth={}"], ["report.times=grid 0.35"]], ids=str
+)
+def test_resume_gives_the_bytes_of_an_undisturbed_run(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: list[str]
+) -> None:
+    loaded, log = load_config(scene[0].path, changes), scene[1]
+    track(loaded, log, tmp_path / "whole")
+    whole = files(tmp_path / "whole")
+    out = tmp_path / "out"
+    for records in (3, 8, 1):
+        killed_after(monkeypatch, records, lambda: track(loaded, log, out, resume=True))
+        assert list(out.glob("partial-*/state.npz"))
+        assert not list(out.glob("*.parquet"))
+    with pytest.raises(InputError, match="unfinished run; use `resume=True`"):
+        track(loaded, log, out)
+    track(loaded, log, out, resume=True)
+    assert files(out) == whole
+
+
+@pytest.mark.usefixtures("often")
+def test_resume_of_an_estimator_of_one_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded = load_config(SINGLE, ["simulate.duration_s=10.0"])
+    simulate(loaded, tmp_path / "scene")
+    log = tmp_path / "scene" / "detections.parquet"
+    track(loaded, log, tmp_path / "whole")
+    killed_after(monkeypatch, 5, lambda: track(loaded, log, tmp_path / "out"))
+    track(loaded, log, tmp_path / "out", resume=True)
+    assert files(tmp_path / "out") == files(tmp_path / "whole")
+
+
+@pytest.mark.usefixtures("often")
+def test_another_configuration_cannot_resume(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded, log = scene
+    killed_after(monkeypatch, 3, lambda: track(loaded, log, tmp_path / "out"))
+    other = load_config(loaded.path, [], 77)
+    with pytest.raises(InputError, match="another configuration"):
+        track(other, log, tmp_path / "out", resume=True)
+    track(other, log, tmp_path / "out", resume=True, force=True)
+    assert not list((tmp_path / "out").glob("partial-*"))
+
+
+@pytest.mark.usefixtures("often")
+def test_a_foreign_file_in_the_way_stays(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
+    mine = tmp_path / "out" / "partial-mine" / "notes.npz"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    with pytest.raises(InputError, match=r"notes\.npz"):
+        track(*scene, tmp_path / "out", force=True)
+    assert mine.read_text() == "mine"
+
+
+def test_a_short_run_keeps_nothing(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
+    track(*scene, tmp_path / "out")
+    assert sorted(files(tmp_path / "out")) == ["report.json", "scans.parquet", "tracks.parquet"]
+
+
+@dataclass(frozen=True)
+class Inner:
+    """Part of a `Thing`."""
+
+    rows: Any
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A class with a field of each kind."""
+
+    number: float
+    text: str
+    maybe: float | None
+    inner: Inner
+    counts: dict[int, dict[str, int]]
+    scalar: Any
+    many: tuple[Inner, ...] = ()
+
+
+def test_columns_give_equal_objects() -> None:
+    things = [
+        Thing(0.1 * k, "ab"[k % 2], None if k % 3 else 1.5, Inner(np.full((k, 2), k / 3)), {k: {"a": 1}} if k else {},
+              np.float64(k), (Inner(np.full(k, 0.1)),) * (k % 3))
+        for k in range(5)
+    ]  # fmt: skip
+    back = unpack(pack(things), {"Thing": Thing, "Inner": Inner})
+    for one, other in zip(things, back, strict=True):
+        assert repr(one) == repr(other)
+        assert one.inner.rows.tobytes() == other.inner.rows.tobytes()
+
+
+def test_a_value_without_a_column_is_a_fault_of_the_program() -> None:
+    with pytest.raises(TypeError, match="rows"):
+        pack([Inner(object())])
