@@ -51,7 +51,7 @@ BISECTIONS = 40
 AfterStep = Callable[[BridgeState, Sequence[BridgeInfo]], None]
 
 
-class Path(Protocol):
+class DensityPath(Protocol):
     """Densities that lead from one that can be drawn from to the one that is wanted."""
 
     @property
@@ -82,7 +82,7 @@ class BridgeSampler:
 
     Attributes
     ----------
-    path : Path
+    path : DensityPath
     resample_below : float
         A tempering step keeps the effective sample size at this share of the particles.
     moves : int
@@ -90,7 +90,7 @@ class BridgeSampler:
     seed : SeedSequence
     """
 
-    path: Path
+    path: DensityPath
     resample_below: float
     moves: int
     seed: np.random.SeedSequence
