@@ -76,6 +76,7 @@ def test_outputs_are_those_of_track_and_depend_on_nothing_else(scene: Path, resu
         "history.parquet",
         "tracks.parquet",
         "scans.parquet",
+        "associations.parquet",
         "report.json",
     }
     assert names == expected
