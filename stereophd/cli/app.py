@@ -27,6 +27,7 @@ from stereophd.cli import (
     info,
     init,
     interrupts,
+    report,
     simulate,
     track,
 )
@@ -59,6 +60,7 @@ app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)
+app.command("report")(report.report_command)
 app.command("init")(init.init_command)
 app.add_typer(config.app, name="config")
 
