@@ -114,13 +114,14 @@ def track(
         if not 0.0 < overlap_s <= pieces_s:
             raise InputError(f"`pieces_s`: expected pieces at least as long as their overlap, {overlap_s:g} s")
         record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     if resume and (report := finished_report(out_dir, record, force)) is not None:
+        unfinished.remove()
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     _announce_compilation()
     findings = check_log(loaded, log_path, thorough=False)
-    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     with output_lock(out_dir):
         unfinished.prepare(resume, force)
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
