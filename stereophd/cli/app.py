@@ -25,7 +25,9 @@ from stereophd.cli import (
     export,
     importing,
     info,
+    init,
     interrupts,
+    report,
     simulate,
     track,
 )
@@ -58,6 +60,8 @@ app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)
+app.command("report")(report.report_command)
+app.command("init")(init.init_command)
 app.add_typer(config.app, name="config")
 
 

@@ -25,6 +25,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.finished import finished_report
+from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.journal import RecordJournal
@@ -107,6 +108,7 @@ def track(
         The configuration has no filter or no cameras; the log is not usable; the output folder is not
         ours or cannot be written.
     """
+    loaded, motion = with_estimated_motion(loaded, log_path)
     tracking = build_tracking(loaded, threads)
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     record = provenance("track", loaded.record, inputs={"detections": log_path})
@@ -127,7 +129,7 @@ def track(
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
             tracking = with_estimated_detectors(tracking, loaded, stream, threads)
             stream = stream.with_cameras(tracking.cameras)
-            run = _Run(loaded, tracking, stream, record, unfinished)
+            run = _Run(loaded, tracking, stream, record, unfinished, motion)
             if pieces_s is None:
                 journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
                 report = run.write(tracking.records(stream, journal), findings, out)
@@ -148,6 +150,7 @@ class _Run:
     stream: EventStream
     record: dict[str, Any]
     unfinished: UnfinishedRun
+    motion: dict[str, Any] | None = None
 
     def in_pieces(
         self, length_s: float, overlap_s: float, threads: int, jobs: int, dask: str | None, progress: Progress | None
@@ -184,6 +187,7 @@ class _Run:
             "length_unit": loaded.config.units.length,
             "input": self.stream.counts,
             "detectors": tracking.detectors,
+            "motion": self.motion,
             **({} if joined is None else {"pieces": joined.report()}),
             **summary,
             "checks": report_findings(findings),
