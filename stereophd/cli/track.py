@@ -34,7 +34,7 @@ def track_command(
     ] = None,
     overlap: Annotated[
         float, typer.Option("--overlap", metavar="S", help="Seconds before its own span from which a piece is tracked.")
-    ] = 20.0,
+    ] = 60.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on where an interrupted run stopped; what is finished stays.")
     ] = False,

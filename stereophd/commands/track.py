@@ -31,7 +31,7 @@ from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.journal import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, span_of, track_pieces
+from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -160,7 +160,7 @@ class _Run:
         folder = Path(os.path.abspath(self.unfinished.folder))
         work = PieceWork(self.loaded, self.tracking.cameras, log, folder, self.unfinished.identity, threads)
         ahead = self.loaded.config.report.smooth is not None
-        pieces = plan_pieces(*span_of(self.stream), length_s, overlap_s, ahead)
+        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
         track_pieces(work, pieces, jobs, dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible
