@@ -87,7 +87,7 @@ def track(
     progress : callable, optional
         Called with the rows done and their total.
     resume : bool
-        Whether to go on with an unfinished run of this configuration and log, and to leave the results of a finished
+        Whether to continue an unfinished run of this configuration and log, and to leave the results of a finished
         one as they are; the outputs are those of an undisturbed run.
     pieces_s : float, optional
         Longest piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
