@@ -1,4 +1,4 @@
-"""stereophd: 3-D tracks from the detection logs of fixed cameras.
+"""stereophd: 3-D tracks from the detection logs of several cameras.
 
 The names below are the public interface; ``docs/api.md`` shows them at work. Each is imported when it is first used, so
 that ``import stereophd`` costs next to nothing. Modules and names that are not listed here are private: they may change
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from stereophd.commands.evaluate_cameras import evaluate_calibration
     from stereophd.commands.evaluate_runs import evaluate_runs
     from stereophd.commands.experiment import experiment
+    from stereophd.commands.init import init
     from stereophd.commands.simulate import simulate
     from stereophd.commands.track import track
     from stereophd.commands.track_logs import track_logs
@@ -52,6 +53,7 @@ _HOMES = {
     "calibrate": "commands.calibrate",
     "calibrate_logs": "commands.calibrate_logs",
     "check": "commands.check",
+    "init": "commands.init",
     "evaluate": "commands.evaluate",
     "evaluate_calibration": "commands.evaluate_cameras",
     "evaluate_runs": "commands.evaluate_runs",
@@ -90,6 +92,7 @@ __all__ = [
     "evaluate_calibration",
     "evaluate_runs",
     "experiment",
+    "init",
     "load_config",
     "make_config",
     "make_event",

@@ -25,12 +25,13 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.finished import finished_report
+from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.journal import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, span_of, track_pieces
+from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -43,12 +44,14 @@ from stereophd.pipeline.tracking.run import (
 )
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 CAMERAS_FILE = "cameras.yaml"
-FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
+PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -66,6 +69,7 @@ def track(
     overlap_s: float = OVERLAP_S,
     jobs: int = 1,
     dask: str | None = None,
+    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -86,7 +90,7 @@ def track(
     progress : callable, optional
         Called with the rows done and their total.
     resume : bool
-        Whether to go on with an unfinished run of this configuration and log, and to leave the results of a finished
+        Whether to continue an unfinished run of this configuration and log, and to leave the results of a finished
         one as they are; the outputs are those of an undisturbed run.
     pieces_s : float, optional
         Longest piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
@@ -95,6 +99,8 @@ def track(
     jobs, dask : int, str
         Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
         them.
+    plots : bool
+        Whether to draw views, timelines of the tracks and, with ``report.associations``, residuals by camera.
 
     Returns
     -------
@@ -107,6 +113,7 @@ def track(
         The configuration has no filter or no cameras; the log is not usable; the output folder is not
         ours or cannot be written.
     """
+    loaded, motion = with_estimated_motion(loaded, log_path)
     tracking = build_tracking(loaded, threads)
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     record = provenance("track", loaded.record, inputs={"detections": log_path})
@@ -114,19 +121,20 @@ def track(
         if not 0.0 < overlap_s <= pieces_s:
             raise InputError(f"`pieces_s`: expected pieces at least as long as their overlap, {overlap_s:g} s")
         record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     if resume and (report := finished_report(out_dir, record, force)) is not None:
+        unfinished.remove()
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     _announce_compilation()
     findings = check_log(loaded, log_path, thorough=False)
-    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     with output_lock(out_dir):
         unfinished.prepare(resume, force)
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
             tracking = with_estimated_detectors(tracking, loaded, stream, threads)
             stream = stream.with_cameras(tracking.cameras)
-            run = _Run(loaded, tracking, stream, record, unfinished)
+            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
             if pieces_s is None:
                 journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
                 report = run.write(tracking.records(stream, journal), findings, out)
@@ -147,6 +155,8 @@ class _Run:
     stream: EventStream
     record: dict[str, Any]
     unfinished: UnfinishedRun
+    motion: dict[str, Any] | None = None
+    plots: bool = False
 
     def in_pieces(
         self, length_s: float, overlap_s: float, threads: int, jobs: int, dask: str | None, progress: Progress | None
@@ -156,7 +166,7 @@ class _Run:
         folder = Path(os.path.abspath(self.unfinished.folder))
         work = PieceWork(self.loaded, self.tracking.cameras, log, folder, self.unfinished.identity, threads)
         ahead = self.loaded.config.report.smooth is not None
-        pieces = plan_pieces(*span_of(self.stream), length_s, overlap_s, ahead)
+        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
         track_pieces(work, pieces, jobs, dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible
@@ -183,13 +193,27 @@ class _Run:
             "length_unit": loaded.config.units.length,
             "input": self.stream.counts,
             "detectors": tracking.detectors,
+            "motion": self.motion,
             **({} if joined is None else {"pieces": joined.report()}),
             **summary,
             "checks": report_findings(findings),
             "provenance": self.record,
         }
         write_json(out.path("report.json"), report)
+        if self.plots:
+            _draw(report, out)
         return report
+
+
+def _draw(report: dict[str, Any], out: OutputFolder) -> None:
+    """Draw the plots of a run from the files that it has written."""
+    # Costly to import, and matplotlib is an extra.
+    from stereophd.pipeline.inspection.runs import read_run
+    from stereophd.report.track_plots import write_track_plots
+
+    run = read_run(out.path(TRACKS_FILE).parent, "track", report)
+    kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]
+    write_track_plots(run, {name: out.path(name) for name in kept})
 
 
 def _announce_compilation() -> None:
