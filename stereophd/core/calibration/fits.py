@@ -29,7 +29,6 @@ from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.shared_errors import shared_errors
-from stereophd.core.calibration.still_points import minimal_set_draws, still_tracks
 from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.trajectories import (
     Knots,
@@ -65,12 +64,10 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     """Pair one-camera tracks, and adjust to the pairs; None if there are none. See `calibration.pairing`."""
     if not len(task.pairs.cameras):
         return None
-    rng = np.random.default_rng(seed)
-    draws = task.parameters.sample(rng, DRAWS)
+    draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
     draws[1:] = with_clocks(task, draws[1:])
-    likely = _from_minimal_sets(task, rng)
-    pairing = best_pairing(task.parameters, task.pairs, np.concatenate([draws, likely]), len(likely))
+    pairing = best_pairing(task.parameters, task.pairs, draws)
     if pairing is None:
         return None
     objects = paired_objects(task.pairs, pairing, len(task.tracks))
@@ -88,18 +85,6 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
     return _fit(task, problem, pairing.values, states, detections, _annealed_iterations(task))
-
-
-def _from_minimal_sets(task: Task, rng: np.random.Generator) -> Array:
-    """Draw cameras (k, m) under which objects that stand still meet (`calibration.still_points`); none if they move."""
-    means = still_tracks(task.tracking, task.tracks)
-    if task.pairs.raw is not None or not means.mostly:
-        return np.empty((0, task.parameters.size))
-    rig = task.filter.rig
-    camera = rig.cameras[task.reference]
-    scale = (camera.fx if rig.rectification == "horizontal" else camera.fy) * rig.baseline
-    mean, std = task.filter.settings.birth.disparity_moments(rig.packed[task.reference])
-    return minimal_set_draws(task.parameters, means, task.reference, (mean / scale, std / scale), rng)
 
 
 def with_clocks(task: Task, draws: Array) -> Array:

@@ -25,7 +25,6 @@ from stereophd.core.calibration.association import track_detections
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.quantities.base import MOVES
 from stereophd.core.calibration.recording import Scans
-from stereophd.core.calibration.still_points import still_tracks
 from stereophd.core.calibration.track_rays import LONGEST_GAP, RawTracks, Rays, rays_of
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb import PmbFilter
@@ -69,8 +68,6 @@ class TrackPairs:
     raw : RawTracks or None
         Where clocks, lenses or intrinsics are unknown, or cameras move: the rays depend on the cameras, and `rays`
         and `times` are those of the prior mean.
-    weights : array (n,)
-        Part of a measurement that each row is: of two tracks of objects that stand still, all rows are one.
     """
 
     cameras: Integers
@@ -82,7 +79,6 @@ class TrackPairs:
     entries: Integers
     others: Integers
     raw: RawTracks | None
-    weights: Array
 
 
 def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tuple[int, Integers]]:
@@ -129,8 +125,7 @@ def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[in
     detections = np.concatenate([nothing, *(rows for _, rows in tracks)])
     sigma = scans.recording.sigma[detections[all_entries], 0]
     cameras = raw.cameras[pairs].reshape(-1, 2)
-    whole = np.ones(len(of_pair))
-    return TrackPairs(cameras, pairs, of_pair, found.rays, sigma, found.times, all_entries, others, raw, whole)
+    return TrackPairs(cameras, pairs, of_pair, found.rays, sigma, found.times, all_entries, others, raw)
 
 
 def _segments(raw: RawTracks) -> Iterator[tuple[int, int, int]]:
@@ -150,8 +145,6 @@ def clock_spreads(parameters: ParameterSet, raw: RawTracks) -> Array:
 
 def _known_rays(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[int, Integers]]) -> TrackPairs:
     """Pairs of tracks of cameras that stand still, the clocks, lenses and intrinsics of which are known."""
-    still = still_tracks(scans, tracks).still
-    weights: list[Array] = []
     cameras: list[tuple[int, int]] = []
     members: list[tuple[int, int]] = []
     pair: list[Integers] = []
@@ -182,7 +175,6 @@ def _known_rays(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[i
             rays.append(np.stack(both, axis=1))
             sigma.append(1.0 / np.sqrt(scans.precisions[rows_a[common], 0, 0]))
             at.append(times_a[common])
-            weights.append(np.full(len(common), 1.0 / len(common) if still[a] and still[b] else 1.0))
     return TrackPairs(
         np.array(cameras, dtype=np.int64).reshape(-1, 2),
         np.array(members, dtype=np.int64).reshape(-1, 2),
@@ -193,7 +185,6 @@ def _known_rays(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[i
         np.empty(0, dtype=np.int64),
         np.empty(0, dtype=np.int64),
         None,
-        np.concatenate([*weights, np.empty(0)]),
     )
 
 
@@ -254,7 +245,7 @@ def choose_pairs(pairs: TrackPairs, distances: Array, tolerance: float) -> tuple
         known = np.isfinite(distances)
         enough = np.bincount(pairs.pair, weights=known, minlength=len(pairs.cameras)) >= LEAST_TIMES
         gain = np.where(known & enough[pairs.pair], gain, 0.0)
-    gains = np.bincount(pairs.pair, weights=gain * pairs.weights, minlength=len(pairs.cameras))
+    gains = np.bincount(pairs.pair, weights=gain, minlength=len(pairs.cameras))
     chosen, total = [], 0.0
     for i, j in sorted(set(map(tuple, pairs.cameras.tolist()))):
         here = np.flatnonzero((pairs.cameras == (i, j)).all(axis=1))
@@ -305,7 +296,7 @@ def refine(
         usable = np.isfinite(distances) & np.isfinite(jacobian).all(axis=1)
         distances = np.where(usable, distances, 0.0) / tolerance
         jacobian = np.where(usable[:, None], jacobian, 0.0) / tolerance
-        weights = pairs.weights[rows] / (1.0 + distances**2)
+        weights = 1.0 / (1.0 + distances**2)
         matrix = jacobian.T @ (weights[:, None] * jacobian) + np.eye(len(columns))
         offset = (values[columns] - parameters.prior_mean[columns]) / std
         values = values.copy()
@@ -338,11 +329,8 @@ class Pairing:
     chosen: Integers
 
 
-def best_pairing(parameters: ParameterSet, pairs: TrackPairs, draws: Array, likely: int = 0) -> Pairing | None:
-    """Find the cameras that pair the tracks best, from draws (k, m) of the prior; None if nothing pairs.
-
-    The last `likely` of the draws are refined in any case, and as many of the others as promise most.
-    """
+def best_pairing(parameters: ParameterSet, pairs: TrackPairs, draws: Array) -> Pairing | None:
+    """Find the cameras that pair the tracks best, from draws (k, m) of the prior; None if nothing pairs."""
     if not len(pairs.cameras):
         return None
     rows = np.arange(len(pairs.pair))
@@ -357,8 +345,7 @@ def best_pairing(parameters: ParameterSet, pairs: TrackPairs, draws: Array, like
     draws[1:, fixed] = parameters.prior_mean[fixed]
     first = np.array([gain(values, TOLERANCES[0])[1] for values in draws])
     best, most = None, 0.0
-    others = len(draws) - likely
-    for k in (*np.argsort(-first[:others], kind="stable")[:REFINED], *range(others, len(draws))):
+    for k in np.argsort(-first, kind="stable")[:REFINED]:
         values = draws[k]
         for tolerance in TOLERANCES:
             chosen, _ = gain(values, tolerance)
