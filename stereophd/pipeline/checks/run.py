@@ -10,6 +10,7 @@ from stereophd.io.logs import LogReader
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.pipeline.checks.geometry import check_geometry, measure
+from stereophd.pipeline.checks.residuals import check_residuals
 from stereophd.pipeline.checks.sample import MOST_FRAMES, CameraSample, sample_log
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
@@ -72,6 +73,7 @@ def check_samples(
     geometry = measure(samples, expected_depths(config, samples), thorough)
     findings += check_geometry(geometry, thorough)
     if not any(found.name == "geometry.cause" for found in warnings_of(tuple(findings))):
+        findings += check_residuals(samples)
         findings += check_settings(config, measure_scene(geometry), samples, config.units.length)
     return tuple(findings)
 
