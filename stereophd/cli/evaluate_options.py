@@ -101,6 +101,10 @@ Ospa2Window = Annotated[
     int,
     typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2)."),
 ]
+Tentative = Annotated[
+    bool,
+    typer.Option("--tentative", help="Score tentative estimates beside the confirmed ones."),
+]
 Cameras = Annotated[
     Path | None,
     typer.Option(

@@ -45,6 +45,7 @@ FLAGS = {
     "rows_from": "--rows-from",
     "seed": "--seed",
     "seen_by": "--seen-by",
+    "tentative": "--tentative",
     "time_unit": "--time-unit",
     "to_s": "--to",
     "tracks": "--track",

@@ -52,6 +52,7 @@ class MultiObjectScenario(Model):
         " a limit for all trackers of straight paths",
         default="filter",
     )
+    tentative: bool = parameter("whether tentative objects are scored beside the confirmed ones", default=False)
     ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)] = parameter("distances that are reported")
 
 

@@ -91,6 +91,8 @@ def filtered_points(
     report = config.report.model_copy(update={"times": "events"})
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     estimates = [record.estimates for record in records]
+    if _scenario(loaded).tentative:
+        estimates = [one.with_tentative() for one in estimates]
     if config.report.max_position_std is not None:
         estimates = [one.certain(config.report.max_position_std) for one in estimates]
     return _points([estimates[event] for event in last.tolist()])
