@@ -192,6 +192,7 @@ def _one(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[Setup
     return lambda setup: change(setup.cameras["cameras"][name])
 
 
+LENS = ("lens_missing", "lens_sign", "lens_inaccurate")
 # Mistake -> how it is made, and the causes that name it rightly.
 MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
     "rotation transposed": (_each(_transposed), ("rotation_transposed",)),
@@ -212,8 +213,8 @@ MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
     "focal length in mm": (_each(_intrinsics(1 / 120.0, 1.0)), ("focal_length_millimetres",)),
     "principal point of another resolution": (_each(_intrinsics(1.0, 2.0)), ("principal_point_resolution",)),
     "intrinsics of another resolution": (_each(_intrinsics(0.5, 0.5)), ("intrinsics_resolution",)),
-    "lens left out": (_each(lambda c: c.__setitem__("distortion", {"model": "none"})), ("lens_missing",)),
-    "sign of the lens reversed": (_each(_lens(-1.0)), ("lens_sign",)),
+    "lens left out": (_each(lambda c: c.__setitem__("distortion", {"model": "none"})), LENS),
+    "sign of the lens reversed": (_each(_lens(-1.0)), LENS),
     "times in milliseconds": (_times(None, lambda t: 1000.0 * t), ("milliseconds",)),
     "frame number as time": (_frames_as_times, ("frame_number_as_time",)),
     "wrong frame rate of one camera": (_times("right", lambda t: t * 25.0 / 30.0), ("frame_rate", "clock_rate")),

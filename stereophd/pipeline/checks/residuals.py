@@ -146,8 +146,6 @@ class PairFits:
 
 def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
     """Yield a finding if the clock, lens or pose of a camera seems to be slightly off, else one for each pair."""
-    if any(np.any(s.camera.pose.velocity) or np.any(s.camera.pose.rotation_rate) for s in samples):
-        return  # rays of a moving camera depend on the time
     motion = [_track_velocities(sample) for sample in samples]
     pairs = [found for a, b in combinations(range(len(samples)), 2) if (found := partners(samples, motion, a, b))]
     fits = [explain(pair, samples[pair.a].camera, samples[pair.b].camera) for pair in pairs]
