@@ -311,12 +311,13 @@ def _warning(
 ) -> Finding:
     """Return the finding that names the cause and the camera that explain most over all suspicious pairs."""
     totals: dict[tuple[str, int], float] = {}
+    count = [sum(c in (pair.a, pair.b) for pair, _ in everything) for c in range(len(samples))]
     for pair, fits in suspicious:
         for camera, lens in ((pair.a, fits.lens_a), (pair.b, fits.lens_b)):
             for cause, explained in (
                 ("clock", fits.clock.explained), ("lens", lens.explained), ("pose", fits.pose.explained / PREFERENCE),
             ):  # fmt: skip
-                totals[cause, camera] = totals.get((cause, camera), 0.0) + explained
+                totals[cause, camera] = totals.get((cause, camera), 0.0) + explained / count[camera]
     (cause, _), best = max(totals.items(), key=lambda one: one[1])
     cameras = [c for (one, c), total in totals.items() if one == cause and total >= ALIKE * best]
     names = " or ".join(samples[c].camera.name for c in sorted(cameras))
