@@ -36,7 +36,9 @@ SMALL = {
         "simulate.duration_s=40",
         "experiment.scenario={kind: calibration, every_s: 20, bound_scenes: 1}",
         "calibration.annealed.starts=1",
-        "calibration.sequential={particles: 4, samples: 16}",
+        "calibration.sequential={moves: none, particles: 4, likelihood: phd, samples: 16}",
+        "experiment.methods.sequential={calibration.method: sequential, calibration.sequential: "
+        "{moves: rerun, particles: 4, first_particles: 4, moves_per_step: 1, inflation: [2], block_events: 20}}",
     ],
 }
 
