@@ -87,7 +87,7 @@ class Partners:
 
 
 @dataclass(frozen=True)
-class Fit:
+class CauseFit:
     """How much of the distances of a pair of cameras a cause explains.
 
     Attributes
@@ -123,16 +123,16 @@ class PairFits:
 
     Attributes
     ----------
-    clock, lens_a, lens_b, pose : Fit
+    clock, lens_a, lens_b, pose : CauseFit
         An offset of B's clock; the first radial coefficient of A and of B; turns and shifts of B.
     """
 
-    clock: Fit
-    lens_a: Fit
-    lens_b: Fit
-    pose: Fit
+    clock: CauseFit
+    lens_a: CauseFit
+    lens_b: CauseFit
+    pose: CauseFit
 
-    def of(self, cause: str) -> Fit:
+    def of(self, cause: str) -> CauseFit:
         """Return the fit of a cause, of the better camera."""
         if cause == "lens":
             return max(self.lens_a, self.lens_b, key=lambda fit: fit.explained)
@@ -264,28 +264,28 @@ def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
     )
 
 
-def _fit_all(pair: Partners, design: Array) -> Fit:
-    """Fit a cause with several numbers; those that the data do not determine (the scale) stay 0."""
+def _fit_all(pair: Partners, design: Array) -> CauseFit:
+    """CauseFit a cause with several numbers; those that the data do not determine (the scale) stay 0."""
     design = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
     if not np.isfinite(design).all():
-        return Fit(0.0, float("inf"), 0.0, 0.0)
+        return CauseFit(0.0, float("inf"), 0.0, 0.0)
     fitted = design @ np.linalg.lstsq(design, -pair.distance, rcond=1e-6)[0]
     total = float((pair.distance**2).sum())
     explained = 1.0 - float(((pair.distance + fitted) ** 2).sum()) / max(total, 1e-12)
-    return Fit(0.0, float("inf"), explained, float(np.sqrt((fitted**2).mean())))
+    return CauseFit(0.0, float("inf"), explained, float(np.sqrt((fitted**2).mean())))
 
 
-def _fit(pair: Partners, slope: Array) -> Fit:
-    """Fit a cause with one number."""
+def _fit(pair: Partners, slope: Array) -> CauseFit:
+    """CauseFit a cause with one number."""
     weight = float((slope**2).sum())
     if not np.isfinite(weight) or weight <= 0.0:
-        return Fit(0.0, float("inf"), 0.0, 0.0)
+        return CauseFit(0.0, float("inf"), 0.0, 0.0)
     value = -float((slope * pair.distance).sum()) / weight
     left = pair.distance + value * slope
     spread = np.bincount(np.unique(pair.tracks, return_inverse=True)[1], slope * left)
     explained = 1.0 - float((left**2).sum()) / max(float((pair.distance**2).sum()), 1e-12)
     effect = abs(value) * np.sqrt(weight / len(slope))
-    return Fit(value, float(np.sqrt((spread**2).sum())) / weight, explained, float(effect))
+    return CauseFit(value, float(np.sqrt((spread**2).sum())) / weight, explained, float(effect))
 
 
 def _bent(camera: Camera, k1: float) -> Camera:
