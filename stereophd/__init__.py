@@ -1,4 +1,4 @@
-"""stereophd: 3-D tracks from the detection logs of fixed cameras.
+"""stereophd: 3-D tracks from the detection logs of several cameras.
 
 The names below are the public interface; ``docs/api.md`` shows them at work. Each is imported when it is first used, so
 that ``import stereophd`` costs next to nothing. Modules and names that are not listed here are private: they may change

@@ -44,7 +44,7 @@ _ClickException = next(kind for kind in typer.BadParameter.__mro__ if kind.__nam
 
 app = typer.Typer(
     name="stereophd",
-    help="3-D tracks from the detection logs of fixed cameras.",
+    help="3-D tracks from the detection logs of several cameras.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     # Plain help: rich's panels would double the time that --help takes.
@@ -78,7 +78,7 @@ def root(
         typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True),
     ] = False,
 ) -> None:
-    """3-D tracks from the detection logs of fixed cameras."""
+    """3-D tracks from the detection logs of several cameras."""
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -34,9 +34,9 @@ def track_command(
     ] = None,
     overlap: Annotated[
         float, typer.Option("--overlap", metavar="S", help="Seconds before its own span from which a piece is tracked.")
-    ] = 20.0,
+    ] = 60.0,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on where an interrupted run stopped; what is finished stays.")
+        bool, typer.Option("--resume", help="Continue an interrupted run; keep what is finished.")
     ] = False,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
@@ -54,9 +54,9 @@ def track_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Turn detection logs into 3-D tracks: tracks.parquet, scans.parquet and report.json.
+    """Estimate 3-D tracks from detection logs: tracks.parquet, scans.parquet and report.json.
 
-    Of several logs each has a folder in DIR, and DIR/summary.parquet a row.
+    With several logs, each has a folder in DIR, and DIR/summary.parquet has a row for each.
     """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)

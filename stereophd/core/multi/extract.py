@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.settings import Hysteresis
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -116,7 +117,7 @@ def _select(
             labels[k], tracks[k], reported[k] = next_label, UNLABELLED, False
             next_label += 1
     if split:
-        order = order[np.argsort(labels[order], kind="mergesort")]
+        order = picked(order, stable_order(picked(labels, order)))
     index = np.empty(len(order), dtype=np.int64)
     existence = np.empty(len(order))
     unsure = np.empty(len(order), dtype=np.bool_)
@@ -141,18 +142,18 @@ def _select(
         for k in order[start:end]:
             tracks[k], reported[k] = track, shown
         start = end
-    shown_order = np.argsort(tracks[index[:found]], kind="mergesort")
-    index, existence, unsure = index[shown_order], existence[shown_order], unsure[shown_order]
+    shown_order = stable_order(picked(tracks, index[:found]))
+    index, existence, unsure = picked(index, shown_order), picked(existence, shown_order), picked(unsure, shown_order)
     return labels, tracks, reported, index, existence, unsure, next_label, next_track
 
 
 @compiled
 def _by_label(weights: Array, labels: Integers) -> Integers:
     """Components with a label, by label and then by falling weight; most often they are in this order."""
-    order = np.flatnonzero(labels != UNLABELLED)
+    order = places(labels != UNLABELLED)
     for i in range(1, len(order)):
         before, k = order[i - 1], order[i]
         if labels[k] < labels[before] or (labels[k] == labels[before] and weights[k] > weights[before]):
-            order = order[np.argsort(-weights[order], kind="mergesort")]
-            return order[np.argsort(labels[order], kind="mergesort")]
+            order = picked(order, stable_order(-picked(weights, order)))
+            return picked(order, stable_order(picked(labels, order)))
     return order
