@@ -44,12 +44,14 @@ from stereophd.pipeline.tracking.run import (
 )
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 CAMERAS_FILE = "cameras.yaml"
-FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
+PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -67,6 +69,7 @@ def track(
     overlap_s: float = OVERLAP_S,
     jobs: int = 1,
     dask: str | None = None,
+    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -96,6 +99,8 @@ def track(
     jobs, dask : int, str
         Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
         them.
+    plots : bool
+        Whether to draw views, timelines of the tracks and, with ``report.associations``, residuals by camera.
 
     Returns
     -------
@@ -129,7 +134,7 @@ def track(
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
             tracking = with_estimated_detectors(tracking, loaded, stream, threads)
             stream = stream.with_cameras(tracking.cameras)
-            run = _Run(loaded, tracking, stream, record, unfinished, motion)
+            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
             if pieces_s is None:
                 journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
                 report = run.write(tracking.records(stream, journal), findings, out)
@@ -151,6 +156,7 @@ class _Run:
     record: dict[str, Any]
     unfinished: UnfinishedRun
     motion: dict[str, Any] | None = None
+    plots: bool = False
 
     def in_pieces(
         self, length_s: float, overlap_s: float, threads: int, jobs: int, dask: str | None, progress: Progress | None
@@ -194,7 +200,20 @@ class _Run:
             "provenance": self.record,
         }
         write_json(out.path("report.json"), report)
+        if self.plots:
+            _draw(report, out)
         return report
+
+
+def _draw(report: dict[str, Any], out: OutputFolder) -> None:
+    """Draw the plots of a run from the files that it has written."""
+    # Costly to import, and matplotlib is an extra.
+    from stereophd.pipeline.inspection.runs import read_run
+    from stereophd.report.track_plots import write_track_plots
+
+    run = read_run(out.path(TRACKS_FILE).parent, "track", report)
+    kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]
+    write_track_plots(run, {name: out.path(name) for name in kept})
 
 
 def _announce_compilation() -> None:
