@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar, cast
 
+from numba.core import types
 from numba.core.registry import CPUDispatcher
 
 from stereophd.core.numerics.kernel_cache import KernelCache
@@ -45,6 +46,11 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     def add_overload(self, cres: Any) -> None:
         """Add a form for other kernels, which Python cannot call."""
         self.overloads[tuple(cres.signature.args)] = cres
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return the form for a call by another kernel: one form for all values of a number."""
+        args = [types.unliteral(kind) for kind in args]
+        return super().get_call_template(args, {name: types.unliteral(kind) for name, kind in kws.items()})
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         entry = self.for_python._compile_for_args(*args, **kws)
