@@ -9,7 +9,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.batch import are_many, finish_batch
-from stereophd.cli.terminal import begin, load, print_report, progress_bar
+from stereophd.cli.terminal import begin, load, print_run, progress_bar
 from stereophd.errors import GateError
 
 
@@ -79,6 +79,6 @@ def calibrate_command(
             )  # fmt: skip
     except GateError as error:
         if error.report is not None:
-            print_report(session, error.report)
+            print_run(session, error.report)
         raise
-    print_report(session, report)
+    print_run(session, report)

@@ -33,7 +33,7 @@ from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.journal import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, span_of, track_pieces
+from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -46,12 +46,14 @@ from stereophd.pipeline.tracking.run import (
 )
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 CAMERAS_FILE = "cameras.yaml"
-FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
+PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -69,6 +71,7 @@ def track(
     overlap_s: float = OVERLAP_S,
     jobs: int = 1,
     dask: str | None = None,
+    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -98,6 +101,8 @@ def track(
     jobs, dask : int, str
         Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
         them.
+    plots : bool
+        Whether to draw views, timelines of the tracks and, with ``report.associations``, residuals by camera.
 
     Returns
     -------
@@ -118,27 +123,27 @@ def track(
         if not 0.0 < overlap_s <= pieces_s:
             raise InputError(f"`pieces_s`: expected pieces at least as long as their overlap, {overlap_s:g} s")
         record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     if resume and (report := finished_report(out_dir, record, force)) is not None:
+        unfinished.remove()
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     kind = loaded.config.filter.kind if loaded.config.filter is not None else ""
-    with _compilation(kind):
+    with _compilation(kind), output_lock(out_dir):
         findings = check_log(loaded, log_path, thorough=False)
-        unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
-        with output_lock(out_dir):
-            unfinished.prepare(resume, force)
-            with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
-                tracking = with_estimated_detectors(tracking, loaded, stream, threads)
-                stream = stream.with_cameras(tracking.cameras)
-                run = _Run(loaded, tracking, stream, record, unfinished, motion)
-                if pieces_s is None:
-                    journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
-                    report = run.write(tracking.records(stream, journal), findings, out)
-                else:
-                    joined = run.in_pieces(pieces_s, overlap_s, threads, jobs, dask, progress)
-                    report = run.write(run.lasting(joined.records()), findings, out, joined)
-            unfinished.remove()
+        unfinished.prepare(resume, force)
+        with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
+            tracking = with_estimated_detectors(tracking, loaded, stream, threads)
+            stream = stream.with_cameras(tracking.cameras)
+            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
+            if pieces_s is None:
+                journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
+                report = run.write(tracking.records(stream, journal), findings, out)
+            else:
+                joined = run.in_pieces(pieces_s, overlap_s, threads, jobs, dask, progress)
+                report = run.write(run.lasting(joined.records()), findings, out, joined)
+        unfinished.remove()
     _warn_of_losses(stream)
     return report
 
@@ -153,6 +158,7 @@ class _Run:
     record: dict[str, Any]
     unfinished: UnfinishedRun
     motion: dict[str, Any] | None = None
+    plots: bool = False
 
     def in_pieces(
         self, length_s: float, overlap_s: float, threads: int, jobs: int, dask: str | None, progress: Progress | None
@@ -162,7 +168,7 @@ class _Run:
         folder = Path(os.path.abspath(self.unfinished.folder))
         work = PieceWork(self.loaded, self.tracking.cameras, log, folder, self.unfinished.identity, threads)
         ahead = self.loaded.config.report.smooth is not None
-        pieces = plan_pieces(*span_of(self.stream), length_s, overlap_s, ahead)
+        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
         track_pieces(work, pieces, jobs, dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible
@@ -196,7 +202,20 @@ class _Run:
             "provenance": self.record,
         }
         write_json(out.path("report.json"), report)
+        if self.plots:
+            _draw(report, out)
         return report
+
+
+def _draw(report: dict[str, Any], out: OutputFolder) -> None:
+    """Draw the plots of a run from the files that it has written."""
+    # Costly to import, and matplotlib is an extra.
+    from stereophd.pipeline.inspection.runs import read_run
+    from stereophd.report.track_plots import write_track_plots
+
+    run = read_run(out.path(TRACKS_FILE).parent, "track", report)
+    kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]
+    write_track_plots(run, {name: out.path(name) for name in kept})
 
 
 @contextmanager
