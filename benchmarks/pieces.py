@@ -1,6 +1,6 @@
 """A log tracked in pieces against the whole run: OSPA(2), identity switches, joins that are uncertain, time and memory.
 
-    python benchmarks/pieces.py CONFIG LOG --pieces 3600 [--overlap 20] [--truth TRUTH] [--cutoff 20] [--set KEY=VALUE]
+    python benchmarks/pieces.py CONFIG LOG --pieces 3600 [--overlap 60] [--truth TRUTH] [--cutoff 20] [--set KEY=VALUE]
                                 [--out DIR] [--json]
 
 Tracks the log whole and in pieces, in processes of their own, and scores the tracks of the pieces against those of the
@@ -53,7 +53,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("config", type=Path)
     parser.add_argument("log", type=Path)
     parser.add_argument("--pieces", type=float, required=True)
-    parser.add_argument("--overlap", type=float, default=20.0)
+    parser.add_argument("--overlap", type=float, default=60.0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--cutoff", type=float, default=20.0)

@@ -31,7 +31,7 @@ from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.journal import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, span_of, track_pieces
+from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -121,13 +121,14 @@ def track(
         if not 0.0 < overlap_s <= pieces_s:
             raise InputError(f"`pieces_s`: expected pieces at least as long as their overlap, {overlap_s:g} s")
         record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     if resume and (report := finished_report(out_dir, record, force)) is not None:
+        unfinished.remove()
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     _announce_compilation()
     findings = check_log(loaded, log_path, thorough=False)
-    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     with output_lock(out_dir):
         unfinished.prepare(resume, force)
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
@@ -165,7 +166,7 @@ class _Run:
         folder = Path(os.path.abspath(self.unfinished.folder))
         work = PieceWork(self.loaded, self.tracking.cameras, log, folder, self.unfinished.identity, threads)
         ahead = self.loaded.config.report.smooth is not None
-        pieces = plan_pieces(*span_of(self.stream), length_s, overlap_s, ahead)
+        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
         track_pieces(work, pieces, jobs, dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible

@@ -116,6 +116,16 @@ class CalibrationConfig(Model):
     shared: list[list[str]] = parameter(
         "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list
     )
+    stages: Literal["auto"] | list[Annotated[list[str], Len(1)]] = parameter(
+        "unknowns that are freed stage by stage while tracking, such as [[center, rotation, clock_offset], [focal]], "
+        "the rest last; auto: poses and clocks, focal lengths and k1, the rest",
+        default="auto",
+    )
+    select: Literal["auto", "all"] = parameter(
+        "which unknowns beside poses and clocks are estimated: all, or (auto) fewer where sets of fewer predict "
+        "held-out stretches of the log better",
+        default="auto",
+    )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
     annealed: AnnealedSettings = parameter("settings of this method", default_factory=AnnealedSettings)
     sequential: SequentialSettings = parameter("settings of this method", default_factory=SequentialSettings)

@@ -15,7 +15,7 @@ from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.trajectories.joining import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError
-from stereophd.io.logs import LogReader
+from stereophd.io.logs import Frame, LogReader
 from stereophd.io.tables import TableWriter
 from stereophd.pipeline.tracking import pieces
 from stereophd.pipeline.tracking.pieces import plan_pieces
@@ -115,12 +115,21 @@ def test_pieces_shorter_than_their_overlap_are_refused(scene: tuple[LoadedConfig
         track(*scene, tmp_path / "out", pieces_s=1.0)
 
 
+def frames(*times: float) -> list[Frame]:
+    return [Frame(time_s, 0, k, np.empty((0, 2))) for k, time_s in enumerate(times)]
+
+
 def test_plan() -> None:
-    one, two, three = plan_pieces(5.0, 35.0, 14.0, 2.0, ahead=True)
+    one, two, three = plan_pieces(frames(*np.arange(5.0, 35.5, 0.5)), 10.0, 2.0, ahead=True)
     assert (one.to_s, two.from_s, two.to_s, three.from_s) == (15.0, 15.0, 25.0, 25.0)
     assert (two.begin_s, two.end_s) == (13.0, 27.0)
     assert (one.begin_s, three.end_s) == (-np.inf, np.inf)
-    assert len(plan_pieces(0.0, 3.0, 10.0, 2.0, ahead=False)) == 1
+    assert [piece.events_before for piece in (one, two, three)] == [0, 16, 36]
+
+
+@pytest.mark.parametrize(("last_s", "count"), [(0.0, 1), (11.0, 1), (12.0, 2), (21.0, 2), (500.0, 50)])
+def test_the_last_piece_is_at_least_as_long_as_the_overlap(last_s: float, count: int) -> None:
+    assert len(plan_pieces(frames(0.0, last_s), 10.0, 2.0, ahead=False)) == count
 
 
 def trajectory(track_id: int, x: float, events: range, spread: float = 1.0) -> Trajectory:

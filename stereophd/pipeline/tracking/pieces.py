@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -27,12 +27,13 @@ from stereophd.core.trajectories.joining import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError, StereophdError
 from stereophd.io.checkpoints import read_checkpoint
-from stereophd.io.logs import LogReader
+from stereophd.io.logs import Frame, LogReader
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.journal import RecordChunks
-from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.run import tracking_with
+from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.workers import ATTEMPTS, complete, open_workers
 
 if TYPE_CHECKING:
@@ -40,8 +41,12 @@ if TYPE_CHECKING:
 
 DONE_FILE = "done.npz"
 
-# A piece is tracked this long before its span, s: several times the memory of the filters (`filter.out_of_view_s`).
-OVERLAP_S = 20.0
+# A piece is tracked this long before its span, s: an object that one camera alone sees keeps the depth that it had
+# when two did, so that the time is that for which objects stay in one view.
+OVERLAP_S = 60.0
+
+# Frames between two calls of `progress` while a log is read.
+TICK_EVERY = 5000
 
 # Tracks of two pieces are one object if that is more probable than not; below the second it is reported as uncertain.
 PROBABLE = 0.5
@@ -59,6 +64,9 @@ class LogPiece:
         Its own span of true time.
     begin_s, end_s : float
         What is tracked.
+    events_before : int
+        Events of the log before `begin_s`: filters choose their samples by the number of an event, and so choose
+        those of the whole run.
     """
 
     number: int
@@ -66,6 +74,7 @@ class LogPiece:
     to_s: float
     begin_s: float
     end_s: float
+    events_before: int
 
 
 @dataclass(frozen=True)
@@ -106,31 +115,40 @@ class PieceDone:
     not_invertible: int
 
 
-def plan_pieces(first_s: float, last_s: float, length_s: float, overlap_s: float, ahead: bool) -> tuple[LogPiece, ...]:
-    """Cut a log into pieces of one length, at most `length_s`.
+def plan_pieces(
+    frames: Iterable[Frame],
+    length_s: float,
+    overlap_s: float,
+    ahead: bool,
+    progress: Progress | None = None,
+) -> tuple[LogPiece, ...]:
+    """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
 
     Parameters
     ----------
-    first_s, last_s : float
-        Times of its first and last event.
+    frames : iterable of Frame
+        Of the log, which is read once, with all its checks.
     length_s, overlap_s : float
     ahead : bool
         Whether pieces go on beyond their spans too.
+    progress : callable, optional
+        Called now and then.
     """
-    count = max(1, math.ceil((last_s - first_s) / length_s))
-    bounds = first_s + (last_s - first_s) / count * np.arange(1, count)
-    cuts = [-math.inf, *bounds.tolist(), math.inf]
-    more = overlap_s if ahead else 0.0
-    return tuple(LogPiece(k, cuts[k], cuts[k + 1], cuts[k] - overlap_s, cuts[k + 1] + more) for k in range(count))
-
-
-def span_of(stream: EventStream) -> tuple[float, float]:
-    """Read a log once, with all its checks; return the times of its first and last frame."""
     first_s, last_s = math.nan, math.nan
-    for frame in stream.frames:
-        first_s = frame.time_s if math.isnan(first_s) else first_s
+    before = [0]  # events before what is tracked of each piece
+    for number, frame in enumerate(frames):
+        first_s = frame.time_s if number == 0 else first_s
+        while frame.time_s >= first_s + len(before) * length_s - overlap_s:
+            before.append(number)
         last_s = frame.time_s
-    return first_s, last_s
+        if progress is not None and number % TICK_EVERY == 0:
+            progress(0, 1)
+    count = 1 + max(0, math.floor((last_s - overlap_s - first_s) / length_s))
+    cuts = [-math.inf, *(first_s + k * length_s for k in range(1, count)), math.inf]
+    more = overlap_s if ahead else 0.0
+    return tuple(
+        LogPiece(k, cuts[k], cuts[k + 1], cuts[k] - overlap_s, cuts[k + 1] + more, before[k]) for k in range(count)
+    )
 
 
 def track_pieces(
@@ -177,12 +195,20 @@ def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) 
     tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
     stream = _PieceStream(work.cameras, reader, tick, piece.begin_s, piece.end_s)
     count = 0
-    for record in tracking.records(stream.of(piece)):
+    run = RunState(_numbered(tracking.estimator.init(), piece.events_before))
+    for record in tracking.records(stream.of(piece), run=run):
         chunks.add(record)
         count += 1
     chunks.flush()
     chunks.write(DONE_FILE, {"done": PieceDone(chunks.spans, stream.left_out)})
     return count
+
+
+def _numbered(state: Any, events: int) -> Any:
+    """Return the first state of an estimator for a run whose first event has this number."""
+    if isinstance(state, SingleTrackerState):
+        return replace(state, estimator=replace(state.estimator, n_events=events))
+    return replace(state, n_events=events)
 
 
 class _PieceStream(EventStream):
@@ -244,7 +270,7 @@ class JoinedPieces:
             if piece.number > 0 and not self.one_object:
                 names = self._names(self.pieces[piece.number - 1], piece, names)
             for record in self._chunks(piece).read(piece.from_s, piece.to_s):
-                yield record if self.one_object else self._renamed(record, names)
+                yield record if self.one_object else self._renamed(record, names, piece.number == 0)
 
     @property
     def not_invertible(self) -> int:
@@ -296,12 +322,12 @@ class JoinedPieces:
                 )
         return found
 
-    def _renamed(self, record: Record, names: dict[int, int]) -> Record:
-        """Return a record with the tracks of the run in place of those of the piece."""
+    def _renamed(self, record: Record, names: dict[int, int], first: bool) -> Record:
+        """Return a record with the tracks of the run in place of those of the piece; the first one keeps its own."""
 
         def name(track_id: int) -> int:
             if track_id not in names:
-                names[track_id] = self._next_id
+                names[track_id] = track_id if first else self._next_id
             self._next_id = max(self._next_id, names[track_id] + 1)
             return names[track_id]
 
