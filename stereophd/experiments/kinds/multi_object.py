@@ -95,10 +95,11 @@ def filtered_points(
         estimates = [one.with_tentative() for one in estimates]
     if config.report.max_position_std is not None:
         estimates = [one.certain(config.report.max_position_std) for one in estimates]
-    return _points([estimates[event] for event in last.tolist()])
+    return points_of_estimates([estimates[event] for event in last.tolist()])
 
 
-def _points(estimates: Sequence[Estimates]) -> PointSets:
+def points_of_estimates(estimates: Sequence[Estimates]) -> PointSets:
+    """Return reported objects as sets of points, one a scan."""
     start = np.concatenate([[0], np.cumsum([len(one.track_ids) for one in estimates])]).astype(np.int64)
     states = np.concatenate([one.states for one in estimates])
     covariances = np.concatenate([one.covariances for one in estimates])
