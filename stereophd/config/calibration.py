@@ -86,10 +86,12 @@ class SpeedScale(Model):
 
 
 class LengthScale(Model):
-    """Two objects keep a known distance, as the ends of a rod do."""
+    """Objects keep a known distance, as the ends of a rod or neighbouring corners of a board do."""
 
     kind: Literal["length"] = parameter("what fixes the scale")
-    length: PositiveLength = parameter("distance of the two objects", unit="length")
+    length: PositiveLength = parameter(
+        "distance of two objects; of many pairs, the most frequent distance that the priors allow", unit="length"
+    )
     std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 
 
