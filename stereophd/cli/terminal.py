@@ -90,7 +90,7 @@ def print_report(session: Session, report: Mapping[str, Any]) -> None:
 def print_run(session: Session, report: Mapping[str, Any]) -> None:
     """Print the report of a run of track or calibrate: JSON, or a verdict and tables."""
     if session.json:
-        print_data(to_json(report))
+        print_report(session, report)
     elif not session.quiet:
         from stereophd.report.summaries import summary_text
 
