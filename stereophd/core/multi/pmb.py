@@ -14,7 +14,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
-from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
+from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
-from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.multi.undetected import reduction_for_births
@@ -54,7 +54,8 @@ class PmbFilter(DisparityFilter):
     @cached_property
     def reduction(self) -> PmbReduction:
         """Settings of the reduction, for compiled code."""
-        return compiled_settings(PmbReduction, self.settings)
+        settings = replace(self.settings, max_components=most_components(self.settings.max_components))
+        return compiled_settings(PmbReduction, settings)
 
     @property
     def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
@@ -70,9 +71,13 @@ class PmbFilter(DisparityFilter):
             self.event_numbers(event, state.next_label, prediction.births), reduction,
         )  # fmt: skip
         label = state.next_label + len(event.points)
+        left_out, room = 0, self.reduction.max_components - len(event.points)
+        if prediction.mixture.size > room:
+            labels = np.unique(prediction.mixture.labels)
+            left_out = max(int(np.count_nonzero(labels != UNLABELLED)) - room, 0)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
-            Info(log_likelihood, expected, reduced.size, detected, claims),
+            Info(log_likelihood, expected, reduced.size, detected, claims, left_out),
         )
 
 
