@@ -21,11 +21,12 @@ help:
 demo: $(VENV)/.installed-plot
 	$(BIN)/stereophd simulate configs/quickstart.yaml --out $(DEMO)/simulated --force
 	$(BIN)/stereophd track configs/quickstart.yaml $(DEMO)/simulated/detections.parquet \
-		--cameras $(DEMO)/simulated/cameras.yaml --out $(DEMO)/tracked --force
+		--cameras $(DEMO)/simulated/cameras.yaml --associations --out $(DEMO)/tracked --force
 	$(BIN)/stereophd evaluate $(DEMO)/tracked/tracks.parquet $(DEMO)/simulated/truth.parquet \
 		--cutoff 1 --cameras $(DEMO)/simulated/cameras.yaml --out $(DEMO)/evaluated --force
-	@echo "Pictures and report:"
-	@find $(DEMO)/evaluated -type f | sort | sed 's/^/  /'
+	$(BIN)/stereophd report $(DEMO)/simulated $(DEMO)/tracked $(DEMO)/evaluated --out $(DEMO)/report.html --force
+	@echo "Pictures, and the page to open in a browser:"
+	@find $(DEMO)/evaluated $(DEMO)/report.html -type f | sort | sed 's/^/  /'
 
 test: $(VENV)/.installed-all
 	$(BIN)/python -m pytest -n 2 --dist loadfile
@@ -67,7 +68,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed-plot: pyproject.toml constraints.txt | $(BIN)/python
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[plot]"
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[plot,report]"
 	@touch $@
 
 $(VENV)/.installed-all: pyproject.toml constraints.txt | $(BIN)/python

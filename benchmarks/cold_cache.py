@@ -23,7 +23,7 @@ RUNS = {
     "track pmb": ["track", *SHORT],
     "calibrate annealed": ["calibrate", *SHORT],
     "calibrate sequential": ["calibrate", *SHORT, "--set", "calibration.method=sequential"]
-    + ["--set", "calibration.sequential={particles: 30, samples: 100}"],
+    + ["--set", "calibration.sequential={moves: none, particles: 30, samples: 100, likelihood: phd}"],
 }
 
 

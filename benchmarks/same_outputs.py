@@ -27,7 +27,9 @@ ROOT = Path.cwd()
 HALL = ["sample_data/hall.yaml", "sample_data/hall/detections.parquet", "--cameras", "sample_data/hall/cameras.yaml"]
 MULTI, SINGLE = "configs/paper/multi_object.yaml", "configs/paper/single_object.yaml"
 CALIBRATION = "configs/paper/calibration.yaml"
-SMALL_SEQUENTIAL = "calibration.sequential={particles: 60, samples: 100}"
+SMALL_SEQUENTIAL = (
+    "calibration.sequential={moves: none, particles: 60, samples: 100, likelihood: phd, resample_below: 0.75}"
+)
 TRACK_VARIANTS = {
     "phd": ["--set", "filter.kind=phd"],
     "pmb": ["--set", "filter.kind=pmb"],

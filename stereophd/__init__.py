@@ -1,4 +1,4 @@
-"""stereophd: 3-D tracks from the detection logs of fixed cameras.
+"""stereophd: 3-D tracks from the detection logs of several cameras.
 
 The names below are the public interface; ``docs/api.md`` shows them at work. Each is imported when it is first used, so
 that ``import stereophd`` costs next to nothing. Modules and names that are not listed here are private: they may change
@@ -16,10 +16,13 @@ if TYPE_CHECKING:
     from typing import Any
 
     from stereophd.commands.calibrate import calibrate
+    from stereophd.commands.calibrate_logs import calibrate_logs
     from stereophd.commands.check import check
     from stereophd.commands.evaluate import evaluate
     from stereophd.commands.evaluate_cameras import evaluate_calibration
+    from stereophd.commands.evaluate_runs import evaluate_runs
     from stereophd.commands.experiment import experiment
+    from stereophd.commands.init import init
     from stereophd.commands.simulate import simulate
     from stereophd.commands.track import track
     from stereophd.commands.track_logs import track_logs
@@ -48,9 +51,12 @@ _HOMES = {
     "Record": "pipeline.tracking.loop",
     "StereophdError": "errors",
     "calibrate": "commands.calibrate",
+    "calibrate_logs": "commands.calibrate_logs",
     "check": "commands.check",
+    "init": "commands.init",
     "evaluate": "commands.evaluate",
     "evaluate_calibration": "commands.evaluate_cameras",
+    "evaluate_runs": "commands.evaluate_runs",
     "experiment": "commands.experiment",
     "load_config": "config.loading",
     "make_config": "config.loading",
@@ -80,10 +86,13 @@ __all__ = [
     "StereophdError",
     "__version__",
     "calibrate",
+    "calibrate_logs",
     "check",
     "evaluate",
     "evaluate_calibration",
+    "evaluate_runs",
     "experiment",
+    "init",
     "load_config",
     "make_config",
     "make_event",

@@ -25,7 +25,9 @@ from stereophd.cli import (
     export,
     importing,
     info,
+    init,
     interrupts,
+    report,
     simulate,
     track,
 )
@@ -42,7 +44,7 @@ _ClickException = next(kind for kind in typer.BadParameter.__mro__ if kind.__nam
 
 app = typer.Typer(
     name="stereophd",
-    help="3-D tracks from the detection logs of fixed cameras.",
+    help="3-D tracks from the detection logs of several cameras.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     # Plain help: rich's panels would double the time that --help takes.
@@ -58,6 +60,8 @@ app.command("check")(check.check_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)
+app.command("report")(report.report_command)
+app.command("init")(init.init_command)
 app.add_typer(config.app, name="config")
 
 
@@ -74,7 +78,7 @@ def root(
         typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True),
     ] = False,
 ) -> None:
-    """3-D tracks from the detection logs of fixed cameras."""
+    """3-D tracks from the detection logs of several cameras."""
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

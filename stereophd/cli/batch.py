@@ -54,11 +54,11 @@ def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = Fals
 
 
 def say_what_is_kept(out: Path) -> None:
-    """Say that an interrupted command can go on, if it can."""
+    """Report that an interrupted command can be continued, if it can."""
     from stereophd.pipeline.unfinished import can_resume
 
     if can_resume(out) or any(out.glob("*/report.json")):
-        print(f"what is done is kept in {out}: --resume goes on", file=sys.stderr)
+        print(f"finished parts are kept in {out}; --resume continues", file=sys.stderr)
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, load, print_report, progress_bar
+from stereophd.cli.batch import are_many, finish_batch
+from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
 from stereophd.errors import GateError
 
 
@@ -23,13 +23,14 @@ class Require(StrEnum):
 def calibrate_command(
     context: typer.Context,
     config: options.Config,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Detection log (Parquet).", show_default=False)],
+    log: options.Logs,
     out: options.Out,
     cameras: options.Cameras = None,
     jobs: Annotated[
         int,
         typer.Option("--jobs", metavar="N", help="Processes (-1: all cores); the outputs do not depend on it."),
     ] = -1,
+    dask: options.Dask = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue from the checkpoint (DIR.checkpoint) of an interrupted run.")
     ] = False,
@@ -45,6 +46,7 @@ def calibrate_command(
         Require | None,
         typer.Option("--require", help="Exit with 1 if the data determine less of the cameras.", show_default=False),
     ] = None,
+    strict: options.Strict = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
@@ -53,19 +55,32 @@ def calibrate_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Estimate camera poses from a detection log of moving objects: cameras.yaml, posterior and report."""
+    """Estimate camera poses from a detection log of moving objects: cameras.yaml, posterior and report.
+
+    Of several logs each is used by itself, and has a folder in DIR and a row in DIR/summary.parquet.
+    """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
+    least: Literal["determined", "partly"] | None = None if require is None else require.value
+    if are_many(log):
+        from stereophd.commands.calibrate_logs import calibrate_logs
+
+        with progress_bar(session, "calibrate") as progress:
+            found = calibrate_logs(loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least)
+        finish_batch(session, found, strict)
+        return
     from stereophd.commands.calibrate import calibrate
+    from stereophd.pipeline.batch.names import expand
 
     try:
         with progress_bar(session, "calibrate") as progress:
             report = calibrate(
-                loaded, log, out, force=force, jobs=jobs, resume=resume, plots=plots, progress=progress,
-                require=None if require is None else require.value,
+                loaded, expand(log)[0], out, force=force, jobs=jobs, resume=resume, plots=plots, progress=progress,
+                require=least,
             )  # fmt: skip
     except GateError as error:
         if error.report is not None:
-            print_report(session, error.report)
+            print_run(session, error.report)
         raise
-    print_report(session, report)
+    print_run(session, report)
+    exit_if_strict(strict, report)

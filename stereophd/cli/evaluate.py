@@ -10,8 +10,9 @@ import typer
 
 from stereophd.cli import evaluate_options as of
 from stereophd.cli import options
+from stereophd.cli.batch import finish_batch
 from stereophd.cli.options import Session
-from stereophd.cli.terminal import begin, load, print_report, quiet_pipe
+from stereophd.cli.terminal import begin, load, print_report, progress_bar, quiet_pipe
 from stereophd.errors import GateError, InputError
 
 Report = dict[str, Any]
@@ -33,6 +34,7 @@ def evaluate_command(
     seen_by: of.SeenBy = None,
     within: of.Within = None,
     ospa2_window: of.Ospa2Window = 10,
+    tentative: of.Tentative = False,
     cameras: of.Cameras = None,
     true_cameras: of.TrueCameras = None,
     config: of.Config = None,
@@ -40,13 +42,19 @@ def evaluate_command(
     fail_above: of.FailAbove = None,
     fail_below: of.FailBelow = None,
     plots: of.Plots = None,
+    jobs: options.Jobs = 1,
+    dask: options.Dask = None,
     force: options.Force = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Score tracks against the truth (OSPA, RMSE, identities, NEES), or calibrated cameras against true ones."""
+    """Score tracks against the truth (OSPA, RMSE, identities, NEES), or calibrated cameras against true ones.
+
+    With folders of runs as TRACKS and TRUTH, each NAME/tracks.parquet is scored against NAME/truth.parquet or
+    NAME.parquet, and DIR/summary.parquet has a row for each.
+    """
     session = begin(context)
     above = of.parse_limits("--fail-above", fail_above or [])
     below = of.parse_limits("--fail-below", fail_below or [])
@@ -63,13 +71,24 @@ def evaluate_command(
         raise InputError("expected TRACKS and TRUTH, or --cameras and --true-cameras")
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
+    words: dict[str, Any] = {
+        "order": order, "cutoff": cutoff, "base": base.value, "from_s": from_s, "to_s": to_s, "max_gap_s": max_gap,
+        "at": at.value, "log_path": log, "seen_by": seen_by, "within_s": within, "ospa2_window": ospa2_window,
+        "cameras_path": cameras, "plots": plots, "fail_above": above, "fail_below": below,
+        "tentative": tentative,
+    }  # fmt: skip
+    if tracks.is_dir():
+        if out is None:
+            raise InputError("expected --out DIR for the scores of a folder of runs, found none")
+        from stereophd.commands.evaluate_runs import evaluate_runs
+
+        with progress_bar(session, "evaluate") as progress:
+            found = evaluate_runs(tracks, truth, out, force, progress, jobs, dask, **words)
+        finish_batch(session, found)
+        return
     from stereophd.commands.evaluate import evaluate
 
-    score = partial(
-        evaluate, tracks, truth, out, order=order, cutoff=cutoff, base=base.value, from_s=from_s, to_s=to_s,
-        max_gap_s=max_gap, at=at.value, log_path=log, seen_by=seen_by, within_s=within, ospa2_window=ospa2_window,
-        cameras_path=cameras, force=force, plots=plots, fail_above=above, fail_below=below,
-    )  # fmt: skip
+    score = partial(evaluate, tracks, truth, out, force=force, **words)
     _run(score, partial(_show_scores, session))
 
 

@@ -26,8 +26,12 @@ class At(StrEnum):
     EVENTS = "events"
 
 
-Tracks = Annotated[Path | None, typer.Argument(metavar="TRACKS", help="tracks.parquet.", show_default=False)]
-Truth = Annotated[Path | None, typer.Argument(metavar="TRUTH", help="truth.parquet.", show_default=False)]
+Tracks = Annotated[
+    Path | None, typer.Argument(metavar="TRACKS", help="tracks.parquet, or a folder of runs.", show_default=False)
+]
+Truth = Annotated[
+    Path | None, typer.Argument(metavar="TRUTH", help="truth.parquet, or a folder of truths.", show_default=False)
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -96,6 +100,10 @@ Within = Annotated[
 Ospa2Window = Annotated[
     int,
     typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2)."),
+]
+Tentative = Annotated[
+    bool,
+    typer.Option("--tentative", help="Score tentative estimates beside the confirmed ones."),
 ]
 Cameras = Annotated[
     Path | None,

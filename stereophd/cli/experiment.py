@@ -20,7 +20,7 @@ def experiment_command(
     out: options.Out,
     jobs: options.Jobs = 1,
     dask: options.Dask = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted experiment stopped.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted experiment.")] = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,

@@ -31,6 +31,9 @@ def export_command(
         float | None,
         typer.Option("--rate", metavar="HZ", help="Resample the tracks to this rate.", show_default=False, min=1e-9),
     ] = None,
+    tentative: Annotated[
+        bool, typer.Option("--tentative", help="Write tentative estimates beside the confirmed ones.")
+    ] = False,
     force: options.Force = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -42,7 +45,7 @@ def export_command(
     from stereophd.commands.export import export
     from stereophd.io.interchange.base import ExportOptions
 
-    report = export(form, source, out, ExportOptions(track, rate), force)
+    report = export(form, source, out, ExportOptions(track, rate, tentative), force)
     if session.json:
         print_report(session, report)
     elif not session.quiet:

@@ -74,7 +74,7 @@ def import_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Turn files of another program into detections.parquet, cameras.yaml and report.json."""
+    """Convert files of another program to detections.parquet, cameras.yaml and report.json."""
     session = begin(context)
     from stereophd.commands.importing import import_recording
     from stereophd.io.interchange.base import ImportOptions

@@ -48,7 +48,7 @@ Out = Annotated[
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG...", help="Detection log (Parquet), several, or patterns that they fit.", show_default=False
+        metavar="LOG...", help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'.", show_default=False
     ),
 ]
 Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]

@@ -29,7 +29,7 @@ def simulate_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Make up a scene: detections.parquet, truth.parquet and cameras.yaml."""
+    """Simulate a scene: detections.parquet, truth.parquet and cameras.yaml."""
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
     from stereophd.commands.simulate import simulate

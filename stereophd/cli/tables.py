@@ -27,7 +27,7 @@ def print_evaluation(report: Mapping[str, Any], console: Console) -> None:
     table.add_column(justify="right", no_wrap=True)
     table.add_column(style="dim")
     unit = f" {report['length_unit']}" if report["length_unit"] else ""
-    for section in (_distance_rows, _error_rows, _number_rows, _identity_rows, _scan_rows):
+    for section in (_distance_rows, _error_rows, _number_rows, _identity_rows, _confirmation_rows, _scan_rows):
         for row in section(report, unit):
             table.add_row(*row)
     console.print(table)
@@ -81,6 +81,14 @@ def _identity_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     yield "fragmentation", _number(completeness["fragmentation"]), "mean number of tracks on an object"
 
 
+def _confirmation_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
+    waited = report["confirmation"]
+    note = f"mean over {waited['objects']} objects; median {_number(waited['median_s'], ' s')}"
+    never = f", {waited['never']} never" if waited["never"] else ""
+    yield "time to confirmation", _number(waited["mean_s"], " s"), f"{note}{never}"
+    yield "  first report", _number(waited["first_report_mean_s"], " s"), "confirmed or tentative"
+
+
 def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     scans, window = report["scans"], report["window"]
     per = "time" if window["at"] == "times" else "event"
@@ -92,6 +100,8 @@ def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     }
     why = ", ".join(f"{scans[key]} {text}" for key, text in reasons.items() if scans[key])
     yield "  not scored", str(scans["not_scored"]), why
+    if report["tentative"]:
+        yield "  tentative estimates", "", "scored beside the confirmed ones"
     if report["seen_by"] is not None:
         seen = report["seen_by"]
         yield "  only objects", "", f"seen by {seen['cameras']} cameras within {seen['within_s']:g} s"

@@ -8,7 +8,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
-from stereophd.cli.terminal import begin, exit_if_strict, load, print_report, progress_bar
+from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
 
 
 def track_command(
@@ -23,8 +23,20 @@ def track_command(
         int,
         typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it."),
     ] = 1,
+    pieces: Annotated[
+        float | None,
+        typer.Option(
+            "--pieces",
+            metavar="S",
+            help="Cut the log into pieces of at most S seconds, track them independently, and join their tracks.",
+            show_default=False,
+        ),
+    ] = None,
+    overlap: Annotated[
+        float, typer.Option("--overlap", metavar="S", help="Seconds before its own span from which a piece is tracked.")
+    ] = 60.0,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on where an interrupted run stopped; what is finished stays.")
+        bool, typer.Option("--resume", help="Continue an interrupted run; keep what is finished.")
     ] = False,
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
@@ -32,6 +44,10 @@ def track_command(
     associations: Annotated[
         bool,
         typer.Option("--associations", help="Write which detection belongs to which track (report.associations)."),
+    ] = False,
+    plots: Annotated[
+        bool,
+        typer.Option("--plots", help="Draw views, timelines, residuals (needs the extra 'plot'; adds --associations)."),
     ] = False,
     strict: options.Strict = False,
     overrides: options.Set = None,
@@ -42,14 +58,14 @@ def track_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Turn detection logs into 3-D tracks: tracks.parquet, scans.parquet and report.json.
+    """Estimate 3-D tracks from detection logs: tracks.parquet, scans.parquet and report.json.
 
-    Of several logs each has a folder in DIR, and DIR/summary.parquet a row.
+    With several logs, each has a folder in DIR, and DIR/summary.parquet has a row for each.
     """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
     wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
-    wanted += ["report.associations=true"] if associations else []
+    wanted += ["report.associations=true"] if associations or plots else []
     if wanted:
         loaded = load(config, [*(overrides or []), *wanted], seed, cameras)
     many = are_many(log)
@@ -58,17 +74,20 @@ def track_command(
             if many:
                 from stereophd.commands.track_logs import track_logs
 
-                report = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask)
+                report = track_logs(
+                    loaded, log, out, force, threads, progress, resume, jobs, dask, pieces, overlap, plots
+                )
             else:
                 from stereophd.commands.track import track
                 from stereophd.pipeline.batch.names import expand
 
-                report = track(loaded, expand(log)[0], out, force, threads, progress, resume)
+                path = expand(log)[0]
+                report = track(loaded, path, out, force, threads, progress, resume, pieces, overlap, jobs, dask, plots)
     except (KeyboardInterrupt, SystemExit):
         say_what_is_kept(out)
         raise
     if many:
         finish_batch(session, report, strict)
     else:
-        print_report(session, report)
+        print_run(session, report)
         exit_if_strict(strict, report)

@@ -29,6 +29,9 @@ from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
+from stereophd.pipeline.checks.tracking import check_tracking
+from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
@@ -42,6 +45,7 @@ from stereophd.report.installed import whether_to_draw
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
+    from stereophd.pipeline.checks.finding import Finding
     from stereophd.pipeline.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
@@ -53,6 +57,9 @@ ACCEPTED = {
     "partly": (DETERMINED, PARTLY),
     "determined": (DETERMINED,),
 }
+
+# Checks that the calibrated cameras make possible; those of the log by itself come first.
+WITH_CAMERAS = ("geometry.", "settings.")
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -92,7 +99,8 @@ def calibrate(
     jobs : int
         Processes (threads, of particles; -1: as many as there are cores); the outputs do not depend on it.
     resume : bool
-        Continue from the checkpoint of an interrupted run; the outputs are those of an uninterrupted one.
+        Continue from the checkpoint of an interrupted run; the outputs are those of an uninterrupted one. The results
+        of a finished run stay as they are.
     plots : bool, optional
         Whether to draw plots; default if matplotlib is installed.
     progress : callable, optional
@@ -122,11 +130,15 @@ def calibrate(
     jobs = effective_n_jobs(jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
+    record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
+    if resume and (done := finished_report(out_dir, record, force)) is not None:
+        return _accepted(done, require, log_path)
     drawn = whether_to_draw(plots)
     identity = f"{loaded.sha256} {file_sha256(log_path)}"
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
+    findings = report_findings(check_log_alone(loaded, log_path))
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
         # Only here, where no other run can be at work on it.
@@ -142,14 +154,15 @@ def calibrate(
                 LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
             raise
         report = build_report(section, problem, outcome, loaded.config.units.length)
-        record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
         _write_posterior(out, problem, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
             cameras = problem.parameters.build(outcome.values)
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )
-            report["tracking"] = _track(loaded, cameras, log_path, out, to_metadata(record))
+            report["tracking"], further = _track(loaded, cameras, log_path, out, to_metadata(record))
+            findings += report_findings(further)
+        report["checks"] = findings
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
@@ -159,6 +172,11 @@ def calibrate(
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
+    return _accepted(report, require, log_path)
+
+
+def _accepted(report: dict[str, Any], require: str | None, log_path: Path | str) -> dict[str, Any]:
+    """Return a report that satisfies `require`; raise `GateError` otherwise."""
     if report["status"] not in ACCEPTED[require]:
         raise GateError(f"{log_path}: the cameras are {report['status']}: {report['reason']}", report)
     if report["status"] != DETERMINED:
@@ -195,10 +213,16 @@ def _track(
     log_path: Path | str,
     out: OutputFolder,
     metadata: dict[bytes, bytes],
-) -> dict[str, Any]:
-    """Track with the calibrated cameras, as `stereophd.commands.track` does; return the figures of the run."""
+) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
     report = loaded.config.report
     multi_filter = pmb_filter(loaded, cameras)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
-    return write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
+    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
+    findings = [
+        found
+        for found in check_log(loaded, log_path, thorough=False, cameras=cameras)
+        if found.name.startswith(WITH_CAMERAS)
+    ]
+    return summary, (*findings, *check_tracking(summary, stream.counts, cameras))

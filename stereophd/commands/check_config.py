@@ -32,8 +32,12 @@ def check_config(loaded: LoadedConfig, command: str | None = None) -> None:
 
 
 def _check_track(loaded: LoadedConfig) -> None:
+    from stereophd.config.loading import variant
+    from stereophd.core.motion.settings import ESTIMATE
     from stereophd.pipeline.tracking.run import build_tracking
 
+    if getattr(loaded.config.motion, "acceleration_std", None) == ESTIMATE:
+        loaded = variant(loaded, [("", {"motion.acceleration_std": 1.0})])  # any number: the log will give it
     build_tracking(loaded)
 
 

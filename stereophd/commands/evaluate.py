@@ -53,6 +53,7 @@ def evaluate(
     seen_by: int | None = None,
     within_s: float | None = None,
     ospa2_window: int = 10,
+    tentative: bool = False,
     fail_above: Mapping[str, float] | None = None,
     fail_below: Mapping[str, float] | None = None,
     cameras_path: Path | str | None = None,
@@ -88,6 +89,8 @@ def evaluate(
         them are left out.
     ospa2_window : int
         Number of scored scans in a window of OSPA(2).
+    tentative : bool
+        Score tentative estimates beside the confirmed ones.
     fail_above, fail_below : mapping, optional
         Limits of figures, such as ``{"ospa.mean": 0.8}``.
     cameras_path : path, optional
@@ -113,7 +116,7 @@ def evaluate(
         report as `report`.
     """
     chosen = PAPER_CUTOFF if cutoff is None else cutoff
-    options = Options(order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window)
+    options = Options(order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window, tentative)
     check_options(options, log_path)
     run = partial(
         _run, _input_paths(tracks_path, truth_path, log_path, cameras_path), options, cutoff is not None,

@@ -1,4 +1,4 @@
-"""Make up a scene from a configuration: the truth, the cameras, and the log of their detections.
+"""Simulate the scene of a configuration: the truth, the cameras, and the log of their detections.
 
 Every run has random numbers of its own, and in it the objects and each camera have theirs
 (`numpy.random.SeedSequence`): run k is the same whatever the number of runs or of workers, and a

@@ -7,6 +7,9 @@ written as they are made (smoothing, which needs the whole run, holds it in memo
 from __future__ import annotations
 
 import logging
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +25,13 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.finished import finished_report
+from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.journal import RecordJournal
+from stereophd.pipeline.tracking.lifetimes import lasting
+from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -35,13 +42,16 @@ from stereophd.pipeline.tracking.run import (
     with_estimated_detectors,
     write_tracks,
 )
+from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 CAMERAS_FILE = "cameras.yaml"
-FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
+PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -55,6 +65,11 @@ def track(
     threads: int = 1,
     progress: Progress | None = None,
     resume: bool = False,
+    pieces_s: float | None = None,
+    overlap_s: float = OVERLAP_S,
+    jobs: int = 1,
+    dask: str | None = None,
+    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -75,8 +90,17 @@ def track(
     progress : callable, optional
         Called with the rows done and their total.
     resume : bool
-        Whether to go on with an unfinished run of this configuration and log, and to leave the results of a finished
+        Whether to continue an unfinished run of this configuration and log, and to leave the results of a finished
         one as they are; the outputs are those of an undisturbed run.
+    pieces_s : float, optional
+        Longest piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
+    overlap_s : float
+        Time before its own span from which a piece is tracked, s.
+    jobs, dask : int, str
+        Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
+        them.
+    plots : bool
+        Whether to draw views, timelines of the tracks and, with ``report.associations``, residuals by camera.
 
     Returns
     -------
@@ -89,59 +113,107 @@ def track(
         The configuration has no filter or no cameras; the log is not usable; the output folder is not
         ours or cannot be written.
     """
+    loaded, motion = with_estimated_motion(loaded, log_path)
     tracking = build_tracking(loaded, threads)
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     record = provenance("track", loaded.record, inputs={"detections": log_path})
+    if pieces_s is not None:
+        if not 0.0 < overlap_s <= pieces_s:
+            raise InputError(f"`pieces_s`: expected pieces at least as long as their overlap, {overlap_s:g} s")
+        record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     if resume and (report := finished_report(out_dir, record, force)) is not None:
+        unfinished.remove()
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     _announce_compilation()
     findings = check_log(loaded, log_path, thorough=False)
-    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     with output_lock(out_dir):
         unfinished.prepare(resume, force)
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
             tracking = with_estimated_detectors(tracking, loaded, stream, threads)
             stream = stream.with_cameras(tracking.cameras)
-            try:
-                report = _write(loaded, tracking, stream, findings, record, unfinished, out)
-            except InputError:
-                unfinished.remove()  # a fault of the log: nobody can go on from here
-                raise
+            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
+            if pieces_s is None:
+                journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
+                report = run.write(tracking.records(stream, journal), findings, out)
+            else:
+                joined = run.in_pieces(pieces_s, overlap_s, threads, jobs, dask, progress)
+                report = run.write(run.lasting(joined.records()), findings, out, joined)
         unfinished.remove()
     _warn_of_losses(stream)
     return report
 
 
-def _write(
-    loaded: LoadedConfig,
-    tracking: Tracking,
-    stream: EventStream,
-    findings: tuple[Finding, ...],
-    record: dict[str, Any],
-    unfinished: UnfinishedRun,
-    out: OutputFolder,
-) -> dict[str, Any]:
-    """Track, and write all files of the output folder."""
-    journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
-    if tracking.detectors is not None:
-        described = with_detectors(loaded.cameras, tracking.cameras)
-        write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, record)
-    records, metadata = tracking.records(stream, journal), to_metadata(record)
-    summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report)
-    findings += tuple(check_tracking(summary, stream.counts, tracking.cameras))
-    report = {
-        "report_version": REPORT_VERSION,
-        "length_unit": loaded.config.units.length,
-        "input": stream.counts,
-        "detectors": tracking.detectors,
-        **summary,
-        "checks": report_findings(findings),
-        "provenance": record,
-    }
-    write_json(out.path("report.json"), report)
-    return report
+@dataclass(frozen=True)
+class _Run:
+    """One run: what tracks, what is read, and where an unfinished run is kept."""
+
+    loaded: LoadedConfig
+    tracking: Tracking
+    stream: EventStream
+    record: dict[str, Any]
+    unfinished: UnfinishedRun
+    motion: dict[str, Any] | None = None
+    plots: bool = False
+
+    def in_pieces(
+        self, length_s: float, overlap_s: float, threads: int, jobs: int, dask: str | None, progress: Progress | None
+    ) -> JoinedPieces:
+        """Track the log in pieces."""
+        log = Path(os.path.abspath(self.stream.source))
+        folder = Path(os.path.abspath(self.unfinished.folder))
+        work = PieceWork(self.loaded, self.tracking.cameras, log, folder, self.unfinished.identity, threads)
+        ahead = self.loaded.config.report.smooth is not None
+        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
+        track_pieces(work, pieces, jobs, dask, progress)
+        joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
+        self.stream.not_invertible = joined.not_invertible
+        return joined
+
+    def lasting(self, records: Iterator[Record]) -> Iterator[Record]:
+        """Leave out short tracks, if the configuration asks for it."""
+        least = self.loaded.config.report.min_track_length
+        return lasting(records, least) if least > 0.0 else records
+
+    def write(
+        self, records: Iterator[Record], findings: tuple[Finding, ...], out: OutputFolder,
+        joined: JoinedPieces | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Write all files of the output folder; return the report."""
+        loaded, tracking = self.loaded, self.tracking
+        if tracking.detectors is not None:
+            described = with_detectors(loaded.cameras, tracking.cameras)
+            write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
+        summary = write_tracks(records, out, to_metadata(self.record), tracking.cameras, loaded.config.report)
+        findings += tuple(check_tracking(summary, self.stream.counts, tracking.cameras))
+        report = {
+            "report_version": REPORT_VERSION,
+            "length_unit": loaded.config.units.length,
+            "input": self.stream.counts,
+            "detectors": tracking.detectors,
+            "motion": self.motion,
+            **({} if joined is None else {"pieces": joined.report()}),
+            **summary,
+            "checks": report_findings(findings),
+            "provenance": self.record,
+        }
+        write_json(out.path("report.json"), report)
+        if self.plots:
+            _draw(report, out)
+        return report
+
+
+def _draw(report: dict[str, Any], out: OutputFolder) -> None:
+    """Draw the plots of a run from the files that it has written."""
+    # Costly to import, and matplotlib is an extra.
+    from stereophd.pipeline.inspection.runs import read_run
+    from stereophd.report.track_plots import write_track_plots
+
+    run = read_run(out.path(TRACKS_FILE).parent, "track", report)
+    kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]
+    write_track_plots(run, {name: out.path(name) for name in kept})
 
 
 def _announce_compilation() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from stereophd.commands.track import FILES, track
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import FLOAT, INTEGER
-from stereophd.pipeline.batch.names import expand, folder_names
-from stereophd.pipeline.batch.run import Batch, Item, run_batch
+from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.tracking.pieces import OVERLAP_S
 from stereophd.pipeline.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
@@ -37,6 +36,9 @@ def track_logs(
     resume: bool = False,
     jobs: int = 1,
     dask: str | None = None,
+    pieces_s: float | None = None,
+    overlap_s: float = OVERLAP_S,
+    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of many detection logs.
 
@@ -60,6 +62,8 @@ def track_logs(
         Processes on this machine; the outputs do not depend on it.
     dask : str, optional
         Address of a Dask scheduler whose workers do the work instead.
+    pieces_s, overlap_s, plots : float, float, bool
+        As of `stereophd.commands.track.track`.
 
     Returns
     -------
@@ -71,23 +75,30 @@ def track_logs(
     InputError
         No log fits a pattern, one is given twice, or the output folder cannot be used.
     """
-    paths = expand(logs)
-    items = [
-        Item(name, str(path), (Path(os.path.abspath(path)),))
-        for name, path in zip(folder_names(paths), paths, strict=True)
-    ]
+    items = log_items(logs)
     metadata = to_metadata(provenance("track", loaded.record))
+    keywords = {"threads": threads, "pieces_s": pieces_s, "overlap_s": overlap_s, "plots": plots}
     batch = Batch(
-        items, partial(_track, loaded, force, resume, threads), (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
+        items, partial(_track, loaded, force, resume, keywords), _values, (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
     )
     return run_batch(batch, out_dir, jobs, dask, force, resume, progress)
 
 
 def _track(
-    loaded: LoadedConfig, force: bool, resume: bool, threads: int, item: Item, out: Path, progress: Progress | None
+    loaded: LoadedConfig,
+    force: bool,
+    resume: bool,
+    keywords: Mapping[str, Any],
+    item: Item,
+    out: Path,
+    progress: Progress | None,
 ) -> Mapping[str, Any]:
-    """Track one log; return its values in the summary."""
-    report = track(loaded, item.paths[0], out, force, threads, progress, resume)
+    """Track one log."""
+    return track(loaded, item.paths[0], out, force, progress=progress, resume=resume, **keywords)
+
+
+def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the values of a row of the summary."""
     return {
         "frames": report["input"]["frames"],
         "detections": report["input"]["detections"],

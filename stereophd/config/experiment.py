@@ -52,6 +52,7 @@ class MultiObjectScenario(Model):
         " a limit for all trackers of straight paths",
         default="filter",
     )
+    tentative: bool = parameter("whether tentative objects are scored beside the confirmed ones", default=False)
     ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)] = parameter("distances that are reported")
 
 
@@ -103,8 +104,21 @@ class CalibrationScenario(Model):
     bound_scenes: Count = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
 
 
+class StaticSceneScenario(Model):
+    """Points that stand still, seen in the views of ``simulate``: feature correspondence by ``filter``."""
+
+    kind: Literal["static_scene"] = parameter("what is run")
+    cutoff: PositiveLength = parameter("an estimate further than this from a point is none of it", unit="length")
+    bound_scenes: Count = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
+
+
 Scenario = Annotated[
-    MultiObjectScenario | LocalisationScenario | TrackingScenario | MoveScenario | CalibrationScenario,
+    MultiObjectScenario
+    | LocalisationScenario
+    | TrackingScenario
+    | MoveScenario
+    | CalibrationScenario
+    | StaticSceneScenario,
     Field(discriminator="kind"),
 ]
 

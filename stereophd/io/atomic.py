@@ -22,7 +22,15 @@ from stereophd.io.commit import COMMIT_NAME, NEW, OLD, beside_of, commit_files, 
 from stereophd.io.disk import TEMPORARY_PREFIX, USER_ERRNOS, current_umask, signals_deferred, sync, write_error
 from stereophd.io.locks import LOCK_NAME, output_lock
 
-__all__ = ["TEMPORARY_PREFIX", "OutputFolder", "atomic_write", "output_folder", "output_lock", "temporary_beside"]
+__all__ = [
+    "TEMPORARY_PREFIX",
+    "OutputFolder",
+    "atomic_write",
+    "output_folder",
+    "output_lock",
+    "temporary_beside",
+    "tidy",
+]
 
 
 def temporary_beside(path: Path) -> Path:
@@ -145,6 +153,23 @@ def _remove_leftovers(folder: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
         elif path.name != LOCK_NAME:
             path.unlink(missing_ok=True)
+
+
+def tidy(path: Path | str) -> None:
+    """Finish or remove what a killed run left in an output folder, if anything.
+
+    Raises
+    ------
+    InputError
+        A run is at work in the folder, or it cannot be written to.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        return
+    if any(folder.glob(f"{TEMPORARY_PREFIX}*")) or beside_of(folder.resolve()).exists():
+        with output_lock(folder):
+            complete(folder)
+            _remove_leftovers(folder)
 
 
 class OutputFolder:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 import logging
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from stereophd.errors import InputError
 from stereophd.io.log_checks import (
@@ -94,6 +96,9 @@ class LogReader:
         ``error``: the first bad row raises; ``drop``: bad rows are dropped and counted.
     image_margin_px
         A detection further than this outside the image is a bad row.
+    from_s
+        True time before which no frame is asked for: row groups that end before it are not read. (Frames before it
+        may still come.)
 
     Attributes
     ----------
@@ -116,8 +121,10 @@ class LogReader:
         cameras: Sequence[Camera],
         on_bad_row: Literal["error", "drop"] = "error",
         image_margin_px: float = 10.0,
+        from_s: float = -math.inf,
     ) -> None:
         self.path = Path(path)
+        self._from_s = from_s
         self._cameras = tuple(cameras)
         self._index = {camera.name: i for i, camera in enumerate(cameras)}
         self._drop = on_bad_row == "drop"
@@ -198,8 +205,9 @@ class LogReader:
 
     def _good_rows(self, state: OrderState, only: int | None) -> Iterator[Rows]:
         """Yield pieces of the log without rows that are bad by themselves or too early."""
-        start = 0
-        for batch in self._batches():
+        start: int | None = None
+        for first_row, batch in self._batches():
+            start = first_row if start is None else start
             with damaged_is_input_error(self.path):
                 piece = decode(batch, start, self._index, self.path)
             rows = piece.rows
@@ -229,15 +237,30 @@ class LogReader:
             self.counts[fault.kind] += int((new if counted is None else new & counted).sum())
         return good
 
-    def _batches(self) -> Iterator[pa.RecordBatch]:
+    def _batches(self) -> Iterator[tuple[int, pa.RecordBatch]]:
+        """Yield pieces of the file, each with the number of the first row that is read at all."""
         with open_parquet(self.path, "detection log") as parquet:
-            pieces = parquet.iter_batches(batch_size=ROW_GROUP_ROWS, columns=self._columns, use_threads=False)
+            groups, first_row = self._groups(parquet.metadata)
+            pieces = parquet.iter_batches(ROW_GROUP_ROWS, groups, columns=self._columns, use_threads=False)
             while True:
                 with damaged_is_input_error(self.path):
                     batch = next(pieces, None)
                 if batch is None:
                     return
-                yield batch
+                yield first_row, batch
+
+    def _groups(self, metadata: pq.FileMetaData) -> tuple[list[int], int]:
+        """Return the row groups to read, all from the first one that reaches `from_s`, and their first row."""
+        least = min((camera.clock.to_log(self._from_s) for camera in self._cameras), default=-math.inf)
+        column = metadata.schema.names.index("time_s")
+        first_row = 0
+        for group in range(metadata.num_row_groups):
+            rows = metadata.row_group(group)
+            statistics = rows.column(column).statistics
+            if statistics is None or not statistics.has_min_max or not statistics.max < least:
+                return list(range(group, metadata.num_row_groups)), first_row
+            first_row += rows.num_rows
+        return [], first_row
 
     def _split(self, rows: Rows, state: OrderState) -> Iterator[Frame]:
         """Check the rows against those around them, and yield their frames in order."""

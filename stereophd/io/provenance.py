@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,7 +85,16 @@ def canonical_json(value: Any) -> str:
     is part of what is recorded. Resolved configurations come in the order of the models, whatever
     the order in the file.
     """
-    return json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return json.dumps(_finite(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    """Return a value with infinities as text, which JSON lacks; reading the configuration again takes them as such."""
+    if isinstance(value, Mapping):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(one) for one in value]
+    return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
 def sha256_of(value: Any) -> str:
@@ -135,7 +145,7 @@ def provenance(
     return {
         "version": stereophd.__version__,
         "command": command,
-        "config": resolved,
+        "config": _finite(resolved),
         "config_sha256": digest,
         "seed": seed,
         "inputs": dict(sorted(hashes.items())),

@@ -70,8 +70,20 @@ DETECTIONS = _schema({**_KEY, "u_px": FLOAT, "v_px": FLOAT}, nullable=("u_px", "
 OBJECT_ID = pa.field("object_id", INTEGER, nullable=True)
 #: One row a true object and time.
 TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **_POSITION, **_VELOCITY})
-#: One row a reported object and event; the covariance is 6x6, row-major, in the world frame.
-TRACKS = _schema({**_KEY, "track_id": INTEGER, **_POSITION, **_VELOCITY, "covariance": COVARIANCE, "existence": FLOAT})
+#: One row a reported object and event; the covariance is 6x6, row-major, in the world frame; status is one of the two.
+TRACKS = _schema(
+    {
+        **_KEY,
+        "track_id": INTEGER,
+        **_POSITION,
+        **_VELOCITY,
+        "covariance": COVARIANCE,
+        "existence": FLOAT,
+        "status": STRING,
+    }
+)
+#: Status of an estimate; tables without the column hold confirmed ones only.
+CONFIRMED, TENTATIVE = "confirmed", "tentative"
 #: Optional columns of tracks: standard deviations of the position along the axes of the world.
 STD = tuple(pa.field(name, FLOAT, nullable=False) for name in ("std_x", "std_y", "std_z"))
 #: One row a detection and reported track that it may belong to.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.errors import InputError
-from stereophd.io.commit import complete
+from stereophd.io.atomic import tidy
 
 REPORT_FILE = "report.json"
 
@@ -36,8 +36,7 @@ def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) 
         The folder holds the results of another configuration or of other inputs, and `force` is not given.
     """
     path = Path(folder) / REPORT_FILE
-    if path.parent.is_dir():
-        complete(path.parent)
+    tidy(path.parent)
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

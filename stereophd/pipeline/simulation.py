@@ -13,6 +13,7 @@ from stereophd.config.simulate import SimulateConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene
 from stereophd.core.simulation.drawing import Drawing, draw_objects
@@ -28,7 +29,7 @@ def scene_motion(config: Config) -> Motion:
     if settings.motion is not None:
         own: Any = settings.motion
         # a scene has no noise that it does not state
-        if own.acceleration_std is None:
+        if own.acceleration_std in (None, ESTIMATE):
             own = replace(own, acceleration_std=0.0)
         built: Motion = own.build()
         return built

@@ -6,6 +6,7 @@ as estimators take it: undistorted, with its noise, on the true time. A *scan* i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,8 +37,8 @@ class EventStream:
         In order of true time, ties in the order of the cameras.
     progress : callable, optional
         Called with the rows of the log that were read and their total.
-    skip : int
-        Events at the beginning that are passed over, for a run that continues from a saved state.
+    from_s, until_s : float
+        Events before `from_s` are passed over, and the first one from `until_s` on is the last.
     """
 
     def __init__(
@@ -45,17 +46,19 @@ class EventStream:
         cameras: Sequence[Camera],
         frames: LogReader | Sequence[Frame],
         progress: Progress | None = None,
-        skip: int = 0,
+        from_s: float = -math.inf,
+        until_s: float = math.inf,
     ) -> None:
         self.cameras = tuple(cameras)
         self.frames = frames
         self.not_invertible = 0
         self._progress = progress
-        self._skip = skip
+        self._from_s = from_s
+        self._until_s = until_s
 
     def with_cameras(self, cameras: Sequence[Camera]) -> EventStream:
         """Return a stream of the same frames for cameras with other detectors."""
-        return EventStream(cameras, self.frames, self._progress, self._skip)
+        return EventStream(cameras, self.frames, self._progress, self._from_s, self._until_s)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -79,7 +82,7 @@ class EventStream:
     def __iter__(self) -> Iterator[Event]:
         self.not_invertible = 0
         for number, frame in enumerate(covered(self.cameras, self.frames, self.source)):
-            if number < self._skip:
+            if frame.time_s < self._from_s:
                 continue
             camera = self.cameras[frame.camera].at(frame.time_s)
             event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame)
@@ -87,6 +90,8 @@ class EventStream:
             yield event
             if number % PROGRESS_EVERY == 0:
                 self._report()
+            if frame.time_s >= self._until_s:
+                break
         self._report(done=True)
 
     def _report(self, done: bool = False) -> None:
@@ -122,7 +127,7 @@ def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> 
 
 
 def open_stream(
-    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None, skip: int = 0
+    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None
 ) -> EventStream:
     """Open a detection log with the settings of a configuration (section ``input``).
 
@@ -132,7 +137,7 @@ def open_stream(
     cameras : sequence of Camera
     path : path
         The log.
-    progress, skip
+    progress : callable, optional
         As of `EventStream`.
 
     Raises
@@ -141,7 +146,7 @@ def open_stream(
         The log cannot be read (see `stereophd.io.logs.LogReader`).
     """
     reader = LogReader(path, cameras, config.input.on_bad_row, config.input.image_margin_px)
-    return EventStream(cameras, reader, progress, skip)
+    return EventStream(cameras, reader, progress)
 
 
 def frames_in_order(cameras: Sequence[Camera], simulated: Iterable[SimulatedFrame]) -> list[Frame]:

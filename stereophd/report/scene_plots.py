@@ -51,6 +51,16 @@ def draw_views(pictures: Pictures) -> dict[str, Figure]:
 def _draw_view(
     pictures: Pictures, view: SceneView, title: str, rows: Any, cameras: Sequence[Camera], scene: FloatArray
 ) -> Figure:
+    figure, axes = view_axes(view, scene, title, bracketed(unit_text(pictures)))
+    draw_camera_views(axes, cameras, pictures.truth.position[rows], view)
+    _draw_estimates(axes, pictures.estimates, view, *limits(view.project(scene)))
+    _draw_truth(axes, pictures, view, rows)
+    legend_right(axes, ("truth", "start", "estimates", "false", "cameras"))
+    return figure
+
+
+def view_axes(view: SceneView, scene: FloatArray, title: str, unit: str) -> tuple[Figure, Axes]:
+    """Return a figure with axes for a view of a scene (n, 3), to scale; `unit` follows the names of the axes."""
     across, along = limits(view.project(scene))
     width, height = across[1] - across[0], along[1] - along[0]
     scale = min(8.0 / width, 6.5 / height)
@@ -59,21 +69,22 @@ def _draw_view(
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
-    points = pictures.truth.position[rows]
-    for camera in cameras:
-        _draw_field_of_view(axes, camera, viewing_depth(camera, points), view)
-    _draw_cameras(axes, cameras, view, 0.03 * max(width, height))
-    _draw_estimates(axes, pictures.estimates, view, across, along)
-    _draw_truth(axes, pictures, view, rows)
     axes.set_xlim(across)
     axes.set_ylim(along[::-1] if view.inverted else along)
     names = "xyz"
-    unit = bracketed(unit_text(pictures))
     axes.set_xlabel(f"{names[view.horizontal]}{unit}")
     axes.set_ylabel(f"{names[view.vertical]}{unit}{' (down)' if view.inverted else ''}")
     axes.set_title(title)
-    legend_right(axes, ("truth", "start", "estimates", "cameras"))
-    return figure
+    return figure, axes
+
+
+def draw_camera_views(axes: Axes, cameras: Sequence[Camera], points: FloatArray, view: SceneView) -> None:
+    """Draw cameras and what they see, past the farthest of the points (n, 3); the axes keep their limits."""
+    across, along = axes.get_xlim(), axes.get_ylim()
+    axes.autoscale(False)
+    for camera in cameras:
+        _draw_field_of_view(axes, camera, viewing_depth(camera, points), view)
+    _draw_cameras(axes, cameras, view, 0.03 * max(abs(across[1] - across[0]), abs(along[1] - along[0])))
 
 
 def _draw_field_of_view(axes: Axes, camera: Camera, depth: float, view: SceneView) -> None:

@@ -76,6 +76,7 @@ def test_outputs_are_those_of_track_and_depend_on_nothing_else(scene: Path, resu
         "history.parquet",
         "tracks.parquet",
         "scans.parquet",
+        "associations.parquet",
         "report.json",
     }
     assert names == expected
@@ -95,7 +96,17 @@ def test_outputs_are_those_of_track_and_depend_on_nothing_else(scene: Path, resu
 # what each way needs beside QUICK, and the step after which it is interrupted
 WAYS = {
     "annealed": (("calibration.method=annealed",), 1),
-    "sequential": (("calibration.method=sequential", "calibration.sequential.particles=12"), 30),
+    "plain": (
+        ("calibration.method=sequential", "calibration.sequential={moves: none, particles: 12, likelihood: phd}"),
+        30,
+    ),
+    "sequential": (
+        (
+            "calibration.method=sequential",
+            "calibration.sequential={particles: 8, first_particles: 8, moves_per_step: 1, inflation: [2]}",
+        ),
+        4,
+    ),
     "smc": (
         (
             "calibration.posterior=smc",
@@ -135,7 +146,7 @@ def test_an_interrupted_run_continues_to_the_same_result(scene: Path, tmp_path: 
         # the particles know of the distance too
         assert report["scale"]["posterior_over_prior_std"] < 0.3
         assert report["smc"]["ancestors"] > 1
-    if method == "sequential":
+    if method == "plain":
         # so few particles settle on wrong cameras, and do not get away with it
         report = json.loads((tmp_path / "whole" / "report.json").read_text())
         assert report["status"] == "undetermined"
@@ -359,11 +370,12 @@ def test_all_cores_are_used_by_default(scene: Path, tmp_path: Path, capsys: pyte
     from stereophd.cli.app import run
 
     words = ["calibrate", str(CONFIG), str(scene / "detections.parquet"), "--cameras", str(scene / "guess.yaml")]
-    words += ["--set", "calibration.method=sequential", "--set", "calibration.sequential={particles: 30, samples: 32}"]
+    small = "calibration.sequential={moves: none, particles: 30, samples: 32, likelihood: phd}"
+    words += ["--set", "calibration.method=sequential", "--set", small]
     run([*words, "--out", str(tmp_path / "out"), "--no-plots"])
     assert "internal error" not in capsys.readouterr().err
     one = calibrate(
-        loaded(scene, ("calibration.method=sequential", "calibration.sequential={particles: 30, samples: 32}")),
+        loaded(scene, ("calibration.method=sequential", small)),
         scene / "detections.parquet", tmp_path / "one", plots=False,
     )  # fmt: skip
     assert json.loads((tmp_path / "out" / "report.json").read_text())["status"] == one["status"]

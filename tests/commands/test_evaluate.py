@@ -235,6 +235,52 @@ def test_identity_switches(tmp_path):
     assert per_scan(tmp_path / "out")["ospa2"][:3] == pytest.approx([0.0, 0.0, 20 / 3])
 
 
+def with_status(path: Path, status: list[str]) -> Path:
+    pq.write_table(pq.read_table(path).append_column("status", pa.array(status)), path)
+    return path
+
+
+def test_tentative_estimates_count_only_when_asked_for(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, k, 100 * k) for t in range(6) for k in (0, 1)])
+    # Track 5 is confirmed after 2 s; object 1 is followed at once; track 9 is a false one.
+    rows = [(float(t), "a", t, track, x) for t in range(6) for track, x in ((5, 1.0), (6, 100.0))]
+    rows.insert(1, (0.0, "a", 0, 9, 50.0))
+    tentative = {(0.0, 5), (1.0, 5), (0.0, 9)}
+    status = ["tentative" if (row[0], row[3]) in tentative else "confirmed" for row in rows]
+    tracks = with_status(write_tracks(tmp_path / "tracks.parquet", rows), status)
+    report = evaluate(tracks, truth)
+    assert report["pairs"] == {"matched": 10, "missed": 2, "false": 0}
+    assert report["tracks"] == 2
+    assert report["tentative"] is False
+    waits = {"mean_s": 1.0, "median_s": 1.0, "max_s": 2.0, "first_report_mean_s": 0.0, "objects": 2, "never": 0}
+    assert report["confirmation"] == waits
+    both = evaluate(tracks, truth, tentative=True)
+    assert both["pairs"] == {"matched": 12, "missed": 0, "false": 1}
+    assert both["tracks"] == 3
+    assert both["tentative"] is True
+    assert both["confirmation"] == waits
+    # After 3 s both are confirmed from the first scored scan on.
+    assert evaluate(tracks, truth, from_s=3)["confirmation"]["max_s"] == 0.0
+
+
+def test_confirmation_of_objects_that_no_track_follows(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(t, k, 100 * k) for t in range(4) for k in (0, 1)])
+    rows = [(float(t), "a", t, -1, 0.0) for t in range(1, 4)]
+    report = evaluate(write_tracks(tmp_path / "tracks.parquet", rows), truth)
+    assert report["confirmation"]["mean_s"] == report["confirmation"]["first_report_mean_s"] == 1.0
+    assert (report["confirmation"]["objects"], report["confirmation"]["never"]) == (1, 1)
+    nothing = evaluate(write_tracks(tmp_path / "none" / "tracks.parquet", []), truth)["confirmation"]
+    assert (nothing["mean_s"], nothing["objects"], nothing["never"]) == (None, 0, 2)
+
+
+def test_an_unknown_status_is_an_error(tmp_path):
+    truth = write_truth(tmp_path / "truth.parquet", [(0, 0, 0), (1, 0, 0)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(0.0, "a", 0, 1, 0.0), (1.0, "a", 1, 1, 0.0)])
+    with_status(tracks, ["confirmed", "sure"])
+    with pytest.raises(InputError, match="row 1: column status: expected confirmed or tentative, found sure"):
+        evaluate(tracks, truth)
+
+
 def test_without_identities_there_are_no_figures_of_tracks(tmp_path):
     truth = write_truth(tmp_path / "truth.parquet", [(t, 4, 0) for t in range(4)])
     tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, -1, 0.0) for t in range(3)])

@@ -25,6 +25,7 @@ FLOATS, STRING, INTEGER = pa.float64(), pa.string(), pa.int64()
 TRACK_COLUMNS = {
     "time_s": FLOATS, "camera": STRING, "frame": INTEGER, "track_id": INTEGER,
     **dict.fromkeys(("x", "y", "z", "vx", "vy", "vz"), FLOATS), "covariance": "36 floats", "existence": FLOATS,
+    "status": STRING,
 }  # fmt: skip
 SCAN_COLUMNS = {
     "time_s": FLOATS, "camera": STRING, "frame": INTEGER, "n_detections": INTEGER, "cardinality_mean": FLOATS,

@@ -10,6 +10,9 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from stereophd.commands import calibrate_logs
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.evaluate_runs import evaluate_runs
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.commands.track_logs import track_logs
@@ -157,6 +160,50 @@ def test_the_command_line_ends_with_2_and_prints_a_table(
     printed = capsys.readouterr().out
     assert "2 done, 1 failed" in printed
     assert "log_likelihood" in printed
+
+
+def test_evaluate_scores_runs_by_name(loaded: LoadedConfig, scenes: Path, tmp_path: Path) -> None:
+    names = [folder.name for folder in sorted(scenes.glob("run-*"))]
+    track_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "tracks")
+    found = evaluate_runs(tmp_path / "tracks", scenes, tmp_path / "scores", plots=False)
+    assert [(row["folder"], row["status"]) for row in found["logs"]] == [(names[0], "done"), (names[2], "done")]
+    one = evaluate(tmp_path / "tracks" / names[0] / "tracks.parquet", scenes / names[0] / "truth.parquet")
+    assert found["logs"][0]["ospa"] == one["ospa"]["mean"]
+    assert summary(tmp_path / "scores") == found["logs"]
+
+
+def test_evaluate_of_runs_tells_a_gate_from_a_fault(loaded: LoadedConfig, scenes: Path, tmp_path: Path) -> None:
+    logs = [path for path in sorted(scenes.glob("run-*/detections.parquet")) if path.stat().st_size > 10]
+    track_logs(loaded, logs, tmp_path / "tracks")
+    limit = {"ospa.mean": 1e-9}
+    found = evaluate_runs(tmp_path / "tracks", scenes, tmp_path / "scores", plots=False, fail_above=limit)
+    assert [row["status"] for row in found["logs"]] == ["gate failed", "gate failed"]
+    assert found["exit_code"] == 1
+    assert found["logs"][0]["ospa"] > 0.0
+    (tmp_path / "truths").mkdir()
+    shutil.copy(scenes / logs[0].parent.name / "truth.parquet", tmp_path / "truths" / f"{logs[0].parent.name}.parquet")
+    found = evaluate_runs(tmp_path / "tracks", tmp_path / "truths", tmp_path / "scores", plots=False, force=True)
+    assert [row["status"] for row in found["logs"]] == ["done", "failed"]
+    assert found["exit_code"] == 2
+
+
+def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
+    loaded: LoadedConfig, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def calibrate(loaded: LoadedConfig, log: Path, out: Path, force: bool, **words: Any) -> dict[str, Any]:
+        if log.stat().st_size < 10:
+            raise InputError(f"{log}: no log")
+        out.mkdir(parents=True)
+        cameras = {"a": {"rotation_std_deg": 0.5, "center_std": 2.0}}
+        report = {"status": "determined", "input": {"frames": 8}, "cameras": cameras}
+        (out / "report.json").write_text("{}")
+        return report
+
+    monkeypatch.setattr(calibrate_logs, "calibrate", calibrate)
+    found = calibrate_logs.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out")
+    assert [row["calibration"] for row in summary(tmp_path / "out")] == ["determined", "", "determined"]
+    assert found["logs"][0]["rotation_std_deg"] == 0.5
+    assert found["exit_code"] == 2
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config, variant
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Series
-from stereophd.experiments.kinds import calibration, localisation, move, multi_object, tracking
+from stereophd.experiments.kinds import calibration, localisation, move, multi_object, static_scene, tracking
 
 from .conftest import Load
 
@@ -24,6 +24,7 @@ PAPER = Path(__file__).parent.parent.parent / "configs" / "paper"
 
 # What makes an experiment of the paper small, and the quantities that its figure shows.
 SMALL = {
+    "static_scene": ["experiment.runs=1", "experiment.scenario.bound_scenes=1", "experiment.cases={}"],
     "table2": ["experiment.runs=3"],
     "figure4": ["experiment.runs=2", "experiment.scenario.reference_samples=20000"],
     "figure7": ["experiment.runs=2", "experiment.scenario.reference_samples=20000"],
@@ -35,7 +36,9 @@ SMALL = {
         "simulate.duration_s=40",
         "experiment.scenario={kind: calibration, every_s: 20, bound_scenes: 1}",
         "calibration.annealed.starts=1",
-        "calibration.sequential={particles: 4, samples: 16}",
+        "calibration.sequential={moves: none, particles: 4, likelihood: phd, samples: 16}",
+        "experiment.methods.sequential={calibration.method: sequential, calibration.sequential: "
+        "{moves: rerun, particles: 4, first_particles: 4, moves_per_step: 1, inflation: [2], block_events: 20}}",
     ],
 }
 
@@ -198,3 +201,20 @@ def test_the_table_as_json(load: Load, tmp_path: Path, capsys: pytest.CaptureFix
     printed = capsys.readouterr().out
     assert "final_position_error [cm]" in printed
     assert "object at 150 cm, prior 8 (7.1)" in printed
+
+
+class TestStaticScene:
+    def test_points_of_a_video_are_all_found_and_told_apart(self) -> None:
+        loaded = load_config(PAPER / "static_scene.yaml", ["simulate.objects.count=10", "simulate.duration_s=12"])
+        found = by_name(static_scene.run(loaded, 0))
+        assert found["points_found"] == 1.0
+        assert found["points_false"] == 0.0
+        assert found["correspondence_right"] > 0.98
+        assert found["correspondence_wrong"] < 0.02
+        assert 0.4 < found["error_over_bound"][0] < 1.6  # ten points: five standard errors
+        assert found["cardinality_bias"][-1] == 0.0
+
+    def test_objects_that_move_are_refused(self) -> None:
+        loaded = load_config(PAPER / "static_scene.yaml", ["motion={model: constant_velocity, acceleration_std: 1.0}"])
+        with pytest.raises(InputError, match=r"motion.model: expected static, found constant_velocity"):
+            static_scene.check(loaded)

@@ -10,6 +10,7 @@ import pytest
 
 import stereophd
 from stereophd.config.loading import load_config
+from stereophd.config.model import Config
 from stereophd.errors import InputError
 from stereophd.io.provenance import file_sha256, from_metadata, length_unit, provenance, to_metadata
 
@@ -32,6 +33,15 @@ def test_of_a_configuration(tmp_path: Path) -> None:
         "log": hashlib.sha256(b"abc").hexdigest(),
     }
     assert str(tmp_path) not in json.dumps(record)
+
+
+def test_infinite_settings_are_kept_and_read_again(tmp_path: Path) -> None:
+    text = "filter: {kind: pmb, out_of_view_s: .inf, birth: {velocity_std: 1.0, depth_range: [1, 2]}}\n"
+    (tmp_path / "config.yaml").write_text(CONFIG + text)
+    record = provenance("track", load_config(tmp_path / "config.yaml").record)
+    config = Config.model_validate(json.loads(json.dumps(record, allow_nan=False))["config"])
+    assert config.filter is not None
+    assert config.filter.out_of_view_s == float("inf")
 
 
 def test_does_not_depend_on_where_files_are(tmp_path: Path) -> None:

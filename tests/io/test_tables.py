@@ -33,6 +33,7 @@ def track_columns(n: int, start: int = 0) -> dict[str, Any]:
         **numbers,
         "covariance": covariance,
         "existence": [0.5] * n,
+        "status": ["confirmed"] * n,
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,11 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
+from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.io.columns import pack, unpack
+from stereophd.io.provenance import sha256_of
 from stereophd.pipeline.tracking import journal
+from stereophd.pipeline.unfinished import UnfinishedRun
 
 from .test_report_times import SCENE
 from .test_stream import SINGLE
@@ -158,3 +162,19 @@ def test_columns_give_equal_objects() -> None:
 def test_a_value_without_a_column_is_a_fault_of_the_program() -> None:
     with pytest.raises(TypeError, match="rows"):
         pack([Inner(object())])
+
+
+def test_resume_tidies_up_after_a_run_that_was_killed_at_its_end(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    track(*scene, out)
+    whole = files(out)
+    (out / f"{TEMPORARY_PREFIX}lock").write_text("process 1 on nowhere")
+    identity = sha256_of(json.loads(whole["report.json"])["provenance"])
+    left = UnfinishedRun(out, identity).folder
+    left.mkdir()
+    (left / "state.npz").write_bytes(b"")
+    track(*scene, out, resume=True)
+    assert files(out) == whole
+    assert not left.exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.disparity.events import Event
 from stereophd.io.logs import Frame
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record, ReportTimes, RunState, run_estimator
@@ -49,7 +51,8 @@ def test_events_carry_the_number_of_their_frame_and_what_was_left_out() -> None:
         assert [event.not_invertible for event in events] == [1, 0, 1]
         assert [event.own_noise for event in events] == [False, False, True]
         assert stream.counts == {"not_invertible": 2}
-    assert [event.frame for event in EventStream([camera], frames, skip=2)] == [9]
+    assert [event.frame for event in EventStream([camera], frames, from_s=0.5)] == [8, 9]
+    assert [event.frame for event in EventStream([camera], frames, until_s=0.2)] == [7, 8]
 
 
 def test_progress_ends_with_all_rows(scenes: dict[str, tuple[LoadedConfig, Path]]) -> None:
@@ -80,8 +83,8 @@ def test_a_run_continues_from_a_copy_of_its_state(scenes: dict[str, tuple[Loaded
     tracking = build_tracking(loaded)
     times = ReportTimes(grid_s=0.35)
 
-    def stream(skip: int = 0) -> EventStream:
-        return open_stream(loaded.config, tracking.cameras, log, skip=skip)
+    def stream(skip: int = 0) -> Iterator[Event]:
+        return islice(open_stream(loaded.config, tracking.cameras, log), skip, None)
 
     whole = list(run_estimator(tracking.estimator, stream(), times))
     assert not all(record.is_event for record in whole)

@@ -176,6 +176,15 @@ def report(**changes) -> dict:
         "purity": {"mean": 0.875, "table": []},
         "completeness": {"mean": 0.96, "mean_dominant": 0.91, "fragmentation": 1.17, "table": []},
         "nees": {"position": 3.5, "interval_95": [2.5, 3.6], "dimension": 3, "n": 42},
+        "confirmation": {
+            "mean_s": 1.5,
+            "median_s": 1.25,
+            "max_s": 4.0,
+            "first_report_mean_s": 0.5,
+            "objects": 6,
+            "never": 1,
+        },
+        "tentative": False,
         "scans": {"scored": 8, "not_scored": 2, "outside_truth": 0, "truth_gap": 2, "unseen": 0},
         "window": {"from_s": 50.0, "to_s": None, "at": "times"},
         "seen_by": None,
@@ -206,6 +215,7 @@ def test_the_table_says_the_figures_with_units():
         "1.17",
         "precision 0.95, recall 0.91",
         "detection 0.83, association 0.79",
+        "1.5 s  mean over 6 objects; median 1.25 s, 1 never",
     ):
         assert expected in text
     assert "2 in a gap of the truth" in text
@@ -220,6 +230,7 @@ def test_the_table_of_a_run_without_identities_or_covariances():
     completeness = {"mean": 0.5, "mean_dominant": None, "fragmentation": None, "table": []}
     changes = {"identity_switches": None, "purity": purity, "completeness": completeness, "nees": nees}
     changes |= dict.fromkeys(("idf1", "id_precision", "id_recall"))
+    changes["confirmation"] = {"mean_s": None, "median_s": None, "first_report_mean_s": None, "objects": 0, "never": 2}
     changes["hota"] = dict.fromkeys(("mean", "detection", "association", "localisation"))
     text = printed(report(**changes, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
     assert "no identities" in text

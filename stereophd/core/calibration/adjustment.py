@@ -2,11 +2,11 @@
 
 Minimised is half of
 
-    sum_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + m(x) / s^2 + ((scale measured - h) / std)^2,
+    sum_n w_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + m(x) / s^2 + ((scale measured - h) / std)^2,
 
-with the reprojection error e_n of every detection and its precision P_n, the priors of the camera parameters, the
-motion model m(x) of the trajectories' knots x (positions and velocities have no prior), and the scale s of the scene
-(`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
+with the reprojection error e_n of every detection, its precision P_n and weight w_n, the priors of the camera
+parameters, the motion model m(x) of the trajectories' knots x (positions and velocities have no prior), and the scale s
+of the scene (`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
 
     [ A   C ] [dx]   [a]
     [ C^T B ] [dv] = [b],     A banded (knots), B small (cameras),
@@ -65,6 +65,8 @@ class Observations:
         Times of the frames on the cameras' own clocks, s.
     rows : array (n,)
         Row of each detection over the height of the image.
+    weights : array (n,), optional
+        What each detection counts, in measurements of its precision (`calibration.shared_errors`); default 1.
     """
 
     trajectories: Integers
@@ -74,6 +76,7 @@ class Observations:
     precisions: Array
     log_times: Array
     rows: Array
+    weights: Array | None = None
 
     def __len__(self) -> int:
         return len(self.times)
@@ -103,6 +106,8 @@ class Problem:
     observations : Observations
     loss : Loss
     scale : ScaleMeasurement or None
+    held : array (m,) of bool, optional
+        Values that stay where the adjustment starts; default none.
     """
 
     parameters: ParameterSet
@@ -111,6 +116,7 @@ class Problem:
     observations: Observations
     loss: Loss
     scale: ScaleMeasurement | None = None
+    held: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -201,9 +207,10 @@ class Linearisation:
         state_vector, value_vector = np.zeros(size), np.zeros(count)
         observations = problem.observations
         distances = np.zeros(len(observations))
-        path, errors, visible, by_point, by_value = self._residuals(values, states)
+        path, errors, visible, by_point, by_value = self.residuals(values, states)
+        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
         cost = normal_equations.accumulate(
-            observations.cameras, errors, visible, observations.precisions, by_point, by_value, path.knot,
+            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
             path.weights, self.columns, problem.loss.kind, problem.loss.scale,
             bands, coupling, matrix, state_vector, value_vector, distances,
         )  # fmt: skip
@@ -230,9 +237,14 @@ class Linearisation:
             matrix += np.outer(slope, slope) / problem.scale.std**2
             value_vector += slope * residual / problem.scale.std
             cost += residual**2
+        if problem.held is not None:
+            held = problem.held
+            coupling[:, held], value_vector[held] = 0.0, 0.0
+            matrix[held], matrix[:, held] = 0.0, 0.0
+            matrix[held, held] = parameters.prior_std[held] ** -2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
 
-    def _residuals(self, values: Array, states: Array) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
+    def residuals(self, values: Array, states: Array) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
         """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values."""
         observations, parameters = self.problem.observations, self.problem.parameters
         cameras = parameters.build(values)
@@ -322,7 +334,7 @@ def adjust(
     Returns
     -------
     Adjustment
-        Its covariance is that of the undamped equations.
+        Its covariance is that of the undamped equations; held values keep that of the prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)

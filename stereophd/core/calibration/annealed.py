@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.association import track_detections, with_cameras
-from stereophd.core.calibration.fits import FITTED_PASSES, marginal_fit, paired_fit, refitted, tracked_fit
+from stereophd.core.calibration.fits import FIRST_WEIGHTED, FITTED_PASSES, paired_fit, refitted, tracked_fit
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Scans
@@ -64,18 +64,20 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
         values = fit.adjustment.values
         history.append(values)
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
-    for inflation in inflations:
-        fit = tracked_fit(task, values, inflation)
+    for number_of_pass, inflation in enumerate(inflations):
+        fit = tracked_fit(task, values, inflation, task.held(number_of_pass))
         if fit is None:
             return failed(f"no track is shared by two cameras at {inflation:g} times the noise")
         values = fit.adjustment.values
         history.append(values)
     assert fit is not None
-    for number_of_pass in range(FITTED_PASSES):
-        again = refitted(task, fit, tracked=number_of_pass == 0)
+    for number_of_pass in range(FITTED_PASSES + 1):
+        if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
+            break  # one more pass only where the last one found weights
+        again = refitted(task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED)
         if again is None:
             return failed("the fitted trajectories are not shared by two cameras", fit)
-        fit = marginal_fit(task, again) if number_of_pass == FITTED_PASSES - 1 else again
+        fit = again
         history.append(fit.adjustment.values)
     values = fit.adjustment.values
     part = explained(task, fit)

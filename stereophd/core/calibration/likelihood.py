@@ -54,16 +54,25 @@ class Evidence:
 
     def __call__(self, values: Array) -> Array:
         """Return the log-likelihoods (k,) of values (k, m)."""
+        return np.asarray(self.after(values, [len(self.events)])[0])
+
+    def after(self, values: Array, counts: Sequence[int]) -> Array:
+        """Return the log-likelihoods (s, k) of values (k, m) after the first events, for each of several counts.
+
+        `counts` are increasing, and at most the number of events; all come from one run of the filters.
+        """
         total = self._log_scale(values)
         spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
         if self.scale_reference is not None:
             nominal = hypothesis_spaces(self.parameters, self.parameters.prior_mean[None], self.batch.template.rig)
             spaces = at_nominal_scale(spaces, nominal[0], self.scale_reference)
-        state = self.batch.init(len(values))
-        for event in self.events:
+        state, found = self.batch.init(len(values)), np.empty((len(counts), len(values)))
+        for number, event in enumerate(self.events):
+            found[np.equal(counts, number)] = total
             state, log_likelihoods = self.batch.step(state, event, spaces)
-            total += log_likelihoods
-        return total
+            total = total + log_likelihoods
+        found[np.equal(counts, len(self.events))] = total
+        return found
 
     def _log_scale(self, values: Array) -> Array:
         """Log-density (k,) of what was measured of the scale; 0 where nothing was."""

@@ -22,6 +22,7 @@ def accumulate(
     errors: Array,
     visible: NDArray[np.bool_],
     precisions: Array,
+    counted: Array,
     by_point: Array,
     by_value: Array,
     knots: Integers,
@@ -39,7 +40,7 @@ def accumulate(
     """Add the detections to the normal equations, and return their robust cost.
 
     With residuals e = z - projection, their precision P and the derivatives J of the projection, weighted by the
-    derivative w of the loss: matrix += w J^T P J and vector += w J^T P e.
+    derivative w of the loss, times what the detection counts: matrix += w J^T P J and vector += w J^T P e.
 
     Parameters
     ----------
@@ -47,6 +48,8 @@ def accumulate(
         Index of the camera of each detection.
     errors, visible, precisions : arrays (n, 2), (n,) of bool, (n, 2, 2)
         Residuals in pixels, whether the camera can see the point, and inverse covariances.
+    counted : array (n,)
+        Weight of each detection in the cost.
     by_point, by_value : arrays (n, 2, 3), (n, 2, q)
         Derivatives of the projection with respect to the point in the world, and to the values of its camera.
     knots, weights : arrays (n,), (n, 4)
@@ -68,30 +71,31 @@ def accumulate(
     for n in range(cameras.shape[0]):
         c = cameras[n]
         k = knots[n]
+        share = counted[n]
         used = n_weights if weights[n, 2] != 0.0 or weights[n, 3] != 0.0 else 2
         if not visible[n]:
             distances[n] = BEHIND
             if loss == FLOOR:
-                cost += -2.0 * np.log(loss_scale)
+                cost += -2.0 * share * np.log(loss_scale)
             elif loss == CAUCHY:
-                cost += loss_scale**2 * np.log(1.0 + BEHIND / loss_scale**2)
+                cost += share * loss_scale**2 * np.log(1.0 + BEHIND / loss_scale**2)
             else:
-                cost += BEHIND
+                cost += share * BEHIND
             continue
         e, jp, jc = errors[n], by_point[n], by_value[n]
         p00, p01, p11 = precisions[n, 0, 0], precisions[n, 0, 1], precisions[n, 1, 1]
         distance = p00 * e[0] * e[0] + 2.0 * p01 * e[0] * e[1] + p11 * e[1] * e[1]
         distances[n] = distance
-        w = 1.0
+        w = share
         if loss == CAUCHY:
-            cost += loss_scale**2 * np.log(1.0 + distance / loss_scale**2)
-            w = 1.0 / (1.0 + distance / loss_scale**2)
+            cost += share * loss_scale**2 * np.log(1.0 + distance / loss_scale**2)
+            w = share / (1.0 + distance / loss_scale**2)
         elif loss == FLOOR:
             peak = np.exp(-0.5 * distance)
-            cost += -2.0 * np.log(peak + loss_scale)
-            w = peak / (peak + loss_scale)
+            cost += -2.0 * share * np.log(peak + loss_scale)
+            w = share * peak / (peak + loss_scale)
         else:
-            cost += distance
+            cost += share * distance
         pe0 = w * (p00 * e[0] + p01 * e[1])
         pe1 = w * (p01 * e[0] + p11 * e[1])
         for a in range(3):

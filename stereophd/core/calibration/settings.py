@@ -18,6 +18,9 @@ from stereophd.core.settings import (
     settings,
 )
 
+# Factors on the noise of the detections, pass by pass.
+Inflation = Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ...], Len(1, 1000)]
+
 
 @settings
 class AnnealedSettings:
@@ -25,7 +28,7 @@ class AnnealedSettings:
 
     starts: Count = parameter("the prior mean and draws from the prior; at most this many", default=8)
     agreeing_starts: Count = parameter("stop as soon as this many of the starts agree on the best", default=2)
-    inflation: Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ...], Len(1, 1000)] = parameter(
+    inflation: Inflation = parameter(
         "factors on the detector's sigma while tracking, pass by pass", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
     )
     max_events: Count = parameter(
@@ -33,6 +36,12 @@ class AnnealedSettings:
     )
     min_detections: Annotated[int, Interval(ge=4, le=LARGEST_COUNT)] = parameter(
         "a track counts from this many detections in each of two cameras on", default=16
+    )
+    shared_error_px: Annotated[float, Interval(ge=0, le=1e6), FINITE] = parameter(
+        "detections of one object in succession within so many pixels may share an error, as those of an object that "
+        "hovers do; how much is estimated from the residuals; 0: each is a measurement of its own",
+        default=60.0,
+        unit="px",
     )
     min_tracked: Fraction = parameter(
         "a start succeeds only if tracks that two cameras share explain this part of the detections that are not "
@@ -45,21 +54,43 @@ class AnnealedSettings:
 class SequentialSettings:
     """Single-cluster PHD filter: camera particles, each with a filter of its own (paper VII-B)."""
 
-    particles: Count = parameter("camera hypotheses", default=1500)
+    moves: Literal["rerun", "none"] = parameter(
+        "rerun: Metropolis moves that run the conditional filter again, first at inflated noise, then for more and "
+        "more of the log; none: the paper's plain filter, with jitter after resampling",
+        default="rerun",
+    )
+    particles: Count = parameter("camera hypotheses", default=128, advice="1500 with moves: none (the paper's number).")
+    first_particles: Count = parameter(
+        "camera hypotheses while the noise is inflated, at least `particles` (moves: rerun)",
+        default=256,
+        advice="more for wider priors.",
+    )
+    block_events: Count = parameter("events of the first block; later stages double them (moves: rerun)", default=30)
+    inflation: Inflation = parameter(
+        "factors on the detector's sigma in the first block (moves: rerun)", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
+    )
+    moves_per_step: Count = parameter("moves after each resampling (moves: rerun)", default=2)
     resample_below: PositiveFraction = parameter(
-        "resample when the effective sample size falls below this part of the particles", default=0.75
+        "resample when the effective sample size falls below this part of the particles", default=0.4
     )
     roughening: Annotated[float, Interval(ge=0, le=1e3), FINITE] = parameter(
-        "after resampling, jitter of this factor times range times particles^(-1/parameters)", default=0.2
+        "after resampling, jitter of this factor times range times particles^(-1/parameters) (moves: none)",
+        default=0.2,
     )
-    center_noise: Length = parameter("random walk of the camera's centre", default=0.0, unit="length per sqrt(s)")
+    center_noise: Length = parameter(
+        "random walk of the camera's centre (moves: none)", default=0.0, unit="length per sqrt(s)"
+    )
     rotation_noise_deg: DegreesSpread = parameter(
-        "random walk of its rotation", default=0.0, unit="degrees per sqrt(s)"
+        "random walk of its rotation (moves: none)", default=0.0, unit="degrees per sqrt(s)"
     )
-    likelihood: Literal["phd", "pmb"] = parameter("multi-object likelihood that weights the particles", default="phd")
+    likelihood: Literal["pmb", "phd"] = parameter("multi-object likelihood that weights the particles", default="pmb")
     samples: Annotated[int, Interval(ge=16, le=65536)] = parameter(
-        "samples per Gaussian of the particle move", default=100
+        "samples per Gaussian of the particle move of likelihood phd", default=100
     )
+
+    def __post_init__(self) -> None:
+        if self.moves == "rerun" and (self.center_noise > 0.0 or self.rotation_noise_deg > 0.0):
+            raise ValueError("expected moves: none with center_noise or rotation_noise_deg, found moves: rerun")
 
 
 @settings

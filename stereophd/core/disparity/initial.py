@@ -69,9 +69,11 @@ def initial_moments(
     third = mean**3 + 3.0 * mean * std**2
     fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
     for j in range(count):
-        means[j, :2] = points[j]
+        for a in range(2):
+            means[j, a] = points[j, a]
+            for b in range(2):
+                covariances[j, a, b] = noises[j, a, b]
         means[j, 2] = mean
-        covariances[j, :2, :2] = noises[j]
         covariances[j, 2, 2] = std**2
         if size == 3:
             continue

@@ -259,7 +259,9 @@ def world_components(
     """
     size = means.shape[1]
     count = samples.shape[1]
-    axes = np.diag(motion.noise_std)
+    axes = np.zeros((3, 3))
+    for a in range(3):
+        axes[a, a] = motion.noise_std[a]
     noise = np.empty((6, count if size == 6 else 0))
     with_velocity = alone = np.nan
     points = np.empty((size, count))
@@ -269,8 +271,7 @@ def world_components(
     covariance = np.empty((size, size))
     scratch = np.empty((size, size))
     for k in range(means.shape[0]):
-        out_means[k] = np.nan
-        out_covariances[k] = np.nan
+        _fill_gaussian(np.nan, out_means, out_covariances, k)
         if not means[k, 2] > 0.0 or not cholesky(covariances[k], factor):
             continue
         if size == 6:
@@ -283,7 +284,17 @@ def world_components(
         weighted_moments(points, weights, total, mean, covariance)
         if not condition(covariance, scratch):
             continue
-        out_means[k] = 0.0
-        out_covariances[k] = 0.0
-        out_means[k, :size] = mean
-        out_covariances[k, :size, :size] = covariance
+        _fill_gaussian(0.0, out_means, out_covariances, k)
+        for a in range(size):
+            out_means[k, a] = mean[a]
+            for b in range(size):
+                out_covariances[k, a, b] = covariance[a, b]
+
+
+@compiled
+def _fill_gaussian(value: float, means: Array, covariances: Array, k: int) -> None:
+    """Set all elements of mean and covariance k."""
+    for a in range(means.shape[1]):
+        means[k, a] = value
+        for b in range(means.shape[1]):
+            covariances[k, a, b] = value

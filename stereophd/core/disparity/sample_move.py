@@ -18,6 +18,7 @@ from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
+from stereophd.core.numerics.sorting import copy_gaussian
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -154,18 +155,17 @@ def move_components(
             if condition(out_covariances[k], scratch):
                 status[k] = PARTLY_IN_VIEW if unseen_weight > 0.0 else IN_VIEW
         if status[k] == OUT_OF_VIEW:
-            mask[:] = 0.0
+            for i in range(count):
+                mask[i] = 0.0
         if status[k] == PARTLY_IN_VIEW and p_detect == 0.0 and inside[k] == 1.0:
-            missed_means[k] = means[k]
-            missed_covariances[k] = covariances[k]
+            copy_gaussian(means, covariances, k, missed_means, missed_covariances, k)
         elif status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
             missed_moments(
                 means[k], factor, samples, weights, mask, p_detect, minimum,
                 missed_means[k], missed_covariances[k],
             )  # fmt: skip
             if not condition(missed_covariances[k], scratch):
-                missed_means[k] = means[k]
-                missed_covariances[k] = covariances[k]
+                copy_gaussian(means, covariances, k, missed_means, missed_covariances, k)
 
 
 @compiled

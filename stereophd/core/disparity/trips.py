@@ -284,6 +284,7 @@ def region_mask(
             kept += weights[i]
     slack = region[8] if len(region) > 8 else REGION_SLACK
     if kept >= slack * total:
-        weights[:] = sample_weights
+        for i in range(len(weights)):
+            weights[i] = sample_weights[i]
         return 1.0
     return kept / total

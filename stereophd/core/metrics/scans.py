@@ -47,6 +47,8 @@ class PointSets:
         Identity of the object or track.
     covariance : (n, 3, 3) array or None
         Of the position.
+    confirmed : (n,) bool array or None
+        Whether each estimate is confirmed rather than tentative; None where that is not known.
     """
 
     start: IntArray
@@ -54,6 +56,7 @@ class PointSets:
     velocity: FloatArray
     label: IntArray
     covariance: FloatArray | None = None
+    confirmed: NDArray[np.bool_] | None = None
 
     @property
     def scans(self) -> int:
@@ -82,7 +85,8 @@ class PointSets:
 
     def _rows(self, start: IntArray, rows: IntArray) -> PointSets:
         covariance = None if self.covariance is None else self.covariance[rows]
-        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance)
+        confirmed = None if self.confirmed is None else self.confirmed[rows]
+        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance, confirmed)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray
+from stereophd.core.metrics.confirmation import Waits
 from stereophd.core.metrics.consistency import UNLABELLED, identity_switches, independent_count, nees_interval, whitened
 from stereophd.core.metrics.hota import hota
 from stereophd.core.metrics.identities import has_identities, identity_figures
@@ -108,7 +109,13 @@ def per_scan_columns(
 
 
 def figures(
-    estimates: PointSets, truth: PointSets, scores: ScanScores, near: NearPairs, ospa2: Ospa, errors: PairErrors
+    estimates: PointSets,
+    truth: PointSets,
+    scores: ScanScores,
+    near: NearPairs,
+    ospa2: Ospa,
+    errors: PairErrors,
+    waits: Waits,
 ) -> dict[str, Any]:
     """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
 
@@ -162,6 +169,7 @@ def figures(
         **_identity_scores(estimates, truth, near),
         "tracks": len(np.unique(labels)),
         **identity_figures(estimates, truth, scores, errors.switched),
+        "confirmation": _confirmation(waits),
         "nees": {
             "position": _mean(normalised),
             "interval_95": [low, high],
@@ -169,6 +177,19 @@ def figures(
             "n": len(normalised),
             "n_independent": independent,
         },
+    }
+
+
+def _confirmation(waits: Waits) -> dict[str, Any]:
+    """Return how long objects wait until they are confirmed."""
+    times = waits.confirmed_s
+    return {
+        "mean_s": _mean(times),
+        "median_s": float(np.median(times)) if len(times) else float("nan"),
+        "max_s": float(times.max()) if len(times) else float("nan"),
+        "first_report_mean_s": _mean(waits.reported_s),
+        "objects": len(times),
+        "never": waits.never,
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from stereophd.core.motion.base import Motion
 from stereophd.core.settings import Length, members, parameter
@@ -14,18 +14,21 @@ DEFAULT = "constant_velocity"
 
 PerAxis = tuple[Length, Length, Length]
 # None: not stated. Nothing is assumed in its place, for with 0 every track breaks where its object turns.
-Acceleration = Length | PerAxis | None
+Acceleration = Length | PerAxis | Literal["estimate"] | None
+# The word with which `track` estimates the acceleration from the log.
+ESTIMATE: Literal["estimate"] = "estimate"
 
 
 def acceleration_parameter() -> Any:
     """Declare `acceleration_std` of a model."""
     return parameter(
         "white acceleration in the world, one value or one per axis: standard deviation of the mean acceleration "
-        "over 1 s (spectral density acceleration_std^2 times 1 s); track and calibrate need it",
+        "over 1 s (spectral density acceleration_std^2 times 1 s); track and calibrate need it; estimate: from the log "
+        "(track)",
         default=None,
         unit="length/s^2",
-        advice="by how much the velocity of an object changes within a second: configs/drone.yaml has 2.5 m/s^2. "
-        "Too small: tracks break where objects turn. Too large: depth and velocity settle late.",
+        advice="estimate, or by how much the velocity of an object changes within a second: configs/drone.yaml has "
+        "2.5 m/s^2. Too small: tracks break where objects turn. Too large: depth and velocity settle late.",
     )
 
 
@@ -35,8 +38,13 @@ def stated(acceleration_std: Acceleration) -> Length | PerAxis:
     Raises
     ------
     InputError
-        None is stated.
+        None is stated, or it is still to be estimated.
     """
+    if acceleration_std == ESTIMATE:
+        raise InputError(
+            "motion.acceleration_std: expected a number (length/s^2; only track estimates it, and init writes it), "
+            "found estimate"
+        )
     if acceleration_std is None:
         raise InputError(
             "motion.acceleration_std: expected by how much the velocity of objects changes in a second (length/s^2; "

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -48,8 +49,8 @@ def claims_of(labels: Integers, weights: Array, n_missed: int, updated: Integers
     """
     n_detected = len(labels) - n_missed
     detections = np.empty(n_detected, dtype=np.int64)
-    detections[: len(updated)] = updated
-    detections[len(updated) :] = np.arange(n_detected - len(updated))
+    for k in range(n_detected):
+        detections[k] = updated[k] if k < len(updated) else k - len(updated)
     return Claims(labels[n_missed:].copy(), detections, weights[n_missed:].copy())
 
 
@@ -111,7 +112,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int) -> Integers
     array (k,) of int
         Labels with D > M, in rising order.
     """
-    order = np.argsort(labels, kind="mergesort")
+    order = stable_order(labels)
     found = np.empty(len(labels), dtype=np.int64)
     count = 0
     balance = 0.0

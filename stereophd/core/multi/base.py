@@ -204,10 +204,12 @@ class DisparityFilter(ABC):
         )
         estimates = Estimates(mixture.tracks[index], means, covariances, chosen.existence, mixture.labels[index])
         finite = np.isfinite(means)
-        if finite.all():
+        if finite.all() and not chosen.tentative.any():
             return state, estimates
         # an object at infinity has no position
-        return state, estimates.take(np.asarray(finite.all(axis=1)))
+        placed = np.asarray(finite.all(axis=1))
+        tentative = estimates.take(placed & chosen.tentative)
+        return state, replace(estimates.take(placed & ~chosen.tentative), tentative=tentative)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ class Estimates:
         Weight (PHD) or probability of existence.
     labels : array (k,) of int
         Labels of the components behind them.
+    tentative : Estimates, optional
+        Further objects, which are not confirmed; None: there are none.
     """
 
     track_ids: Integers
@@ -35,14 +37,29 @@ class Estimates:
     covariances: Array
     existence: Array
     labels: Integers
+    tentative: Estimates | None = None
 
     def certain(self, max_position_std: float) -> Estimates:
         """Return the estimates whose position has at most this standard deviation (root of the trace)."""
         variance = np.trace(self.covariances[:, :3, :3], axis1=1, axis2=2)
-        return self.take(variance <= max_position_std**2)
+        tentative = None if self.tentative is None else self.tentative.certain(max_position_std)
+        return replace(self.take(variance <= max_position_std**2), tentative=tentative)
+
+    def with_tentative(self) -> Estimates:
+        """Return confirmed and tentative estimates as one."""
+        if self.tentative is None:
+            return self
+        one, other = self, self.tentative
+        return Estimates(
+            np.concatenate([one.track_ids, other.track_ids]),
+            np.concatenate([one.states, other.states]),
+            np.concatenate([one.covariances, other.covariances]),
+            np.concatenate([one.existence, other.existence]),
+            np.concatenate([one.labels, other.labels]),
+        )
 
     def take(self, kept: NDArray[np.bool_]) -> Estimates:
-        """Return some of the estimates, by a mask (k,)."""
+        """Return some of the estimates, by a mask (k,), without the tentative ones."""
         return Estimates(
             self.track_ids[kept],
             self.states[kept],

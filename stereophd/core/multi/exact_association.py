@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from stereophd.core.multi.belief import association_marginals as propagate_beliefs
 from stereophd.core.multi.frontier import eliminate, make_plan, make_table
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import picked
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -150,7 +151,7 @@ def _solve(
         return True, math.log(total)
     rows, row_names = _renumber(tracks, cluster, numbers)
     columns, column_names = _renumber(detections, cluster, numbers)
-    weights = odds[cluster]
+    weights = picked(odds, cluster)
     table, index = make_table(rows, columns, weights, len(row_names), len(column_names))
     plan, turned = make_plan(table, MOST_WIDTH), False
     if plan.cost > CHEAP:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.settings import Hysteresis
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -17,11 +18,26 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Selection:
-    """Outcome of `select_objects`: the relabelled mixture, and which components are reported, in order of identity."""
+    """Outcome of `select_objects`.
+
+    Attributes
+    ----------
+    mixture : GaussianMixture
+        With new labels and identities.
+    index : array (k,) of int
+        Components that are reported, in order of identity.
+    existence : array (k,)
+        Weight or probability of existence of each object.
+    tentative : array (k,) of bool
+        Which of them are not confirmed.
+    next_label, next_track : int
+        First unused label and identity.
+    """
 
     mixture: GaussianMixture
     index: Integers
     existence: Array
+    tentative: NDArray[np.bool_]
     next_label: int
     next_track: int
 
@@ -29,7 +45,7 @@ class Selection:
 def select_objects(
     mixture: GaussianMixture, hysteresis: Hysteresis, next_label: int, next_track: int, split: bool = True
 ) -> Selection:
-    """Choose the components that are reported, and give identities in order of confirmation.
+    """Choose the components that are reported, and give identities in order of the first report.
 
     The components of a label are alternatives for one object: their weights add up, and the heaviest
     gives the estimate. A further component of a label that alone reaches the confirmation threshold is
@@ -51,13 +67,14 @@ def select_objects(
     -------
     Selection
     """
-    labels, tracks, reported, index, existence, next_label, next_track = _select(
+    labels, tracks, reported, index, existence, tentative, next_label, next_track = _select(
         mixture.weights,
         mixture.labels,
         mixture.tracks,
         mixture.reported,
         hysteresis.confirm,
         hysteresis.release,
+        hysteresis.tentative,
         next_label,
         next_track,
         split,
@@ -72,7 +89,7 @@ def select_objects(
         tracks,
         reported,
     )
-    return Selection(relabelled, index, existence, next_label, next_track)
+    return Selection(relabelled, index, existence, tentative, next_label, next_track)
 
 
 @compiled
@@ -83,11 +100,12 @@ def _select(
     reported: NDArray[np.bool_],
     confirm: float,
     release: float,
+    tentative: float,
     next_label: int,
     next_track: int,
     split: bool,
-) -> tuple[Integers, Integers, NDArray[np.bool_], Integers, Array, int, int]:
-    """Return labels, identities, flags of all components; the chosen ones by identity, existences; counters."""
+) -> tuple[Integers, Integers, NDArray[np.bool_], Integers, Array, NDArray[np.bool_], int, int]:
+    """Return labels, identities, flags of all components; the chosen ones by identity and their figures; counters."""
     order = _by_label(weights, labels)
     known, labels, tracks, reported = labels, labels.copy(), tracks.copy(), reported.copy()
     for k in range(len(labels)):
@@ -99,9 +117,10 @@ def _select(
             labels[k], tracks[k], reported[k] = next_label, UNLABELLED, False
             next_label += 1
     if split:
-        order = order[np.argsort(labels[order], kind="mergesort")]
+        order = picked(order, stable_order(picked(labels, order)))
     index = np.empty(len(order), dtype=np.int64)
     existence = np.empty(len(order))
+    unsure = np.empty(len(order), dtype=np.bool_)
     found, start = 0, 0
     while start < len(order):
         label, end = labels[order[start]], start
@@ -114,26 +133,27 @@ def _select(
             was_reported = was_reported or reported[k]
             end += 1
         shown = total >= (release if was_reported else confirm)
-        if shown:
+        if shown or total >= tentative:
             if track < 0:
                 track = next_track
                 next_track += 1
-            index[found], existence[found] = order[start], total
+            index[found], existence[found], unsure[found] = order[start], total, not shown
             found += 1
         for k in order[start:end]:
             tracks[k], reported[k] = track, shown
         start = end
-    shown_order = np.argsort(tracks[index[:found]], kind="mergesort")
-    return labels, tracks, reported, index[shown_order], existence[shown_order], next_label, next_track
+    shown_order = stable_order(picked(tracks, index[:found]))
+    index, existence, unsure = picked(index, shown_order), picked(existence, shown_order), picked(unsure, shown_order)
+    return labels, tracks, reported, index, existence, unsure, next_label, next_track
 
 
 @compiled
 def _by_label(weights: Array, labels: Integers) -> Integers:
     """Components with a label, by label and then by falling weight; most often they are in this order."""
-    order = np.flatnonzero(labels != UNLABELLED)
+    order = places(labels != UNLABELLED)
     for i in range(1, len(order)):
         before, k = order[i - 1], order[i]
         if labels[k] < labels[before] or (labels[k] == labels[before] and weights[k] > weights[before]):
-            order = order[np.argsort(-weights[order], kind="mergesort")]
-            return order[np.argsort(labels[order], kind="mergesort")]
+            order = picked(order, stable_order(-picked(weights, order)))
+            return picked(order, stable_order(picked(labels, order)))
     return order

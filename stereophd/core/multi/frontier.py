@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -135,7 +136,7 @@ def _by_position(table: Table) -> Integers:
         for p in range(table.starts[row], table.starts[row + 1]):
             place[row] += table.columns[p]
         place[row] /= max(table.starts[row + 1] - table.starts[row], 1)
-    return np.argsort(place, kind="mergesort")
+    return stable_order(place)
 
 
 @compiled
@@ -202,7 +203,8 @@ def eliminate(table: Table, plan: Plan) -> tuple[Array, Array, Array, float]:
         row = plan.order[step]
         begin, end = table.starts[row], table.starts[row + 1]
         before = width
-        frontiers[step, :before] = frontier[:before]
+        for b in range(before):
+            frontiers[step, b] = frontier[b]
         private = 1.0
         for p in range(begin, end):
             column = table.columns[p]

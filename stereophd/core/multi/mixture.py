@@ -92,16 +92,6 @@ def allocate_mixture(count: int, size: int) -> GaussianMixture:
 
 
 @compiled
-def copy_gaussian(means: Array, covariances: Array, k: int, to_means: Array, to_covariances: Array, i: int) -> None:
-    """Copy mean and covariance k to place i (in loops: compiled, assigning slices takes five times as long)."""
-    size = means.shape[1]
-    for a in range(size):
-        to_means[i, a] = means[k, a]
-        for b in range(size):
-            to_covariances[i, a, b] = covariances[k, a, b]
-
-
-@compiled
 def copy_components(mixture: GaussianMixture, index: Integers, out: GaussianMixture, start: int) -> None:
     """Copy the components with these indices to `out`, from place `start` on."""
     weights, means, covariances, cameras, times, labels, tracks, reported = mixture

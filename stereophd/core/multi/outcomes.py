@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.moved import IN_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.multi.inputs import EventNumbers
-from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy_gaussian
+from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import copy_gaussian
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -30,8 +31,11 @@ def allocate_outcomes(
     for k in range(end):
         origin = k if k < count else updated[k - count]
         labels[k], tracks[k], reported[k] = known_labels[origin], known_tracks[origin], known_reported[origin]
-    labels[end:] = numbers.next_label + np.arange(n_new)
-    out.cameras[count:], out.times[count:] = numbers.camera, numbers.time_s
+    for j in range(n_new):
+        labels[end + j] = numbers.next_label + j
+    cameras, times = out.cameras, out.times
+    for k in range(count, end + n_new):
+        cameras[k], times[k] = numbers.camera, numbers.time_s
     return out
 
 

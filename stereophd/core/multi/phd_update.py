@@ -14,6 +14,7 @@ from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.outcomes import allocate_outcomes, fill_missed
 from stereophd.core.multi.reduce import reduce_mixture
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import places
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -68,7 +69,7 @@ def update_intensity(
     totals += (numbers.clutter + born) * per_area
     log_likelihood = np.log(totals).sum() - numbers.clutter - born - detected.sum()
     weights = joint / totals[detections]
-    kept = np.flatnonzero(weights >= prune_weight)
+    kept = places(weights >= prune_weight)
     components, detections = components[kept], detections[kept]
     out = allocate_outcomes(mixture, components, numbers, len(points))
     fill_missed(mixture, moved, mixture.weights - detected, numbers, out)

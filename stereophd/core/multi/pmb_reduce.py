@@ -17,7 +17,6 @@ from stereophd.core.multi.mixture import (
     GaussianMixture,
     allocate_mixture,
     copy_components,
-    copy_gaussian,
     slice_components,
     take_components,
 )
@@ -25,12 +24,15 @@ from stereophd.core.multi.pmb_update import group
 from stereophd.core.multi.reduce import merge_sorted
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # A track is never more certain than this: at existence 1 no number of misses could end it.
 MOST_EXISTENCE = 1.0 - 1e-9
+# Comes after every identity.
+LAST = np.iinfo(np.int64).max
 
 
 class PmbReduction(NamedTuple):
@@ -67,15 +69,17 @@ def reduce_tracks(mixture: GaussianMixture, settings: PmbReduction) -> tuple[Gau
     index, kept_weights = _drop_negligible(mixture, member, existence, prune_weight, settings.least_share)
     hypotheses = _merge_hypotheses(mixture, index, kept_weights, hypothesis_distance)
     held = existence[np.searchsorted(names, hypotheses.labels)] >= settings.recycle_below
-    tracks = np.flatnonzero(held)
-    undetected = np.flatnonzero((labels == UNLABELLED) & (weights >= prune_weight))
-    recycled = np.flatnonzero(~held & (hypotheses.weights >= prune_weight))
+    tracks = places(held)
+    undetected = places((labels == UNLABELLED) & (weights >= prune_weight))
+    recycled = places(~held & (hypotheses.weights >= prune_weight))
     first, second = len(tracks), len(tracks) + len(undetected)
     out = allocate_mixture(second + len(recycled), mixture.means.shape[1])
     copy_components(hypotheses, tracks, out, 0)
     copy_components(mixture, undetected, out, first)
     copy_components(hypotheses, recycled, out, second)
-    out.labels[second:] = UNLABELLED
+    out_labels = out.labels
+    for k in range(second, len(out_labels)):
+        out_labels[k] = UNLABELLED
     joined, changed = _join_tracks(slice_components(out, 0, first), settings.merge_distance, hypothesis_distance)
     if changed:
         out = _concatenate(joined, slice_components(out, first, len(out.weights)))
@@ -88,7 +92,7 @@ def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> N
     if len(existence) <= max_tracks:
         return
     found = 0
-    for g in np.argsort(-existence, kind="mergesort"):
+    for g in stable_order(-existence):
         if names[g] != UNLABELLED:
             found += 1
             if found > max_tracks:
@@ -123,11 +127,11 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
 
     The hypotheses are those components of a mixture that have these indices, with the weights given.
     """
-    order = np.argsort(-given, kind="mergesort")
-    order = order[np.argsort(mixture.labels[index[order]], kind="mergesort")]
-    found = take_components(mixture, index[order])
-    found.weights[:] = given[order]
-    weights, means, covariances, cameras, times, labels, tracks, reported = found
+    order = stable_order(-given)
+    order = picked(order, stable_order(picked(mixture.labels, picked(index, order))))
+    found = take_components(mixture, picked(index, order))
+    _, means, covariances, cameras, times, labels, tracks, reported = found
+    weights = picked(given, order)
     leaders = np.empty(len(weights), dtype=np.int64)
     merged, start = 0, 0
     while start < len(weights):
@@ -153,8 +157,8 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
         start = end
     chosen = leaders[:merged]
     return GaussianMixture(
-        weights[:merged], means[:merged], covariances[:merged], cameras[chosen], times[chosen], labels[chosen],
-        tracks[chosen], reported[chosen],
+        weights[:merged], means[:merged], covariances[:merged], picked(cameras, chosen), picked(times, chosen),
+        picked(labels, chosen), picked(tracks, chosen), picked(reported, chosen),
     )  # fmt: skip
 
 
@@ -163,22 +167,29 @@ def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance:
     """Give tracks whose heaviest hypotheses agree one label: of two identities the older; whether there were any."""
     weights, labels, tracks, reported = mixture.weights, mixture.labels, mixture.tracks, mixture.reported
     first = np.ones(len(labels), dtype=np.bool_)
-    first[1:] = labels[1:] != labels[:-1]
-    heads = np.flatnonzero(first)
+    for k in range(1, len(labels)):
+        first[k] = labels[k] != labels[k - 1]
+    heads = places(first)
     if len(heads) < 2 or distance <= 0.0:
         return mixture, False
     # an identity once reported counts more than existence, and of two the older keeps its name
-    heads = heads[np.argsort(-weights[heads], kind="mergesort")]
-    seniority = np.where(tracks[heads] >= 0, tracks[heads], np.iinfo(np.int64).max)
-    heads = heads[np.argsort(seniority, kind="mergesort")]
+    heads = picked(heads, stable_order(-picked(weights, heads)))
+    seniority = picked(tracks, heads)
+    for h in range(len(heads)):
+        if seniority[h] < 0:
+            seniority[h] = LAST
+    heads = picked(heads, stable_order(seniority))
     senior = _seniors(take_components(mixture, heads), distance)
-    if (senior == np.arange(len(heads))).all():
-        return mixture, False
+    changed = False
     for h in range(len(heads)):
         if senior[h] != h:
-            head = heads[senior[h]]
-            moved = np.flatnonzero(labels == labels[heads[h]])
-            labels[moved], tracks[moved], reported[moved] = labels[head], tracks[head], reported[head]
+            changed = True
+            head, label = heads[senior[h]], labels[heads[h]]
+            for k in range(len(labels)):
+                if labels[k] == label:
+                    labels[k], tracks[k], reported[k] = labels[head], tracks[head], reported[head]
+    if not changed:
+        return mixture, False
     member, n_groups = group(labels)
     existence = np.zeros(n_groups)
     for k in range(len(weights)):
@@ -195,7 +206,7 @@ def _seniors(heads: GaussianMixture, distance: float) -> Integers:
     senior = np.arange(len(means))
     pairs = [np.int64(0)]
     pairs.clear()
-    order = np.argsort(means[:, 0], kind="mergesort")
+    order = stable_order(means[:, 0].copy())
     for i in range(len(order)):
         a = order[i]
         reach = math.sqrt(distance * covariances[a, 0, 0])
@@ -207,8 +218,11 @@ def _seniors(heads: GaussianMixture, distance: float) -> Integers:
                 apart = means[a] - means[b]
                 if _within(apart, covariances[a], distance) and _within(apart, covariances[b], distance):
                     pairs.append(min(a, b) * len(means) + max(a, b))
-    pairs.sort()
-    for pair in pairs:
+    found = np.empty(len(pairs), dtype=np.int64)
+    for i in range(len(pairs)):
+        found[i] = pairs[i]
+    for i in stable_order(found):
+        pair = found[i]
         older, younger = pair // len(means), pair % len(means)
         if senior[older] == older and senior[younger] == younger:
             senior[younger] = older

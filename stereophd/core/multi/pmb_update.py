@@ -24,6 +24,7 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.outcomes import allocate_outcomes, fill_missed
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -38,7 +39,7 @@ LEAST_SHARE = 1e-4
 @compiled
 def group(keys: Integers) -> tuple[Integers, int]:
     """Number equal keys alike: the number of each key (n,) in order of the keys, and how many there are."""
-    order = np.argsort(keys, kind="mergesort")
+    order = stable_order(keys)
     member = np.empty(len(keys), dtype=np.int64)
     count = 0
     for i in range(len(keys)):
@@ -82,11 +83,11 @@ def update_tracks(
         moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, delays
     )
     detected = p_detect * fraction * weights
-    joint = detected[components] * densities
+    joint = picked(detected, components) * densities
     # the first detection of an object: of one that is unknown so far, or of a recycled track
     birth = p_detect * births / area
     first = np.full(n_detections, birth)
-    claims = labels[components] != UNLABELLED
+    claims = picked(labels, components) != UNLABELLED
     for p in range(len(components)):
         if not claims[p]:
             first[detections[p]] += joint[p]
@@ -107,8 +108,8 @@ def update_tracks(
         log_likelihood += math.log(background[j])
 
     # a track claims a detection as a whole: the pairs of its alternatives are one pair
-    claiming = np.flatnonzero(claims)
-    pair, n_pairs = group(member[components[claiming]] * n_detections + detections[claiming])
+    claiming = places(claims)
+    pair, n_pairs = group(picked(member, picked(components, claiming)) * n_detections + picked(detections, claiming))
     owners = np.empty(n_pairs, dtype=np.int64)
     wanted = np.empty(n_pairs, dtype=np.int64)
     claim = np.zeros(n_pairs)
@@ -116,33 +117,37 @@ def update_tracks(
         p = claiming[i]
         owners[pair[i]], wanted[pair[i]] = member[components[p]], detections[p]
         claim[pair[i]] += joint[p]
-    odds = claim / (missed[owners] * background[wanted])
+    odds = claim / (picked(missed, owners) * picked(background, wanted))
     share, untouched, unclaimed, log_bethe = association_marginals(owners, wanted, odds, n_groups, n_detections)
 
     taken = np.empty(len(claiming))
     for i in range(len(claiming)):
         p = claiming[i]
         taken[i] = share[pair[i]] * joint[p] / claim[pair[i]] if claim[pair[i]] > 0.0 else 0.0
-    kept = np.flatnonzero(taken >= LEAST_SHARE * prune_weight)
-    chosen = claiming[kept]
-    out = allocate_outcomes(mixture, components[chosen], numbers, n_detections)
+    kept = places(taken >= LEAST_SHARE * prune_weight)
+    chosen = picked(claiming, kept)
+    owned, made = picked(components, chosen), picked(detections, chosen)
+    out = allocate_outcomes(mixture, owned, numbers, n_detections)
     still = untouched / missed
     remaining = weights - detected
     for k in range(count):
         if labels[k] != UNLABELLED:
             remaining[k] *= still[member[k]]
     fill_missed(mixture, moved, remaining, numbers, out)
-    means, covariances = kalman_updates(
-        moved.means, moved.covariances, components[chosen], detections[chosen], points, noises, delays
-    )
+    means, covariances = kalman_updates(moved.means, moved.covariances, owned, made, points, noises, delays)
     existence = unclaimed * first / background
     new_means, new_covariances = _first_detections(
         moved, event, existence, birth / first, components, detections, joint, claims, first, prune_weight
     )
+    out_weights, out_means, out_covariances = out.weights, out.means, out.covariances
+    for i in range(len(chosen)):
+        out_weights[count + i] = taken[kept[i]]
+        copy_gaussian(means, covariances, i, out_means, out_covariances, count + i)
     end = count + len(chosen)
-    out.weights[count:end], out.means[count:end], out.covariances[count:end] = taken[kept], means, covariances
-    out.weights[end:], out.means[end:], out.covariances[end:] = existence, new_means, new_covariances
-    return out, log_likelihood + log_bethe, detections[chosen]
+    for j in range(n_detections):
+        out_weights[end + j] = existence[j]
+        copy_gaussian(new_means, new_covariances, j, out_means, out_covariances, end + j)
+    return out, log_likelihood + log_bethe, made
 
 
 @compiled
@@ -169,13 +174,14 @@ def _first_detections(
     if count == 0:
         return event.birth_means, event.birth_covariances
     chosen = chosen[:count]
-    groups = detections[chosen]
+    groups, owned = picked(detections, chosen), picked(components, chosen)
     means, covariances = kalman_updates(
-        moved.means, moved.covariances, components[chosen], groups, event.points, event.noises, event.delays
+        moved.means, moved.covariances, owned, groups, event.points, event.noises, event.delays
     )
+    shares = picked(joint, chosen) / picked(first, groups)
     return mix_gaussians(
-        groups, joint[chosen] / first[groups], means, covariances, born, event.birth_means, event.birth_covariances
-    )
+        groups, shares, means, covariances, born, event.birth_means, event.birth_covariances
+    )  # fmt: skip
 
 
 @compiled

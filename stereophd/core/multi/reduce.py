@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from stereophd.core.multi.mixture import GaussianMixture, take_components
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
+from stereophd.core.numerics.sorting import picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -75,13 +76,16 @@ def merge_sorted(
             used[members[m]] = True
             total += weights[members[m]]
         mean = out_means[merged]
-        mean[:] = 0.0
+        for a in range(size):
+            mean[a] = 0.0
         for m in range(found):
             part = weights[members[m]] / total
             for a in range(size):
                 mean[a] += part * means[members[m], a]
         covariance = out_covariances[merged]
-        covariance[:] = 0.0
+        for a in range(size):
+            for b in range(size):
+                covariance[a, b] = 0.0
         for m in range(found):
             k = members[m]
             part = weights[k] / total
@@ -127,8 +131,8 @@ def reduce_mixture(
         In order of falling weight of the heaviest part; a merged component keeps the identity of its
         heaviest part.
     """
-    heavy = np.flatnonzero(mixture.weights >= prune_weight)
-    found = take_components(mixture, heavy[np.argsort(-mixture.weights[heavy], kind="mergesort")])
+    heavy = places(mixture.weights >= prune_weight)
+    found = take_components(mixture, picked(heavy, stable_order(-picked(mixture.weights, heavy))))
     if merge_distance > 0.0 and len(found.weights) > 1:
         weights, means, covariances, leaders = merge_sorted(
             found.weights, found.means, found.covariances, found.cameras, found.times, merge_distance, mutual
@@ -139,6 +143,7 @@ def reduce_mixture(
         )  # fmt: skip
     if len(found.weights) > max_components:
         kept = np.zeros(len(found.weights), dtype=np.bool_)
-        kept[np.argsort(-found.weights, kind="mergesort")[:max_components]] = True
-        found = take_components(found, np.flatnonzero(kept))
+        for k in stable_order(-found.weights)[:max_components]:
+            kept[k] = True
+        found = take_components(found, places(kept))
     return found

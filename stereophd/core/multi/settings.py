@@ -103,6 +103,11 @@ class Hysteresis:
     release: WeightThreshold = parameter(
         "a reported object stays reported until its weight or existence falls below this", default=0.001
     )
+    tentative: WeightThreshold = parameter(
+        "an object that is not confirmed is reported as tentative from this weight or existence on, if two cameras "
+        "have detected it or the log has just begun; none is from `confirm` on",
+        default=0.7,
+    )
 
     def __post_init__(self) -> None:
         if self.release > self.confirm:
@@ -122,6 +127,11 @@ class ExistenceHysteresis(Hysteresis):
         "a reported track stays reported until its existence falls below this",
         default=0.01,
         advice="lower: a track survives longer without detections.",
+    )
+    tentative: PositiveFraction = parameter(
+        "a track that is not confirmed is reported as tentative from this existence on, if two cameras have detected "
+        "it or the log has just begun; none is from `confirm` on",
+        default=0.7,
     )
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, TypeVar, cast
 
-import numba
+from numba.core.registry import CPUDispatcher
 
 from stereophd.core.numerics.kernel_cache import KernelCache
+from stereophd.core.numerics.kernel_units import KernelCompiler, register
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -15,13 +17,49 @@ Function = TypeVar("Function", bound=Callable[..., object])
 # camera produce them, and the test of the field of view relies on comparisons with them being false.
 FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
 
+_OPTIONS = {"nopython": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+
+class Kernel(CPUDispatcher):  # type: ignore[misc]
+    """A compiled function whose forms for other kernels have no wrapper for the interpreter.
+
+    Most kernels are called from kernels only, and to compile the wrapper, which takes arrays apart and puts results
+    together, takes as long as to compile a small kernel. What Python calls is compiled with its wrapper, and kept, as
+    a form of its own.
+    """
+
+    def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None, pipeline_class: Any = None) -> None:
+        options = {**(targetoptions or {}), "no_cpython_wrapper": True}
+        super().__init__(py_func, locals, options, pipeline_class or KernelCompiler)
+        self._cache = KernelCache(py_func, for_python=False)
+
+    @cached_property
+    def for_python(self) -> CPUDispatcher:
+        """The forms that Python calls."""
+        dispatcher = CPUDispatcher(
+            self.py_func, self.locals, {**self.targetoptions, "no_cpython_wrapper": False}, KernelCompiler
+        )
+        dispatcher._cache = KernelCache(self.py_func, for_python=True)
+        return dispatcher
+
+    def add_overload(self, cres: Any) -> None:
+        """Add a form for other kernels, which Python cannot call."""
+        self.overloads[tuple(cres.signature.args)] = cres
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        entry = self.for_python._compile_for_args(*args, **kws)
+        for cres in self.for_python.overloads.values():
+            if cres.entry_point is entry:
+                self._insert([kind._code for kind in cres.signature.args], entry, False)
+        return entry
+
 
 def compiled(function: Function) -> Function:
     """Compile a kernel: cached on disk, without the interpreter lock, IEEE division by zero.
 
     Returns the compiled dispatcher, with the type of `function`.
     """
-    return cast("Function", _cached(numba.njit(nogil=True, error_model="numpy")(function)))
+    return cast("Function", _registered(Kernel(function, targetoptions=_OPTIONS)))
 
 
 def compiled_fast(function: Function) -> Function:
@@ -32,11 +70,9 @@ def compiled_fast(function: Function) -> Function:
     depend on the caller, and on which of the copies of it a process finds first: a run that compiles and one
     that finds compiled code would differ.
     """
-    decorate = numba.njit(nogil=True, error_model="numpy", fastmath=FASTMATH)
-    return cast("Function", _cached(decorate(function)))
+    return cast("Function", _registered(Kernel(function, targetoptions={**_OPTIONS, "fastmath": FASTMATH})))
 
 
-def _cached(dispatcher: Any) -> Any:
-    """Return a dispatcher that keeps its compiled forms in a `KernelCache` (where numba's `cache=True` has its own)."""
-    dispatcher._cache = KernelCache(dispatcher.py_func)
-    return dispatcher
+def _registered(kernel: Kernel) -> Kernel:
+    register(kernel)
+    return kernel

@@ -14,7 +14,6 @@ those of a package that is read-only count too, and a new one is kept in the fir
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import os
 import re
@@ -29,8 +28,9 @@ from typing import Any, ClassVar
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 
-# The folder that holds the package.
-_ROOT = Path(__file__).resolve().parents[3]
+from stereophd.core.numerics import kernel_units
+from stereophd.core.numerics.kernel_digest import PACKAGE_PARENT, source_digest
+
 FOLDER_NAME = "stereophd-kernels"
 # Kernels of sources that nobody has used for so long are removed, when another one is kept.
 UNUSED_DAYS = 30
@@ -42,36 +42,6 @@ _HAS_USERS = hasattr(os, "getuid")
 
 LOGGER = logging.getLogger("stereophd")
 
-_IMPORT = re.compile(r"^\s*from (stereophd(?:\.\w+)*) import ([^\n#]+)", re.MULTILINE)
-
-
-@cache
-def _imported_files(file: Path) -> frozenset[Path]:
-    """Return the files of the package that a file imports directly."""
-    found = set()
-    for module, names in _IMPORT.findall(file.read_text(encoding="utf-8")):
-        path = _ROOT.joinpath(*module.split("."))
-        if path.with_suffix(".py").is_file():
-            found.add(path.with_suffix(".py"))
-        for name in re.findall(r"\w+", names):
-            if (path / f"{name}.py").is_file():
-                found.add(path / f"{name}.py")
-    return frozenset(found)
-
-
-@cache
-def source_digest(file: Path) -> str:
-    """Return the hash of the contents of a source file and of all files of the package that it imports, in turn."""
-    files, waiting = {file}, [file]
-    while waiting:
-        new = _imported_files(waiting.pop()) - files
-        files |= new
-        waiting += new
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()
-
 
 def _candidates() -> list[Path]:
     """Return the folders in which kernels may be kept, in the order in which they are tried.
@@ -81,7 +51,7 @@ def _candidates() -> list[Path]:
     """
     stated = os.environ.get("NUMBA_CACHE_DIR")
     parents = [Path(stated)] if stated else []
-    parents.append(_ROOT / "stereophd" / "__pycache__")
+    parents.append(PACKAGE_PARENT / "stereophd" / "__pycache__")
     user, home = os.environ.get("XDG_CACHE_HOME"), os.environ.get("HOME")
     if user:
         parents.append(Path(user))
@@ -157,7 +127,7 @@ class _Locator(_CacheLocator):  # type: ignore[misc]
 
     def get_cache_path(self) -> str:
         """Return the name of the folder; where it lies is decided by `KernelCache`."""
-        name = ".".join(self._file.relative_to(_ROOT).with_suffix("").parts[1:])
+        name = ".".join(self._file.relative_to(PACKAGE_PARENT).with_suffix("").parts[1:])
         return f"{name}-{self._digest[:_DIGEST_LENGTH]}"
 
     def get_source_stamp(self) -> str:
@@ -180,6 +150,13 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     _impl_class = _Implementation
 
+    def __init__(self, function: Callable[..., object], for_python: bool) -> None:
+        super().__init__(function)
+        self._for_python = for_python
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return (*super()._index_key(sig, codegen), self._for_python)
+
     def folder_in(self, folder: Path) -> Path:
         """Return where this kernel is kept in one of the `kernel_folders`."""
         return folder / str(self._impl.locator.get_cache_path())
@@ -196,7 +173,11 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
             try:
                 data = self._file_in(folder).load(key)
                 if data is not None:
-                    form = self._impl.rebuild(target_context, data)
+                    apart, units, reduced = data
+                    if not kernel_units.load_units(units, target_context):
+                        continue
+                    form = self._impl.rebuild(target_context, reduced)
+                    kernel_units.set_apart(form, self._py_func, units, apart)
                     _mark_used(self.folder_in(folder))
                     return form
             except Exception:  # a damaged file may raise anything
@@ -205,10 +186,14 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a form in the first folder that takes it."""
+        units, apart = kernel_units.units_of(data), kernel_units.is_large(data)
         if not self._impl.check_cachable(data):
+            kernel_units.set_apart(data, self._py_func, units, apart)
             return
         key = self._index_key(sig, data.codegen)
-        reduced = self._impl.reduce(data)
+        reduced = apart, units, self._impl.reduce(data)
+        # callers see the form without its code from here on; what is kept holds it
+        kernel_units.set_apart(data, self._py_func, units, apart)
         for folder in kernel_folders():
             if folder not in _FAILED and self._save(folder, key, reduced):
                 _prune(folder)

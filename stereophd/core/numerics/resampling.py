@@ -34,12 +34,15 @@ def _pick(weights: Array, points: Array, out: Integers) -> None:
 
 
 @compiled
-def systematic(weights: Array, uniform: Array) -> Integers:
+def systematic(weights: Array, uniform: Array, count: int = 0) -> Integers:
     """One uniform number shifts a comb of n teeth. Of `uniform` the first is used; weights (n,) need not sum to 1.
+
+    `count` above 0 is another number of particles to draw.
 
     Every particle is drawn floor(n w) or ceil(n w) times (J. Carpenter, P. Clifford and P. Fearnhead, 1999).
     """
-    count = len(weights)
+    if count <= 0:
+        count = len(weights)
     out = np.empty(count, dtype=np.int64)
     _pick(weights, (np.arange(count) + uniform[0]) / count * weights.sum(), out)
     return out

@@ -53,13 +53,13 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     cameras = loaded.build_cameras()
     scene = build_scene(config, cameras, RUN_OBJECTS.seed(config.seed, number))
     frames = frames_in_order(cameras, simulate_frames(scene, RUN_FRAMES.seed(config.seed, number)))
-    truth = _truth(scene)
+    truth = scene_truth(scene)
     event_times = np.array([frame.time_s for frame in frames])
     last = last_event_of_each_time(event_times)
     aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
     with method_clock():
         if _scenario(loaded).tracker == "filter":
-            estimates = _filtered(loaded, cameras, frames, last)
+            estimates = filtered_points(loaded, cameras, frames, last)
         else:
             estimates = _known(loaded, cameras, frames, event_times[last], aligned.points, scene.motion)
     usable = ~(aligned.outside | aligned.gap)
@@ -73,13 +73,16 @@ def _scenario(loaded: LoadedConfig) -> MultiObjectScenario:
     return scenario
 
 
-def _truth(scene: Scene) -> Truth:
+def scene_truth(scene: Scene) -> Truth:
+    """Return the true states of the objects of a scene."""
     times, identifiers, states = (np.concatenate(part) for part in zip(*truth_rows(scene), strict=True))
     order = np.lexsort((times, identifiers))
     return Truth(times[order], identifiers[order], states[order, :3], states[order, 3:])
 
 
-def _filtered(loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], last: np.ndarray) -> PointSets:
+def filtered_points(
+    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], last: np.ndarray
+) -> PointSets:
     """Track with the configuration's filter; return what it reports after the events `last`."""
     config = loaded.config
     multi_filter = build_filter(config, tuple(cameras), loaded.path)
@@ -88,12 +91,15 @@ def _filtered(loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[
     report = config.report.model_copy(update={"times": "events"})
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     estimates = [record.estimates for record in records]
+    if _scenario(loaded).tentative:
+        estimates = [one.with_tentative() for one in estimates]
     if config.report.max_position_std is not None:
         estimates = [one.certain(config.report.max_position_std) for one in estimates]
-    return _points([estimates[event] for event in last.tolist()])
+    return points_of_estimates([estimates[event] for event in last.tolist()])
 
 
-def _points(estimates: Sequence[Estimates]) -> PointSets:
+def points_of_estimates(estimates: Sequence[Estimates]) -> PointSets:
+    """Return reported objects as sets of points, one a scan."""
     start = np.concatenate([[0], np.cumsum([len(one.track_ids) for one in estimates])]).astype(np.int64)
     states = np.concatenate([one.states for one in estimates])
     covariances = np.concatenate([one.covariances for one in estimates])

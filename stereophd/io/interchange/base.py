@@ -181,14 +181,18 @@ class ExportOptions:
         Identities to write; None: all.
     rate_hz
         Times are resampled to this rate, by linear interpolation within a track; None: as in the source.
+    tentative
+        Write tentative estimates beside the confirmed ones.
     """
 
     tracks: Sequence[int] | None = None
     rate_hz: float | None = None
+    tentative: bool = False
 
     def plain(self) -> dict[str, Any]:
         """Return the options that differ from the defaults, JSON-able."""
-        stated = {"tracks": None if self.tracks is None else list(self.tracks), "rate_hz": self.rate_hz}
+        tracks = None if self.tracks is None else list(self.tracks)
+        stated = {"tracks": tracks, "rate_hz": self.rate_hz, "tentative": self.tentative or None}
         return {name: value for name, value in stated.items() if value is not None}
 
 

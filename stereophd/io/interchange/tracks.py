@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pyarrow import RecordBatch, compute
+from pyarrow.parquet import ParquetFile
 
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.provenance import from_metadata
 from stereophd.io.provenance import length_unit as unit_of
-from stereophd.io.tables import TRACKS, check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.tables import CONFIRMED, TRACKS, check_columns, damaged_is_input_error, open_parquet
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +38,7 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
     with open_parquet(path, "table of tracks") as parquet:
         check_columns(parquet.schema_arrow, kinds, {}, path)
         with damaged_is_input_error(path):
-            for batch in parquet.iter_batches(batch_size=16384, columns=list(COLUMNS), use_threads=False):
+            for batch in _wanted_status(parquet, options.tentative):
                 rows: dict[str, Any] = {}
                 for name in COLUMNS:
                     column = batch.column(batch.schema.get_field_index(name)).cast(kinds[name])
@@ -55,6 +57,15 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
                     yield rows
     if wanted is not None and (missing := set(wanted.tolist()) - seen):
         raise InputError(f"{path}: expected the tracks {sorted(missing)}, found none of that identity")
+
+
+def _wanted_status(parquet: ParquetFile, tentative: bool) -> Iterator[RecordBatch]:
+    """Yield the rows of a table of tracks in pieces: the confirmed ones, or all."""
+    if tentative or "status" not in parquet.schema_arrow.names:
+        yield from parquet.iter_batches(batch_size=16384, columns=list(COLUMNS), use_threads=False)
+        return
+    for batch in parquet.iter_batches(batch_size=16384, columns=[*COLUMNS, "status"], use_threads=False):
+        yield batch.filter(compute.equal(batch.column(batch.schema.get_field_index("status")), CONFIRMED))
 
 
 def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Floats, Floats]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,15 +19,16 @@ from typing import Any
 import pyarrow as pa
 
 import stereophd
-from stereophd.errors import InputError, StereophdError
+from stereophd.errors import GateError, InputError, StereophdError
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
 from stereophd.io.tables import FLOAT, INTEGER, STRING, TableWriter
+from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.workers import ATTEMPTS, Workers, complete, open_workers
 
 SUMMARY_FILE = "summary.parquet"
 
-DONE, FAILED = "done", "failed"
+DONE, GATE, FAILED = "done", "gate failed", "failed"
 
 # Columns of every summary; a command adds its own.
 COMMON = {"log": STRING, "folder": STRING, "status": STRING, "message": STRING}
@@ -53,7 +55,20 @@ class Item:
     paths: tuple[Path, ...]
 
 
-# Does one item: called with it, its output folder and a progress function; returns values of its row.
+def log_items(logs: Sequence[Path | str]) -> list[Item]:
+    """Return an item for each log, of which some may be patterns.
+
+    Raises
+    ------
+    InputError
+        No file fits a pattern, or one is given twice.
+    """
+    paths = expand(logs)
+    places = [(Path(os.path.abspath(path)),) for path in paths]
+    return [Item(*item) for item in zip(folder_names(paths), map(str, paths), places, strict=True)]
+
+
+# Does one item: called with it, its output folder and a progress function; returns its report.
 Work = Callable[[Item, Path, Progress | None], Mapping[str, Any]]
 
 
@@ -66,8 +81,10 @@ class Batch:
     items : sequence of Item
     work : callable
         A function of a module, or `functools.partial` of one, that writes the item's folder.
-    files : sequence of str
-        Files that it may write there.
+    values : callable
+        A function of a module that takes the values of a row from a report.
+    files, beside : sequences of str
+        Files that `work` may write in the folder of an item, and beside it.
     columns : mapping
         Names and types of its values; they are null where it fails.
     metadata : mapping
@@ -76,9 +93,11 @@ class Batch:
 
     items: Sequence[Item]
     work: Work
+    values: Callable[[Mapping[str, Any]], Mapping[str, Any]]
     files: Sequence[str]
     columns: Mapping[str, pa.DataType]
     metadata: Mapping[bytes, bytes]
+    beside: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -143,7 +162,7 @@ def run_batch(
 
 def _check_folder(batch: Batch, out: Path, force: bool, resume: bool) -> None:
     """Check that an output folder may be used; without its summary the batch there is not finished."""
-    names = [SUMMARY_FILE, *(f"*/{name}" for name in (*batch.files, f"{TEMPORARY_PREFIX}*"))]
+    names = [SUMMARY_FILE, *batch.beside, *(f"*/{name}" for name in (*batch.files, f"{TEMPORARY_PREFIX}*"))]
     found = output_folder(out, True, names)
     if found and not (force or resume):
         raise InputError(
@@ -165,12 +184,14 @@ def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress | No
         if progress is not None:
             progress(len(found), total)
 
-    attempt = partial(_attempt, batch.work, out, collect=workers.remote, tick=None if workers.remote else tick)
+    attempt = partial(
+        _attempt, batch.work, batch.values, out, collect=workers.remote, tick=None if workers.remote else tick
+    )
     for number, outcome in complete(workers, attempt, batch.items):
         item = batch.items[number]
         if outcome is None:
             why = f"{item.source}: the worker process died {ATTEMPTS} times, or once alone: is there enough memory?"
-            outcome = _Outcome(_failure(item, why), InputError.exit_code)
+            outcome = _Outcome(_row(item, FAILED, why), InputError.exit_code)
         if outcome.version != stereophd.__version__:
             raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {outcome.version}")
         for level, text in outcome.logged:
@@ -182,29 +203,33 @@ def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress | No
     return [found[number] for number in range(total)]
 
 
-def _attempt(work: Work, out: Path, item: Item, collect: bool, tick: Progress | None) -> _Outcome:
+def _attempt(
+    work: Work,
+    values: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+    out: Path,
+    item: Item,
+    collect: bool,
+    tick: Progress | None,
+) -> _Outcome:
     """Do one item; whatever fails is its outcome."""
     with _collected(collect) as logged:
         try:
-            values = work(item, out / item.name, tick)
+            report = work(item, out / item.name, tick)
+            return _Outcome({**_row(item, DONE, ""), **values(report)}, 0, tuple(logged))
+        except GateError as error:
+            found = {} if error.report is None else values(error.report)
+            return _Outcome({**_row(item, GATE, str(error)), **found}, error.exit_code, tuple(logged))
         except InputError as error:
-            return _Outcome(_failure(item, str(error)), error.exit_code, tuple(logged))
+            return _Outcome(_row(item, FAILED, str(error)), error.exit_code, tuple(logged))
         except Exception as error:
             text = " ".join(str(error).split())
             if not isinstance(error, StereophdError):
                 text = f"internal error: {type(error).__name__}: {text or 'no details'}"
-            return _Outcome(_failure(item, text), StereophdError.exit_code, tuple(logged))
-    values = dict(values)
-    code = values.pop("exit_code", 0)
-    return _Outcome({**_row(item, DONE, ""), **values}, code, tuple(logged))
+            return _Outcome(_row(item, FAILED, text), StereophdError.exit_code, tuple(logged))
 
 
 def _row(item: Item, status: str, message: str) -> dict[str, Any]:
     return {"log": item.source, "folder": item.name, "status": status, "message": message}
-
-
-def _failure(item: Item, message: str) -> dict[str, Any]:
-    return _row(item, FAILED, message)
 
 
 @contextlib.contextmanager
@@ -243,4 +268,4 @@ def _column(values: list[Any], kind: pa.DataType) -> Any:
     """Return a column as `TableWriter` takes it."""
     if kind in (INTEGER, FLOAT):
         return list(values)
-    return [str(value) for value in values]
+    return ["" if value is None else str(value) for value in values]

@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stereophd.core.calibration.bridging_state import BridgeInfo, BridgeState
 from stereophd.core.calibration.sequential import SequentialInfo, SequentialState
 from stereophd.core.calibration.task import Start
-from stereophd.core.calibration.tempered_state import TemperedInfo, TemperedState
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.settings import motion_models
 from stereophd.errors import InputError
@@ -19,7 +19,7 @@ from stereophd.io.checkpoints import is_checkpoint, read_checkpoint, write_check
 CHECKPOINT_EVERY_S = 60.0
 
 # What the methods keep.
-KEPT = (Start, SequentialState, SequentialInfo, TemperedState, TemperedInfo)
+KEPT = (Start, SequentialState, SequentialInfo, BridgeState, BridgeInfo)
 
 
 def _motions() -> list[type]:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig
-from stereophd.core.calibration import sequential, tempered
+from stereophd.core.calibration import bridging, sequential
 from stereophd.core.calibration.annealed import RIVAL_DISTANCE, disagreement, explained
+from stereophd.core.calibration.blocks import BlockPath, block_sampler
+from stereophd.core.calibration.bridging_state import BridgeResult, BridgeState
 from stereophd.core.calibration.fits import fit_from
 from stereophd.core.calibration.likelihood import Evidence
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.task import Fit
+from stereophd.core.calibration.tempered import TemperedPath, tempered_sampler
+from stereophd.core.disparity.events import Event
 from stereophd.core.multi.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
@@ -38,7 +43,46 @@ def sequential_outcome(
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
-    """Method sequential: the paper's particle filter over cameras."""
+    """Method sequential: the paper's particle filter over cameras, with moves or without."""
+    if section.sequential.moves == "none":
+        return _plain_outcome(loaded, section, problem, checkpoint, jobs, progress)
+    settings, parameters = section.sequential, problem.parameters
+    template = (
+        pmb_filter(loaded, parameters.cameras)
+        if settings.likelihood == "pmb"
+        else phd_filter(loaded, parameters.cameras, settings.samples)
+    )
+    events = problem.scans().events
+    path = BlockPath(_evidence(problem, events, FilterBatch(template, jobs), problem.scale), settings)
+    sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(loaded.config.seed))
+
+    def after(state: BridgeState, steps: Any) -> None:
+        checkpoint.keep("sequential", (state, list(steps)))
+        if progress is not None:
+            progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
+
+    result = bridging.run(sampler, checkpoint.get("sequential"), after)
+    mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
+    details = {"log_evidence": result.log_evidence, "sampler": _sampler_figures(result, settings.likelihood)}
+    last = {info.stage: info for info in result.history}
+    history = tuple(
+        HistoryRow(events[stage.n_events - 1].time_s, last[number].mean, last[number].covariance)
+        for number, stage in enumerate(path.stages)
+        if stage.inflation == 1.0
+    )
+    doubt = _doubt(loaded, section, problem, mean, covariance, details)
+    return Outcome(mean, covariance, result.values, result.log_weights, history, "", doubt, None, details)
+
+
+def _plain_outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """The paper's filter as it stands: particles that are weighted, resampled and jittered."""
     settings = section.sequential
     cameras, parameters = problem.parameters.cameras, problem.parameters
     template = (
@@ -121,34 +165,35 @@ def smc_outcome(
     settings = section.smc
     cameras = problem.parameters.cameras
     template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
-    evidence = Evidence(
-        problem.parameters,
-        problem.scans(settings.max_events).events,
-        FilterBatch(template, jobs),
-        problem.reference if scale_is_free(problem.parameters) else None,
-        scale,
-    )
-    sampler = tempered.TemperedSampler(
-        problem.parameters,
-        evidence,
-        modes,
-        settings,
-        TEMPERED_PARTICLES.seed(loaded.config.seed),
-    )
+    evidence = _evidence(problem, problem.scans(settings.max_events).events, FilterBatch(template, jobs), scale)
+    path = TemperedPath(problem.parameters, evidence, modes, settings)
+    sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(loaded.config.seed))
 
-    def after(state: Any, steps: Any) -> None:
+    def after(state: BridgeState, steps: Any) -> None:
         checkpoint.keep("smc", (state, list(steps)))
         if progress is not None:
             progress(int(1000 * state.temperature), 1000)
 
-    result = tempered.run(sampler, checkpoint.get("smc"), after)
+    result = bridging.run(sampler, checkpoint.get("smc"), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
-    details["smc"] = {
-        "evidence": settings.evidence,
+    details["smc"] = {**_sampler_figures(result, settings.evidence), "modes": len(modes.weights)}
+    return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)
+
+
+def _evidence(
+    problem: CalibrationProblem, events: Sequence[Event], batch: FilterBatch, scale: ScaleMeasurement | None
+) -> Evidence:
+    """Return the evidence of events; where the scale is free, the objects' priors do not decide on it."""
+    reference = problem.reference if scale_is_free(problem.parameters) else None
+    return Evidence(problem.parameters, events, batch, reference, scale)
+
+
+def _sampler_figures(result: BridgeResult, evidence: str) -> dict[str, Any]:
+    """Return what the report holds of a sampler."""
+    return {
+        "evidence": evidence,
         "log_evidence": result.log_evidence,
         "acceptance": result.acceptance,
-        "effective_sample_size": result.effective_sample_size,
+        "effective_sample_size": result.effective_sample_size * len(result.values),
         "ancestors": result.ancestors,
-        "modes": len(modes.weights),
     }
-    return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.model import Config
+from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry import Geometry
@@ -57,9 +58,9 @@ class MeasuredScene:
     acceleration: float | None
 
 
-def measure_scene(geometry: Geometry) -> MeasuredScene:
-    """Estimate depths, speeds and accelerations of the objects."""
-    samples = _depth_samples(geometry)
+def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:
+    """Estimate depths, speeds and accelerations of the objects, from pairs of cameras with at least this score."""
+    samples = _depth_samples(geometry, least_score)
     if not len(samples):
         return MeasuredScene(None, samples, None, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
@@ -74,12 +75,12 @@ def measure_scene(geometry: Geometry) -> MeasuredScene:
     return MeasuredScene(depths, samples, speed, acceleration)
 
 
-def _depth_samples(geometry: Geometry) -> Array:
+def _depth_samples(geometry: Geometry, least_score: float) -> Array:
     """Return 200 depths that represent the rays that meet, without those that meet by chance."""
     found, chance = [], []
     views = geometry.views
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
-        if given.score < LEAST_SCORE:
+        if given.score < least_score:
             continue
         distance, depth = distances(pair, views[pair.a], views[pair.b])
         best = distance.argmin(axis=2)[..., None]
@@ -219,6 +220,8 @@ def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
         )  # fmt: skip
     acceleration = getattr(motion, "acceleration_std", None)
+    if acceleration == ESTIMATE:
+        return
     stated_acceleration = 0.0 if acceleration is None else float(np.max(acceleration))
     found = scene.acceleration
     # gravity and the like the model explains itself

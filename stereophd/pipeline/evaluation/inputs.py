@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from stereophd.core.metrics.alignment import Events, Truth
 from stereophd.core.metrics.assignment import FloatArray, IntArray
@@ -18,10 +19,12 @@ from stereophd.core.metrics.visibility import Sightings
 from stereophd.errors import InputError
 from stereophd.io.provenance import from_metadata, length_unit
 from stereophd.io.tables import (
+    CONFIRMED,
     COVARIANCE,
     FLOAT,
     INTEGER,
     STRING,
+    TENTATIVE,
     check_columns,
     damaged_is_input_error,
     open_parquet,
@@ -58,6 +61,8 @@ class Tracks:
         Of the position.
     track_id : (n,) array
         Identities, negative if the filter gives none.
+    confirmed : (n,) bool array
+        Whether each estimate is confirmed, rather than tentative.
     metadata : dict or None
         Provenance that the file carries.
     length_unit : str or None
@@ -70,6 +75,7 @@ class Tracks:
     velocity: FloatArray
     covariance: FloatArray
     track_id: IntArray
+    confirmed: NDArray[np.bool_]
     metadata: Mapping[str, Any] | None
     length_unit: str | None
 
@@ -83,7 +89,12 @@ def read_tracks(path: Path) -> Tracks:
         A file is not what it should be: columns, types, values that are not finite, times out of order, an
         event in two pieces, or tracks of events that the scans do not have.
     """
-    table = read_table(path, {**KEY, "track_id": INTEGER, **POSITION, **VELOCITY}, what="table of tracks")
+    table = read_table(
+        path,
+        {**KEY, "track_id": INTEGER, **POSITION, **VELOCITY},
+        optional={"status": STRING},
+        what="table of tracks",
+    )
     position, velocity = _vectors(table, POSITION, path), _vectors(table, VELOCITY, path)
     cameras: dict[str, int] = {}
     rows = _keys(table, path, cameras)
@@ -105,6 +116,7 @@ def read_tracks(path: Path) -> Tracks:
         velocity=velocity,
         covariance=_position_covariances(path),
         track_id=_integers(table, "track_id"),
+        confirmed=_confirmed(table, path),
         metadata=from_metadata(table.schema.metadata),
         length_unit=length_unit(table.schema.metadata),
     )
@@ -241,6 +253,19 @@ def _split_event(path: Path, row: int) -> InputError:
 
 def _integers(table: pa.Table, name: str) -> IntArray:
     return np.array(table[name], dtype=np.int64)
+
+
+def _confirmed(table: pa.Table, path: Path) -> NDArray[np.bool_]:
+    """Return which estimates are confirmed: all of a table without the column ``status``."""
+    if "status" not in table.column_names:
+        return np.ones(table.num_rows, dtype=bool)
+    status = table["status"]
+    confirmed = np.asarray(pc.equal(status, CONFIRMED), dtype=bool)
+    unknown = np.flatnonzero(~confirmed & ~np.asarray(pc.equal(status, TENTATIVE), dtype=bool))
+    if unknown.size:
+        found = status[int(unknown[0])].as_py()
+        raise InputError(f"{path}: row {unknown[0]}: column status: expected {CONFIRMED} or {TENTATIVE}, found {found}")
+    return confirmed
 
 
 def _names(table: pa.Table) -> tuple[IntArray, list[str]]:

@@ -24,6 +24,7 @@ class Options:
     seen_by: int | None
     within_s: float | None
     ospa2_window: int
+    tentative: bool
 
 
 def check_options(options: Options, log_path: Path | str | None) -> None:

@@ -67,6 +67,7 @@ def build_report(
             "window": {"from_s": options.from_s, "to_s": options.to_s, "at": options.at},
             "max_gap_s": max_gap_s,
             "seen_by": visible,
+            "tentative": options.tentative,
             "gates": gates(limits, {**result, "scans": scored.scans}),
             "provenance": record,
         }

@@ -16,7 +16,8 @@ from stereophd.core.metrics.alignment import (
     in_window,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.assignment import is_positive_definite
+from stereophd.core.metrics.assignment import IntArray, is_positive_definite
+from stereophd.core.metrics.confirmation import FirstReports, first_reports, waits
 from stereophd.core.metrics.following import follow
 from stereophd.core.metrics.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
@@ -88,8 +89,9 @@ def score_tracks(
     scores = follow(estimates, points, scores, near, options.order)
     ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
+    waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
     return Scored(
-        figures=figures(estimates, points, scores, near, ospa2, errors),
+        figures=figures(estimates, points, scores, near, ospa2, errors, waited),
         scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
         columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,
@@ -98,9 +100,7 @@ def score_tracks(
 
 def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> PointSets:
     """Return the estimates that were reported after each event."""
-    count = events.row_end - events.row_start
-    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    rows = np.arange(start[-1]) + np.repeat(events.row_start - start[:-1], count)
+    rows, start = _rows(events)
     covariance = tracks.covariance[rows]
     if options.base == "mahalanobis":
         bad = np.flatnonzero(~is_positive_definite(covariance))
@@ -109,7 +109,24 @@ def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> 
                 f"{path}: row {rows[bad[0]]}: column covariance: expected a positive definite covariance "
                 "of the position (base mahalanobis), found one that is not"
             )
-    return PointSets(start, tracks.position[rows], tracks.velocity[rows], tracks.track_id[rows], covariance)
+    confirmed = tracks.confirmed[rows]
+    reported = PointSets(
+        start, tracks.position[rows], tracks.velocity[rows], tracks.track_id[rows], covariance, confirmed
+    )  # fmt: skip
+    return reported if options.tentative else reported.keep_points(confirmed)
+
+
+def _rows(events: Events) -> tuple[IntArray, IntArray]:
+    """Return the rows of tracks that belong to events, one event after the other, and where each event starts."""
+    count = events.row_end - events.row_start
+    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    return np.arange(start[-1]) + np.repeat(events.row_start - start[:-1], count), start
+
+
+def _first_reports(tracks: Tracks) -> FirstReports:
+    """Return when each track was first reported, tentative reports included."""
+    rows, start = _rows(tracks.events)
+    return first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
 
 
 def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: Options, path: Path) -> str:

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from stereophd.core.geometry.trajectory import COLUMNS
 from stereophd.errors import InputError
 from stereophd.io.provenance import from_metadata, length_unit
-from stereophd.io.tables import FLOAT, INTEGER, open_parquet, read_table
+from stereophd.io.tables import CONFIRMED, FLOAT, INTEGER, STRING, open_parquet, read_table
 
 #: Kind of table -> columns by which it is recognised, the most particular first.
 KINDS = (
@@ -54,15 +55,21 @@ def summarise_table(path: Path) -> dict[str, Any]:
 def summarise_objects(path: Path, identity: str) -> dict[str, Any]:
     """Return a summary of tracks (``identity`` track_id) or truth (object_id), with a row for each object.
 
+    Tentative estimates are counted, but not part of the summary.
+
     Raises
     ------
     InputError
         Damaged, or nulls where there must be values.
     """
-    optional = {"existence": FLOAT}
+    optional = {"existence": FLOAT, "status": STRING}
     required = {"time_s": FLOAT, identity: INTEGER, "x": FLOAT, "y": FLOAT, "z": FLOAT}
     table = read_table(path, required, optional)
     result = summarise_table(path)
+    if "status" in table.schema.names:
+        confirmed = pc.equal(table["status"], CONFIRMED)
+        result["tentative_rows"] = table.num_rows - int(pc.sum(confirmed).as_py() or 0)
+        table = table.filter(confirmed)
     if not table.num_rows:
         return {**result, "objects": 0, "rows_by_object": []}
     time, who = _column(table, "time_s"), _column(table, identity)

@@ -8,9 +8,9 @@ holds is data, never code (`stereophd.io.checkpoints`).
 
 from __future__ import annotations
 
-import shutil
+import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ CHUNK_RECORDS = 20_000
 
 @dataclass(frozen=True)
 class SavedRun:
-    """A `RunState`, without what the records tell.
+    """A `RunState`, without what the records hold.
 
     Attributes
     ----------
@@ -47,8 +47,8 @@ class SavedRun:
         Labels not reported yet, and their detections by camera.
     tracks, claims : list
         Labels reported so far with their tracks, and labels not reported yet with what they claim.
-    chunks : int
-        Number of chunks that lead up to this state.
+    chunks : list
+        Spans of the chunks that lead up to this state (`RecordChunks`).
     """
 
     estimator: Any
@@ -57,10 +57,10 @@ class SavedRun:
     pending: list[Any]
     tracks: list[Any]
     claims: list[Any]
-    chunks: int
+    chunks: list[tuple[float, float]]
 
     @classmethod
-    def of(cls, run: RunState[Any], chunks: int) -> SavedRun:
+    def of(cls, run: RunState[Any], chunks: Sequence[tuple[float, float]]) -> SavedRun:
         """Return what is to be kept of a run."""
         return cls(
             run.estimator,
@@ -69,7 +69,7 @@ class SavedRun:
             [[label, dict(counts)] for label, counts in run.attribution.pending.items()],
             [list(pair) for pair in run.associations.known.items()],
             [[label, list(rows)] for label, rows in run.associations.pending.items()],
-            chunks,
+            list(chunks),
         )
 
     def run_state(self, last: Record | None) -> RunState[Any]:
@@ -84,91 +84,111 @@ class SavedRun:
         )
 
 
-class RecordJournal:
-    """The folder of one unfinished run.
+class RecordChunks:
+    """Records in files of some megabytes each.
 
     Parameters
     ----------
     folder : Path
         Made when there is something to keep.
     identity : str
-        Of configuration and log; a folder of another run is refused.
+        Of configuration and log; files of another run are refused.
+    """
+
+    def __init__(self, folder: Path, identity: str) -> None:
+        self.folder = folder
+        self.identity = identity
+        #: Times of the first and the last record of each chunk, s.
+        self.spans: list[tuple[float, float]] = []
+        self._waiting: list[Record] = []
+        self._estimates = 0
+
+    def add(self, record: Record) -> None:
+        """Keep a record; what only the loop needs is left out."""
+        self._waiting.append(replace(record, event=None, info=replace(record.info, claims=None)))
+        self._estimates += len(record.estimates.track_ids)
+        if max(len(self._waiting), self._estimates) >= CHUNK_RECORDS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the records that wait."""
+        if not self._waiting:
+            return
+        self.write(self._path(len(self.spans)).name, {"records": pack(self._waiting)})
+        self.spans.append((self._waiting[0].time_s, self._waiting[-1].time_s))
+        self._waiting, self._estimates = [], 0
+
+    def write(self, name: str, parts: dict[str, Any]) -> None:
+        """Write another file of the folder."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with atomic_write(self.folder / name) as temporary:
+            write_checkpoint(temporary, self.identity, parts)
+
+    def read(self, from_s: float = -math.inf, until_s: float = math.inf) -> Iterator[Record]:
+        """Yield the records of the chunks from one time to before another."""
+        classes = reachable_classes([Record])
+        for number, (first_s, last_s) in enumerate(self.spans):
+            if last_s < from_s or first_s >= until_s:
+                continue
+            for record in unpack(read_checkpoint(self._path(number), self.identity, [Record])["records"], classes):
+                if from_s <= record.time_s < until_s:
+                    yield record
+
+    def keep_only(self, spans: Sequence[tuple[float, float]]) -> None:
+        """Take over the first chunks, and forget the others."""
+        self.spans = list(spans)
+        kept = {self._path(number).name for number in range(len(self.spans))}
+        for path in self.folder.glob("records-*.npz"):
+            if path.name not in kept:
+                path.unlink()
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"records-{number:06d}.npz"
+
+
+class RecordJournal:
+    """The records of one unfinished run, and its last state.
+
+    Parameters
+    ----------
+    folder, identity
+        As of `RecordChunks`.
     estimator : Estimator
         What runs.
     """
 
     def __init__(self, folder: Path, identity: str, estimator: Estimator[Any]) -> None:
-        self.folder = folder
-        self._identity = identity
+        self.chunks = RecordChunks(folder, identity)
         self._classes = [SavedRun, Record, *_classes_of(estimator.init())]
-        self._chunks = 0
-        self._waiting: list[Record] = []
-        self._estimates = 0
         self._next_s = time.monotonic() + KEEP_EVERY_S
 
     def load(self) -> SavedRun | None:
-        """Return the last state that was kept, or None; chunks after it are forgotten.
+        """Return the last state that was kept, or None; records after it are forgotten.
 
         Raises
         ------
         InputError
             The folder holds a state of another run, or a damaged one.
         """
-        path = self.folder / STATE_FILE
+        path = self.chunks.folder / STATE_FILE
         saved = None
         if path.exists():
-            saved = read_checkpoint(path, self._identity, self._classes)["run"]
+            saved = read_checkpoint(path, self.chunks.identity, self._classes)["run"]
             if not isinstance(saved, SavedRun):
                 raise InputError(f"{path}: expected the state of a run, found something else")
-        self._chunks = 0 if saved is None else saved.chunks
-        for later in self.folder.glob("records-*.npz"):
-            if later.name not in {self._chunk(number).name for number in range(self._chunks)}:
-                later.unlink()
+        self.chunks.keep_only([] if saved is None else saved.chunks)
         return saved
 
-    def records(self) -> Iterator[Record]:
-        """Yield the records that lead up to the state."""
-        classes = reachable_classes(self._classes)
-        for number in range(self._chunks):
-            packed = read_checkpoint(self._chunk(number), self._identity, self._classes)["records"]
-            yield from unpack(packed, classes)
-
     def add(self, record: Record, run: RunState[Any]) -> None:
-        """Keep a record, of which `run` is the state."""
-        # what only the loop needs is not kept
-        self._waiting.append(replace(record, event=None, info=replace(record.info, claims=None)))
-        self._estimates += len(record.estimates.track_ids)
-        if time.monotonic() >= self._next_s:
-            self.keep(run)
-        elif max(len(self._waiting), self._estimates) >= CHUNK_RECORDS:
-            self._write_chunk()
-
-    def keep(self, run: RunState[Any]) -> None:
-        """Write what is waiting, and the state."""
+        """Keep a record, of which `run` is the state; the state too, if the last time was a while ago."""
+        self.chunks.add(record)
         start = time.monotonic()
-        self._write_chunk()
-        self._write(self.folder / STATE_FILE, {"run": SavedRun.of(run, self._chunks)})
+        if start < self._next_s:
+            return
+        self.chunks.flush()
+        self.chunks.write(STATE_FILE, {"run": SavedRun.of(run, self.chunks.spans)})
         now = time.monotonic()
         self._next_s = now + max(KEEP_EVERY_S, (now - start) / MOST_SHARE)
-
-    def remove(self) -> None:
-        """Remove the folder: the run is done, or begins anew."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _write_chunk(self) -> None:
-        if not self._waiting:
-            return
-        self._write(self._chunk(self._chunks), {"records": pack(self._waiting)})
-        self._chunks += 1
-        self._waiting, self._estimates = [], 0
-
-    def _write(self, path: Path, parts: dict[str, Any]) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as temporary:
-            write_checkpoint(temporary, self._identity, parts)
-
-    def _chunk(self, number: int) -> Path:
-        return self.folder / f"records-{number:06d}.npz"
 
 
 def journaled_records(
@@ -197,7 +217,7 @@ def journaled_records(
     rest = iter(events)
     if saved is not None:
         last = None
-        for record in journal.records():
+        for record in journal.chunks.read():
             event = next(rest) if record.is_event else None
             last = record if record.is_event else last
             yield replace(record, event=event if keep_events else None)

@@ -46,10 +46,13 @@ def _without_short(record: Record, first: dict[int, float], last: dict[int, floa
     def lasts(track_ids: list[int]) -> list[bool]:
         return [one in first and last[one] - first[one] >= least for one in track_ids]
 
-    kept = lasts(record.estimates.track_ids.tolist())
+    estimates, tentative = record.estimates, record.estimates.tentative
+    kept = np.array(lasts(estimates.track_ids.tolist()), dtype=bool)
+    if tentative is not None:
+        tentative = tentative.take(np.array(lasts(tentative.track_ids.tolist()), dtype=bool))
     rows = [(one, np.array(lasts(one.track_ids.tolist()), dtype=bool)) for one in record.associations]
     return replace(
         record,
-        estimates=record.estimates if all(kept) else record.estimates.take(np.array(kept, dtype=bool)),
+        estimates=estimates if kept.all() and tentative is None else replace(estimates.take(kept), tentative=tentative),
         associations=tuple(one if mask.all() else one.take(mask) for one, mask in rows if mask.any()),
     )

@@ -24,6 +24,9 @@ from stereophd.pipeline.tracking.associations import Associated, Associations
 # Events between two clearances of what is known of dead tracks.
 FORGET_EVERY = 50
 
+# Cameras that must have detected a tentative object.
+SUPPORT = 2
+
 
 @dataclass(frozen=True)
 class ReportTimes:
@@ -167,7 +170,7 @@ class RunState(Generic[State]):
     estimator : State
         State of the estimator after the last event.
     events : int
-        Number of events so far: those that a run from a copy passes over (`EventStream`, `skip`).
+        Number of events so far: those that a run from a copy passes over.
     last : Record, optional
         Of the last event.
     forecast_from_s : float
@@ -224,6 +227,7 @@ def run_estimator(
         first_label = run.estimator.next_label
         run.estimator, info, estimates = estimator.step(run.estimator, event)
         attributed = run.attribution.update(name, info.detected, estimates)
+        estimates = _supported(estimates, run, len(names))
         associations = run.associations.update(event, name, info.claims)
         if times.after(name):
             associations += tuple(run.associations.report(times.certain(estimates)))
@@ -241,6 +245,21 @@ def run_estimator(
         yield from _forecasts(estimator, run, times, run.last.time_s + same_time(run.last.time_s))
 
 
+def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Estimates:
+    """Return estimates with only those tentative objects that two cameras have detected.
+
+    In the first events of a log, as many as there are cameras, one camera is enough: most of what the first frames show
+    was there before the recording, and no second camera may have had a frame.
+    """
+    tentative = estimates.tentative
+    if tentative is None:
+        return estimates
+    pending = run.attribution.pending
+    least = 1 if run.events < cameras else SUPPORT
+    kept = np.array([len(pending.get(label, ())) >= least for label in tentative.labels.tolist()], dtype=bool)
+    return replace(estimates, tentative=tentative.take(kept) if kept.any() else None)
+
+
 def _forecasts(
     estimator: Estimator[State], run: RunState[State], times: ReportTimes, until_s: float
 ) -> Iterator[Record]:
@@ -250,6 +269,7 @@ def _forecasts(
         return
     for time_s in grid_times(times.grid_s, run.forecast_from_s, until_s):
         info, estimates = estimator.forecast(run.estimator, last.info, time_s)
+        estimates = _supported(estimates, run, len(estimator.rig.cameras))
         run.forecast_from_s = math.nextafter(time_s, math.inf)
         yield Record(
             time_s, last.camera, last.frame, 0, run.estimator.next_label, info, estimates, is_event=False,

@@ -19,7 +19,7 @@ from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
-from stereophd.io.tables import STD, TableWriter
+from stereophd.io.tables import CONFIRMED, STD, TENTATIVE, TableWriter
 from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.explained import Explained
 from stereophd.pipeline.tracking.loop import Record
@@ -70,7 +70,7 @@ def write_records(
     explained = Explained(cameras)
     identities: dict[int, _Identity] = {}
     detections: dict[int, Counter[str]] = {}
-    events, log_likelihood = 0, 0.0
+    events, confirmed, log_likelihood = 0, 0, 0.0
     first_s, last_s = math.nan, math.nan
     # since the last row: what happened between two reports belongs to the second
     new_detections, new_log_likelihood = 0, 0.0
@@ -104,14 +104,17 @@ def write_records(
             }
         )
         new_detections, new_log_likelihood = 0, 0.0
-        if len(estimates.track_ids):
-            tracks.append({**key, **_columns(estimates, report.std_columns)})
+        for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
+            if level is not None and len(level.track_ids):
+                tracks.append({**key, **_columns(level, report.std_columns), "status": status})
+        confirmed += len(estimates.track_ids)
         _summarise(identities, estimates, record.time_s)
     return {
         "events": events,
         "duration_s": last_s - first_s,
         "reports": scans.rows,
-        "estimates": tracks.rows,
+        "estimates": confirmed,
+        "tentative_estimates": tracks.rows - confirmed,
         "log_likelihood": log_likelihood,
         "cameras": explained.report(),
         "tracks": [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.cameras import CameraConfig, DetectorConfig
@@ -22,7 +22,7 @@ from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.journal import RecordJournal, journaled_records
 from stereophd.pipeline.tracking.lifetimes import lasting
-from stereophd.pipeline.tracking.loop import Estimator, Record, run_estimator
+from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import Tables, smoothed_records, write_records
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 
@@ -56,11 +56,13 @@ class Tracking:
     report: ReportConfig
     detectors: dict[str, Any] | None = None
 
-    def records(self, stream: EventStream, journal: RecordJournal | None = None) -> Iterator[Record]:
-        """Yield the records of a log, smoothed if the configuration asks for it; go on from a journal, if given."""
-        if isinstance(self.estimator, SingleTracker):
-            return reported_records(self.estimator, self.motion, at_most_one(stream), self.report, journal=journal)
-        return reported_records(self.estimator, self.motion, stream, self.report, keep_events=True, journal=journal)
+    def records(
+        self, stream: EventStream, journal: RecordJournal | None = None, run: RunState[Any] | None = None
+    ) -> Iterator[Record]:
+        """Yield the records of a log, smoothed if the configuration asks for it; see `reported_records`."""
+        single = isinstance(self.estimator, SingleTracker)
+        events = at_most_one(stream) if single else stream
+        return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
 
 
 def reported_records(
@@ -70,16 +72,17 @@ def reported_records(
     report: ReportConfig,
     keep_events: bool = False,
     journal: RecordJournal | None = None,
+    run: RunState[Any] | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` asks for it.
 
     With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs. With a
-    `journal` the run goes on from there, and what it gives is kept there.
+    `journal` the run goes on from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
     times, keep_events = report_times(report), keep_events and smooth is not None
     if journal is None:
-        records = run_estimator(estimator, events, times, keep_events)
+        records = run_estimator(estimator, events, times, keep_events, run)
     else:
         records = journaled_records(estimator, events, times, keep_events, journal)
     if smooth is not None:
@@ -95,7 +98,12 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
     InputError
         The configuration has no filter or no cameras, or they do not fit each other.
     """
-    config, cameras = loaded.config, loaded.build_cameras()
+    return tracking_with(loaded, loaded.build_cameras(), threads)
+
+
+def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int) -> Tracking:
+    """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
+    config = loaded.config
     if not isinstance(config.filter, SingleSettings):
         multi_filter = build_filter(config, cameras, loaded.path, threads)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
@@ -119,8 +127,7 @@ def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: E
     cameras, detectors = estimate_detectors(
         tracking.cameras, estimated, lambda used: build_labelled_filter(config, used, path, threads), stream
     )
-    multi_filter = build_filter(config, cameras, path, threads)
-    return Tracking(multi_filter, multi_filter.motion, cameras, config.report, detectors)
+    return replace(tracking_with(loaded, cameras, threads), detectors=detectors)
 
 
 def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:

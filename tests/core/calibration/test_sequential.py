@@ -62,7 +62,7 @@ def test_it_is_the_textbooks_filter(parameters: ParameterSet) -> None:
     assert isinstance(template, PhdFilter)
     events = make_events(parameters.cameras, 8)
     known_well = narrowed(parameters, 0.05)
-    settings = SequentialSettings(particles=12)
+    settings = SequentialSettings(moves="none", resample_below=0.75, particles=12)
     result = sequential.run(known_well, events, FilterBatch(template), settings, SEED)
     values, weights, evidence = textbook(known_well, template, events, settings)
     assert 0 < sum(info.resampled for info in result.history) < len(events)
@@ -77,7 +77,7 @@ def test_it_is_the_textbooks_filter(parameters: ParameterSet) -> None:
 def test_resumed_or_on_more_threads_it_is_the_same_to_the_bit(parameters: ParameterSet) -> None:
     events = make_events(parameters.cameras, 10)
     batch = FilterBatch(make_template(parameters.cameras))
-    settings, walk = SequentialSettings(particles=20), 0.01 * parameters.prior_std
+    settings, walk = SequentialSettings(moves="none", resample_below=0.75, particles=20), 0.01 * parameters.prior_std
     saved: list[bytes] = []
 
     def save(number: int, state: SequentialState, history: Sequence[SequentialInfo]) -> None:
@@ -108,7 +108,7 @@ def test_camera_motion_noise_grows_with_the_root_of_time(parameters: ParameterSe
     events = [replace(event, points=np.empty((0, 2)), covariances=np.empty((0, 2, 2)), areas=np.empty(0))
               for event in make_events(parameters.cameras, 10)]  # fmt: skip
     std = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.003])
-    settings = SequentialSettings(particles=4000, roughening=0.0)
+    settings = SequentialSettings(moves="none", resample_below=0.75, particles=4000, roughening=0.0)
     batch = FilterBatch(make_template(parameters.cameras, samples=32))
     values = parameters.sample(step_generator(SEED, 0), 4000)
     result = sequential.run(parameters, events, batch, settings, SEED, motion_std=std)
@@ -121,7 +121,7 @@ def test_a_pose_known_roughly_becomes_better_known(parameters: ParameterSet) -> 
     # of the prior only the yaw is uncertain: one dimension, which 200 particles fill
     yaw = ParameterSet(parameters.cameras, (replace(parameters.parameters[4], std=0.05),))
     events = make_events(parameters.cameras, 30, clutter=2.0)
-    settings = SequentialSettings(particles=200, roughening=0.1)
+    settings = SequentialSettings(moves="none", resample_below=0.75, particles=200, roughening=0.1)
     result = sequential.run(yaw, events, FilterBatch(make_template(parameters.cameras), 2), settings, SEED)
     last = result.history[-1]
     spread = float(np.sqrt(last.covariance[0, 0]))

@@ -8,10 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from stereophd.core.calibration import tempered
+from stereophd.core.calibration import bridging
+from stereophd.core.calibration.bridging import BridgeSampler, temperature_rise
+from stereophd.core.calibration.bridging_state import BridgeInfo, BridgeState
 from stereophd.core.calibration.likelihood import Evidence
+from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.tempered import Modes, TemperedInfo, TemperedSampler, TemperedSettings, TemperedState
+from stereophd.core.calibration.settings import TemperedSettings
+from stereophd.core.calibration.tempered import LogLikelihood, TemperedPath, tempered_sampler
 from stereophd.core.multi.batch import FilterBatch
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
 
@@ -29,6 +33,12 @@ def plane() -> ParameterSet:
         cameras,
         tuple(Parameter(n, "right", 0.0, s) for n, s in zip(("center_x", "center_y"), stds, strict=True)),
     )
+
+
+def sampler_of(
+    parameters: ParameterSet, log_likelihood: LogLikelihood, modes: Modes | None, settings: TemperedSettings
+) -> BridgeSampler:
+    return tempered_sampler(TemperedPath(parameters, log_likelihood, modes, settings), SEED)
 
 
 def linear(values: np.ndarray) -> np.ndarray:
@@ -52,18 +62,18 @@ def test_a_linear_problem_has_its_posterior_and_evidence(plane: ParameterSet, st
     modes = None if start == "prior" else Modes(
         (mean + (3.0 * std if start == "shifted mode" else 0.0))[None], covariance[None], np.ones(1)
     )  # fmt: skip
-    sampler = TemperedSampler(plane, linear, modes, TemperedSettings(particles=2000, moves=6), SEED)
-    result = tempered.run(sampler)
+    sampler = sampler_of(plane, linear, modes, TemperedSettings(particles=2000, moves=6))
+    result = bridging.run(sampler)
     # resampling and moves leave at least a fifth of the particles independent: 5 standard errors of 400
     np.testing.assert_allclose((result.values.mean(axis=0) - mean) / std, 0.0, atol=0.25)
     np.testing.assert_allclose(result.values.std(axis=0) / std, 1.0, atol=0.18)
     assert abs(np.corrcoef(result.values.T)[0, 1] - covariance[0, 1] / std.prod()) < 0.15
     assert abs(result.log_evidence - evidence) < 0.25
     assert 0.15 < result.acceptance < 0.7
-    assert result.effective_sample_size + 1e-6 >= 1000.0
+    assert result.effective_sample_size + 1e-9 >= 0.5
     steps = sum(info.kind == "temper" for info in result.history)
     assert steps == 1 if start == "mode" else steps > 1
-    np.testing.assert_allclose(result.log_posteriors, plane.log_prior(result.values) + linear(result.values))
+    np.testing.assert_allclose(result.log_densities, plane.log_prior(result.values) + linear(result.values))
 
 
 def test_overlapping_modes_of_different_width_keep_their_shares(plane: ParameterSet) -> None:
@@ -77,8 +87,8 @@ def test_overlapping_modes_of_different_width_keep_their_shares(plane: Parameter
         return np.asarray(np.logaddexp.reduce(parts, axis=1) - plane.log_prior(values))
 
     modes = Modes(centers, stds[:, None, None] ** 2 * np.eye(2), np.array([0.5, 0.5]))
-    sampler = TemperedSampler(plane, two, modes, TemperedSettings(particles=4000, moves=20), SEED)
-    result = tempered.run(sampler)
+    sampler = sampler_of(plane, two, modes, TemperedSettings(particles=4000, moves=20))
+    result = bridging.run(sampler)
     expected = np.mean([
         shares[0] * (np.linalg.norm(centers[0] + stds[0] * draw - centers[0]) < 0.5)
         + shares[1] * (np.linalg.norm(centers[1] + stds[1] * draw - centers[0]) < 0.5)
@@ -94,7 +104,7 @@ def test_overlapping_modes_of_different_width_keep_their_shares(plane: Parameter
 def test_a_mode_that_the_data_refute_dies_out(plane: ParameterSet) -> None:
     mean, covariance, evidence = linear_posterior(plane)
     modes = Modes(np.stack([mean, mean + 30.0]), np.stack([covariance] * 2), np.array([0.5, 0.5]))
-    result = tempered.run(TemperedSampler(plane, linear, modes, TemperedSettings(particles=500), SEED))
+    result = bridging.run(sampler_of(plane, linear, modes, TemperedSettings(particles=500)))
     assert (np.abs(result.values - mean) < 10.0).all()
     assert abs(result.log_evidence - evidence) < 0.5
     assert result.ancestors <= 250
@@ -102,12 +112,12 @@ def test_a_mode_that_the_data_refute_dies_out(plane: ParameterSet) -> None:
 
 def test_rises_of_temperature_leave_the_wanted_particles_effective() -> None:
     gain = 50.0 * np.random.default_rng(1).standard_normal(300)
-    rise = tempered.temperature_rise(gain, 1.0, 0.5)
+    rise = temperature_rise(gain, 1.0, 0.5)
     weights = np.exp(rise * (gain - gain.max()))
     np.testing.assert_allclose(weights.sum() ** 2 / (weights**2).sum(), 150.0, rtol=1e-6)
-    assert tempered.temperature_rise(np.zeros(300), 0.3, 0.5) == 0.3
+    assert temperature_rise(np.zeros(300), 0.3, 0.5) == 0.3
     # one particle of infinite weight: the temperature still rises
-    assert tempered.temperature_rise(np.array([0.0] + [-np.inf] * 9), 1.0, 0.5) > 0.0
+    assert temperature_rise(np.array([0.0] + [-np.inf] * 9), 1.0, 0.5) > 0.0
 
 
 @pytest.mark.parametrize("kind", ["pmb", "phd"])
@@ -118,15 +128,15 @@ def test_a_camera_is_found_and_a_resumed_run_ends_the_same(kind: str) -> None:
     std = np.array([5.0, 1.0, 3.0, 0.004, 0.02, 0.006])
     truth = np.zeros(6)
     modes = Modes((truth + 0.5 * std)[None], np.diag(std**2)[None], np.ones(1))
-    sampler = TemperedSampler(parameters, evidence, modes, TemperedSettings(particles=32, moves=2), SEED)
+    sampler = sampler_of(parameters, evidence, modes, TemperedSettings(particles=32, moves=2))
     saved: list[bytes] = []
 
-    def save(state: TemperedState, history: Sequence[TemperedInfo]) -> None:
+    def save(state: BridgeState, history: Sequence[BridgeInfo]) -> None:
         if len(history) == 3:
             saved.append(pickle.dumps((state, list(history))))
 
-    result = tempered.run(sampler, after_step=save)
-    resumed = tempered.run(sampler, resume=pickle.loads(saved[0]))
+    result = bridging.run(sampler, after_step=save)
+    resumed = bridging.run(sampler, resume=pickle.loads(saved[0]))
     assert to_bytes(resumed) == to_bytes(result)
     # the pitch is seen best: narrower than the prior, and the truth within it
     pitch = result.values[:, 3]

@@ -13,7 +13,7 @@ from stereophd.core.multi.settings import Hysteresis
 from tests.core.multi.scenes import make_mixture
 
 HALF = Hysteresis(confirm=0.5, release=0.5)
-SLOW = Hysteresis(confirm=0.8, release=0.1)
+SLOW = Hysteresis(confirm=0.8, release=0.1, tentative=0.8)
 
 
 def identities(selection: Selection) -> list[int]:
@@ -91,9 +91,27 @@ def test_an_identity_survives_a_heavier_newborn_of_its_label() -> None:
     assert chosen.next_track == 9
 
 
+def test_tentative_objects_keep_their_identity_when_they_are_confirmed() -> None:
+    levels = Hysteresis(confirm=0.9, release=0.1, tentative=0.6)
+    mixture, next_track = make_mixture([0.0, 0.95], labels=[4, 5]), 0
+    found = []
+    for weight in (0.5, 0.6, 0.89, 0.9, 0.5, 0.09, 0.7):
+        chosen = select_objects(mixture.with_weights(np.array([weight, 0.95])), levels, 6, next_track)
+        mixture, next_track = chosen.mixture, chosen.next_track
+        found.append(dict(zip(identities(chosen), chosen.tentative.tolist(), strict=True)))
+    # Object 0 is the one of label 5; the other is 1, and released once it falls below 0.1.
+    assert found == [
+        {0: False},
+        *[{0: False, 1: unsure} for unsure in (True, True, False, False)],
+        {0: False},
+        *found[1:2],
+    ]
+    assert next_track == 2
+
+
 def test_empty_mixture() -> None:
     chosen = select_objects(empty_mixture(6), HALF, 5, 2)
-    assert len(chosen.index) == len(chosen.existence) == 0
+    assert len(chosen.index) == len(chosen.existence) == len(chosen.tentative) == 0
     assert (chosen.next_label, chosen.next_track) == (5, 2)
 
 

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from stereophd.core.numerics import kernel_cache
+from stereophd.core.numerics import kernel_cache, kernel_digest
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky
 
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(kernel_cache, "_ROOT", tmp_path)
+    monkeypatch.setattr(kernel_digest, "PACKAGE_PARENT", tmp_path)
     folder = tmp_path / "stereophd"
     folder.mkdir()
     (folder / "a.py").write_text("from stereophd.b import f\n")
@@ -31,9 +31,9 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _digest(file: Path) -> str:
-    kernel_cache._imported_files.cache_clear()
-    kernel_cache.source_digest.cache_clear()
-    return kernel_cache.source_digest(file)
+    kernel_digest._imported_files.cache_clear()
+    kernel_digest.source_digest.cache_clear()
+    return kernel_digest.source_digest(file)
 
 
 @pytest.mark.parametrize(("changed", "stays"), [("a.py", False), ("b.py", False), ("c.py", False), ("d.py", True)])
@@ -52,7 +52,7 @@ def _run() -> list[int]:
     factor = np.zeros((2, 2))
     assert kernel(4.0 * np.eye(2), factor)
     assert factor[0, 0] == 2.0
-    stats = kernel.stats
+    stats = kernel.for_python.stats  # type: ignore[attr-defined]
     return [sum(stats.cache_hits.values()), sum(stats.cache_misses.values())]
 
 
@@ -136,7 +136,7 @@ def test_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             monkeypatch.setenv(name, value)
         return [str(path.parent) for path in kernel_cache._candidates()]
 
-    package, temporary = str(kernel_cache._ROOT / "stereophd" / "__pycache__"), tempfile.gettempdir()
+    package, temporary = str(kernel_digest.PACKAGE_PARENT / "stereophd" / "__pycache__"), tempfile.gettempdir()
     assert found() == [package, temporary]
     assert found(NUMBA_CACHE_DIR="/n", XDG_CACHE_HOME="/x", HOME="/h") == ["/n", package, "/x", temporary]
     assert found(HOME=str(tmp_path)) == [package, str(tmp_path / ".cache"), temporary]

@@ -6,6 +6,8 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from stereophd.commands.export import export
@@ -14,6 +16,7 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import TRACKS, TableWriter
+from stereophd.pipeline.inspection.tables import summarise_objects
 
 from .conftest import rig
 
@@ -38,9 +41,8 @@ def tracks(tmp_path: Path) -> Path:
             columns = {"x": x, "y": y, "z": z, "vx": np.pi, "vy": 0.0, "vz": -1 / 3}
             covariance = np.arange(36.0)[None] / 7
             key = {"time_s": np.array([time]), "camera": "left", "frame": round(time * 10), "track_id": track}
-            table.append(
-                {**key, **{k: float(v) for k, v in columns.items()}, "covariance": covariance, "existence": 0.5}
-            )
+            columns = {k: float(v) for k, v in columns.items()}
+            table.append({**key, **columns, "covariance": covariance, "existence": 0.5, "status": "confirmed"})
     return path
 
 
@@ -55,6 +57,20 @@ def test_csv_is_exact(tracks: Path, tmp_path: Path) -> None:
         index = TIMES[track].tolist().index(float(row["time_s"]))
         assert [float(row[axis]) for axis in "xyz"] == positions(track)[index].tolist()
         assert float(row["cov_vx_vz"]) == (3 * 6 + 5) / 7
+
+
+def test_tentative_estimates_are_left_out_unless_asked_for(tracks: Path, tmp_path: Path) -> None:
+    table = pq.read_table(tracks)
+    status = pa.array(["tentative" if row % 2 else "confirmed" for row in range(table.num_rows)])
+    pq.write_table(table.set_column(table.schema.get_field_index("status"), "status", status), tracks)
+    export("csv", tracks, tmp_path / "confirmed.csv")
+    assert len((tmp_path / "confirmed.csv").read_text().splitlines()) == 1 + (table.num_rows + 1) // 2
+    report = export("csv", tracks, tmp_path / "all.csv", ExportOptions(tentative=True))
+    assert len((tmp_path / "all.csv").read_text().splitlines()) == 1 + table.num_rows
+    summary = summarise_objects(tracks, "track_id")
+    assert summary["tentative_rows"] == table.num_rows // 2
+    assert sum(row["rows"] for row in summary["rows_by_object"]) == (table.num_rows + 1) // 2
+    assert report["what"] == "tracks"
 
 
 def test_tum_holds_one_track(tracks: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""State and outcome of tempered sampling; see `stereophd.core.calibration.tempered`."""
+"""State and outcome of a bridging sampler; see `stereophd.core.calibration.bridging`."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class TemperedState:
+class BridgeState:
     """State after a step.
 
     Attributes
     ----------
     values : array (k, m)
-    log_likelihoods : array (k,)
-        Evidence of each particle.
+    log_begin, log_end : arrays (k,)
+        Log-densities of each particle at the beginning and at the end of the stage.
     ancestors : array (k,) of int
         First particle that each descends from.
+    stage : int
+        Stage of the path, from 0.
     temperature : float
-        b above.
+        How far the particles are through the stage, 0 to 1.
     moves_left : int
         Moves to make before the next tempering step.
     step_size : float
@@ -35,8 +37,10 @@ class TemperedState:
     """
 
     values: Array
-    log_likelihoods: Array
+    log_begin: Array
+    log_end: Array
     ancestors: Integers
+    stage: int
     temperature: float
     moves_left: int
     step_size: float
@@ -44,19 +48,20 @@ class TemperedState:
     n_steps: int
 
     @property
-    def done(self) -> bool:
-        """Whether the particles stand for the posterior."""
+    def stage_done(self) -> bool:
+        """Whether the particles represent the density at the end of the stage."""
         return self.temperature >= 1.0 and self.moves_left == 0
 
 
 @dataclass(frozen=True)
-class TemperedInfo:
+class BridgeInfo:
     """What a step did.
 
     Attributes
     ----------
     kind : str
         ``temper`` or ``move``.
+    stage : int
     temperature : float
         After the step.
     effective_sample_size : float
@@ -65,43 +70,48 @@ class TemperedInfo:
         Share of particles moved; NaN of a tempering step.
     step_size : float
         Factor of the proposals in the step.
+    mean, covariance : arrays (m,), (m, m)
+        Of the particles after the step.
     """
 
     kind: str
+    stage: int
     temperature: float
     effective_sample_size: float
     acceptance: float
     step_size: float
+    mean: Array
+    covariance: Array
 
 
 @dataclass(frozen=True)
-class TemperedResult:
+class BridgeResult:
     """Outcome of a run.
 
     Attributes
     ----------
     values : array (k, m)
-        Particles of the posterior, all of the same weight.
-    log_posteriors : array (k,)
-        Log-prior plus evidence of each.
+        Particles of the last density, all of the same weight.
+    log_densities : array (k,)
+        The last log-density of each.
     log_evidence : float
-        Log-likelihood of the log, the cameras integrated out.
+        Logarithm of the ratio of the integrals of the last density and the first.
     acceptance : float
-        Of the moves at the posterior itself (temperature 1).
+        Of the moves at the last density itself.
     effective_sample_size : float
-        The smallest of the tempering steps.
+        The smallest of the tempering steps, as a share of the particles.
     ancestors : int
-        First particles that still have descendants: few mean that the proposal missed most of the posterior.
-    history : tuple of TemperedInfo
+        First particles that still have descendants: few mean that the first density missed most of the last.
+    history : tuple of BridgeInfo
     """
 
     values: Array
-    log_posteriors: Array
+    log_densities: Array
     log_evidence: float
     acceptance: float
     effective_sample_size: float
     ancestors: int
-    history: tuple[TemperedInfo, ...]
+    history: tuple[BridgeInfo, ...]
 
     @property
     def log_weights(self) -> Array:

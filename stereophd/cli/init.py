@@ -1,0 +1,97 @@
+"""``stereophd init``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, print_data, print_report
+
+
+class ObjectKind(StrEnum):
+    """What the objects are."""
+
+    ANIMALS = "animals"
+    DRONES = "drones"
+    LAB = "lab"
+
+
+class LengthUnit(StrEnum):
+    """Units of length."""
+
+    MM = "mm"
+    CM = "cm"
+    M = "m"
+    KM = "km"
+
+
+def init_command(
+    context: typer.Context,
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="Folder of the new config.yaml; created if missing.", show_default=False),
+    ],
+    log: Annotated[
+        Path | None,
+        typer.Option("--log", metavar="FILE", help="Detection log to estimate values from.", show_default=False),
+    ] = None,
+    cameras: Annotated[
+        Path | None,
+        typer.Option(
+            "--cameras",
+            metavar="FILE",
+            help="Cameras, native or of another program; default: cameras.yaml beside the log.",
+            show_default=False,
+        ),
+    ] = None,
+    length_unit: Annotated[
+        LengthUnit | None,
+        typer.Option("--length-unit", help="Unit of length; default: that of the cameras, else m.", show_default=False),
+    ] = None,
+    kind: Annotated[
+        ObjectKind | None,
+        typer.Option(
+            "--kind",
+            help="What the objects are, for values that the log does not give; default lab.",
+            show_default=False,
+        ),
+    ] = None,
+    strict: options.Strict = False,
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Write a commented configuration, its values estimated from a log and cameras where they are informative."""
+    session = begin(context)
+    from stereophd.commands.init import init
+
+    report = init(
+        folder, log, cameras, None if length_unit is None else length_unit.value, None if kind is None else kind.value,
+        force,
+    )  # fmt: skip
+    if session.json:
+        print_report(session, report)
+    elif not session.quiet:
+        print_data("\n".join(_lines(report, log)))
+    if strict and any(found["status"] == "warning" for found in report["checks"]):
+        raise typer.Exit(1)
+
+
+def _lines(report: dict[str, Any], log: Path | None) -> list[str]:
+    """Return the values with their sources, and what to run next."""
+    width = max(len(row["key"]) for row in report["values"])
+    lines = [f"{row['key']:<{width}}  {_shown(row['value']):<18}  {row['source']}" for row in report["values"]]
+    following = f"stereophd track {report['config']} {log or 'LOG'} --out tracks"
+    return [*lines, f"Written: {report['config']}; next: {following}"]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list):
+        return f"{value[0]:g} to {value[1]:g}"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,48 @@
+"""``stereophd report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereophd.cli import options
+from stereophd.cli.terminal import begin, print_data, print_report
+
+
+def report_command(
+    context: typer.Context,
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="Output folders of track, calibrate, evaluate and simulate.", show_default=False
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The page (HTML).", show_default=False)],
+    logs: Annotated[
+        list[Path] | None,
+        typer.Option("--log", metavar="FILE", help="Detection log elsewhere (repeatable).", show_default=False),
+    ] = None,
+    truths: Annotated[
+        list[Path] | None,
+        typer.Option("--truth", metavar="FILE", help="Truth elsewhere (repeatable).", show_default=False),
+    ] = None,
+    title: Annotated[str, typer.Option("--title", metavar="TEXT", help="Title of the page.")] = "stereophd report",
+    force: options.Force = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
+    """Write one self-contained page (needs the extra 'report'): tracks, cameras, residuals, scores, settings."""
+    session = begin(context)
+    from stereophd.commands.report import report
+
+    found = report(folders, out, logs=logs or (), truths=truths or (), title=title, force=force)
+    if session.json:
+        print_report(session, found)
+    elif not session.quiet:
+        for run in found["runs"]:
+            print_data(f"{run['name']}: {run['verdict']}")
+        print_data(f"{found['page']} ({found['bytes'] / 1e6:.1f} MB)")

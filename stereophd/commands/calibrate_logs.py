@@ -1,0 +1,106 @@
+"""Calibrate cameras from many detection logs, each by itself: a folder for each, and a summary of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stereophd.commands.calibrate import FILES, calibrate, checkpoint_path
+from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.tables import FLOAT, INTEGER, STRING
+from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
+from stereophd.pipeline.progress import Progress
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Columns of ``summary.parquet`` beside those of every batch; the standard deviations are the largest of the cameras.
+COLUMNS = {
+    "calibration": STRING,
+    **dict.fromkeys(("frames", "detections"), INTEGER),
+    **dict.fromkeys(("information_bits", "rotation_std_deg", "center_std"), FLOAT),
+}
+
+
+def calibrate_logs(
+    loaded: LoadedConfig,
+    logs: Sequence[Path | str],
+    out_dir: Path | str,
+    force: bool = False,
+    jobs: int = 1,
+    resume: bool = False,
+    progress: Progress | None = None,
+    dask: str | None = None,
+    **options: Any,
+) -> dict[str, Any]:
+    """Calibrate cameras from many detection logs, each by itself.
+
+    A log that fails is a row of the summary with the reason; the others are used.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        As of `stereophd.commands.calibrate.calibrate`.
+    logs : sequence of path
+        Detection logs, or patterns.
+    out_dir : path
+        Folder for the outputs: ``NAME/`` for each log (named as in `stereophd.commands.track_logs.track_logs`) and
+        ``summary.parquet``.
+    force : bool
+        Whether the outputs of an earlier run may be replaced.
+    jobs : int
+        Logs at a time, one process each (-1: as many as there are cores); the outputs do not depend on it.
+    resume : bool
+        Whether finished logs stay as they are, and unfinished ones continue from their checkpoints.
+    progress : callable, optional
+        Called with the logs done and their number.
+    dask : str, optional
+        Address of a Dask scheduler whose workers do the work instead.
+    **options
+        As of `stereophd.commands.calibrate.calibrate`.
+
+    Returns
+    -------
+    dict
+        ``logs``: the rows of the summary; ``done`` and ``failed``: their numbers; ``exit_code``.
+
+    Raises
+    ------
+    InputError
+        As `stereophd.commands.track_logs.track_logs`.
+    """
+    from joblib import effective_n_jobs
+
+    metadata = to_metadata(provenance("calibrate", loaded.record))
+    work = partial(_calibrate, loaded, force, resume, options)
+    batch = Batch(log_items(logs), work, _values, FILES, COLUMNS, metadata, beside=["*.checkpoint"])
+    return run_batch(batch, out_dir, effective_n_jobs(jobs), dask, force, resume, progress)
+
+
+def _calibrate(
+    loaded: LoadedConfig,
+    force: bool,
+    resume: bool,
+    options: Mapping[str, Any],
+    item: Item,
+    out: Path,
+    progress: Progress | None,
+) -> Mapping[str, Any]:
+    """Calibrate from one log."""
+    again = resume and (checkpoint_path(out).exists() or out.exists())
+    return calibrate(loaded, item.paths[0], out, force, resume=again, progress=progress, **options)
+
+
+def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the values of a row of the summary."""
+    cameras = report.get("cameras", {}).values()
+    return {
+        "calibration": report["status"],
+        "frames": report["input"].get("frames"),
+        "detections": report["input"].get("detections"),
+        "information_bits": report.get("observability", {}).get("information_bits"),
+        "rotation_std_deg": max((camera["rotation_std_deg"] for camera in cameras), default=None),
+        "center_std": max((camera["center_std"] for camera in cameras), default=None),
+    }

@@ -1,0 +1,143 @@
+"""Write a commented configuration for a log and its cameras, each value with its source."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import stereophd
+from stereophd.config.loading import load_cameras, load_config
+from stereophd.errors import InputError
+from stereophd.io.atomic import atomic_write
+from stereophd.io.disk import write_error
+from stereophd.pipeline.checks.run import check_log, report_findings
+from stereophd.pipeline.initial.draft import draft_from_log
+from stereophd.pipeline.initial.template import METRES, SCALES, Draft, Kind, template
+from stereophd.pipeline.initial.text import MARK, config_text
+from stereophd.pipeline.inspection.log import summarise_log
+
+CONFIG_FILE, CAMERAS_FILE = "config.yaml", "cameras.yaml"
+REPORT_VERSION = 1
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def init(
+    out_dir: Path | str,
+    log_path: Path | str | None = None,
+    cameras_path: Path | str | None = None,
+    length_unit: str | None = None,
+    kind: Kind | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Write ``config.yaml`` for a log, so that `track` runs with it as it is.
+
+    Parameters
+    ----------
+    out_dir : path
+        Folder of the configuration; created if missing.
+    log_path : path, optional
+        Detection log, from which values are estimated.
+    cameras_path : path, optional
+        Cameras, native or of another program; default ``cameras.yaml`` beside the log, if it is there.
+    length_unit : str, optional
+        mm, cm, m or km; default that of the cameras, else m.
+    kind : str, optional
+        What the objects are (`animals`, `drones`, `lab`), for values that nothing else gives; default `lab`.
+    force : bool
+        Whether a ``config.yaml`` that `init` wrote may be replaced.
+
+    Returns
+    -------
+    dict
+        ``config`` (the path), ``length_unit``, ``values`` (key, value, source, measured), ``cameras`` and ``checks``.
+
+    Raises
+    ------
+    InputError
+        The log or the cameras are not usable, or the folder holds another ``config.yaml``.
+    """
+    target = Path(out_dir) / CONFIG_FILE
+    _check_target(target, force)
+    if kind is not None and kind not in SCALES:
+        raise InputError(f"`kind`: expected one of {', '.join(SCALES)}, found {kind}")
+    cameras_file = _cameras_file(log_path, cameras_path)
+    draft = _begin(cameras_file, log_path, length_unit, kind or "lab")
+    if log_path is not None and draft.cameras:
+        draft = draft_from_log(draft, log_path)
+    sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
+    source = f"from {' and '.join(sources)}" if sources else "without a log"
+    _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE))
+    findings: list[dict[str, Any]] = []
+    if draft.cameras:
+        loaded = load_config(target)
+        if log_path is not None:
+            findings = report_findings(check_log(loaded, log_path, thorough=False))
+    else:
+        LOGGER.warning("%s: no cameras are known: put them into %s beside it", target, CAMERAS_FILE)
+    return {
+        "report_version": REPORT_VERSION,
+        "config": str(target),
+        "length_unit": draft.unit,
+        "cameras": list(draft.cameras),
+        "values": [
+            {"key": key, "value": one.value, "source": one.reason, "measured": one.measured}
+            for key, one in draft.choices.items()
+        ],
+        "checks": findings,
+    }
+
+
+def _check_target(target: Path, force: bool) -> None:
+    """Refuse to overwrite a configuration that `init` did not write, or any without `force`."""
+    if not target.exists():
+        return
+    try:
+        ours = target.read_text(encoding="utf-8", errors="replace").startswith(MARK)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be read: {error.strerror or error}") from error
+    if not ours:
+        raise InputError(
+            f"{target}: expected no configuration, or one of `init`, found another one; choose a new folder"
+        )
+    if not force:
+        raise InputError(f"{target}: expected no configuration, found one; use `force=True` to replace it")
+
+
+def _cameras_file(log_path: Path | str | None, cameras_path: Path | str | None) -> Path | None:
+    if cameras_path is not None:
+        return Path(cameras_path)
+    if log_path is None:
+        return None
+    beside = Path(log_path).with_name(CAMERAS_FILE)
+    if not beside.exists():
+        return None
+    LOGGER.info("cameras: %s, beside the log", beside)
+    return beside
+
+
+def _begin(cameras_file: Path | None, log_path: Path | str | None, unit: str | None, kind: Kind) -> Draft:
+    """Return the draft of a kind of object, with the cameras as they are."""
+    if unit is not None and unit not in METRES:
+        raise InputError(f"`length_unit`: expected one of {', '.join(METRES)}, found {unit}")
+    if cameras_file is not None:
+        described = load_cameras(cameras_file)
+        if unit is not None and unit != described.units.length:
+            raise InputError(f"{cameras_file}: units.length: expected {unit}, found {described.units.length}")
+        return template(described.units.length, described.cameras, kind)
+    draft = template(unit or "m", {}, kind)
+    if log_path is None:
+        return draft
+    rows = summarise_log(Path(log_path))["cameras"]
+    names = ", ".join(f"{name} ({row['rate_hz']:.6g} Hz)" if row.get("rate_hz") else name for name, row in rows.items())
+    return Draft(draft.unit, {}, draft.choices, head=(f"The log has the cameras {names}.",))
+
+
+def _write(target: Path, text: str) -> None:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_error(error, target.parent) from error
+    with atomic_write(target) as path:
+        path.write_text(text, encoding="utf-8")

@@ -1,0 +1,70 @@
+"""One self-contained page about the runs in output folders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stereophd.errors import InputError
+from stereophd.io.atomic import atomic_write
+from stereophd.pipeline.inspection.runs import read_runs
+
+
+def report(
+    folders: Sequence[Path | str],
+    out: Path | str,
+    *,
+    logs: Sequence[Path | str] = (),
+    truths: Sequence[Path | str] = (),
+    title: str = "stereophd report",
+    force: bool = False,
+) -> dict[str, Any]:
+    """Write one self-contained HTML page about the runs in some output folders.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        Output folders of `track`, `calibrate`, `evaluate` and `simulate`, in any order. What belongs together is found
+        by the hashes of the inputs.
+    out : path
+        The page.
+    logs, truths : sequences of path
+        Detection logs and truths that lie elsewhere.
+    title : str
+        Of the page.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    dict
+        ``page``, ``bytes``, and for each run ``name``, ``command`` and ``verdict``.
+
+    Raises
+    ------
+    InputError
+        A folder holds nothing to report on, a log belongs to no run, the page exists, or plotly is not installed.
+    """
+    from stereophd.report.page.document import page
+    from stereophd.report.summaries import verdict
+
+    target = Path(out)
+    if target.exists() and not force:
+        raise InputError(f"{target}: the file exists; use `force=True` to replace it")
+    runs = read_runs(folders, logs, truths)
+    text = page(runs, title)
+    with atomic_write(target) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return {
+        "page": str(target),
+        "bytes": len(text.encode("utf-8")),
+        "runs": [
+            {
+                "name": run.name,
+                "command": run.command,
+                "verdict": verdict(run.report, None if run.evaluation is None else run.evaluation.report),
+            }
+            for run in runs
+        ],
+    }

@@ -1,0 +1,199 @@
+"""Feature correspondence: points that stand still, seen in several views, unlabelled and among clutter (paper VI).
+
+Run k is the scene of run k of several runs of ``simulate``, tracked with ``motion.model: static``. The answers are the
+landmarks after the last view: how many points are found, how accurate they are beside the bound, and which detection of
+which view belongs to which of them (the one-to-one assignment of least squared Mahalanobis distance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from stereophd.config.experiment import StaticSceneScenario
+from stereophd.core.bounds.known_association import AssociatedDetections, sight
+from stereophd.core.bounds.static_points import static_point_information
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.projection import projective
+from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
+from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
+from stereophd.errors import InputError
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.experiments.kinds.multi_object import filtered_points, scene_truth
+from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.stream import frames_in_order
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+    from stereophd.core.geometry.camera import Camera
+    from stereophd.io.logs import Frame
+
+# Squared Mahalanobis distance beyond which a detection is not that of a landmark: 99.99 % of a pixel's.
+GATE = 18.4
+
+
+def check(loaded: LoadedConfig) -> None:
+    """Raise `InputError` unless there are cameras, a filter, a scene, and a static motion model."""
+    config = loaded.config
+    if config.simulate is None:
+        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    if build_filter(config, loaded.build_cameras(), loaded.path).motion.moves:
+        raise InputError(f"{loaded.path}: motion.model: expected static, found {config.motion.model}")
+
+
+@dataclass(frozen=True)
+class _Views:
+    """The views of a run: frames in order of time, with the true points and what bounds their estimates."""
+
+    cameras: tuple[Camera, ...]
+    frames: list[Frame]
+    labels: np.ndarray
+    positions: Array
+    detections: AssociatedDetections
+    information: Array
+
+
+def run(loaded: LoadedConfig, number: int) -> list[Series]:
+    """Return what was found of the points, how accurately, and how many detections were told apart, in one run."""
+    views = _views(loaded, number)
+    times = np.array([frame.time_s for frame in views.frames])
+    with method_clock():
+        found = filtered_points(loaded, views.cameras, views.frames, np.arange(len(times)))
+    count = len(views.labels)
+    start = count * np.arange(len(times) + 1)
+    truth = PointSets(
+        start, np.tile(views.positions, (len(times), 1)), np.zeros((count * len(times), 3)),
+        np.tile(views.labels, len(times)),
+    )  # fmt: skip
+    scenario = _scenario(loaded)
+    scores = score_scans(found, truth, 2.0, scenario.cutoff)
+    unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
+    last = scores.pair_scan == len(times) - 1
+    pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % count])
+    bias = (found.counts - count).astype(np.float64)
+    return [
+        Series("ospa", unit, scores.ospa, over),
+        Series("cardinality_bias", "1", bias, over),
+        *_accuracy(found, views, pairs, unit),
+        *_correspondence(found, views, pairs),
+    ]
+
+
+def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> list[Series]:
+    """Return counts of points after the last view, their error, its ratio to the bound, and NEES."""
+    count, reported = len(views.labels), int(found.counts[-1])
+    errors = found.position[pairs[:, 0]] - views.positions[pairs[:, 1]]
+    squared = (errors**2).sum(axis=1)
+    limit = np.trace(np.linalg.inv(views.information[pairs[:, 1]]), axis1=1, axis2=2)
+    assert found.covariance is not None
+    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(found.covariance[pairs[:, 0]]), errors)
+    figures = {
+        "points_found": len(pairs) / count,
+        "points_false": float(reported - len(pairs)),
+        "position_error": _root(squared),
+        "error_over_bound": _root(squared) / _root(limit),
+        "error_over_bound_median": _root_median(squared / limit),
+        "nees": float(nees.mean()) if len(nees) else np.nan,
+    }
+    return [
+        Series(name, unit if name == "position_error" else "1", np.array([value])) for name, value in figures.items()
+    ]
+
+
+def _correspondence(found: PointSets, views: _Views, pairs: np.ndarray) -> list[Series]:
+    """Return the share of true detections given to the landmark of their point, and of wrong ones among those given."""
+    first = int(found.start[-2])
+    assert found.covariance is not None
+    positions, covariances = found.position[first:], found.covariance[first:]
+    point_of = np.full(len(positions), CLUTTER_ID - 1)
+    point_of[pairs[:, 0] - first] = views.labels[pairs[:, 1]]
+    right = given = true = 0
+    for frame in views.frames:
+        assert frame.object_id is not None
+        rows, columns = _assigned(views.cameras[frame.camera], frame, positions, covariances)
+        right += int((point_of[rows] == frame.object_id[columns]).sum())
+        given += len(rows)
+        true += int((frame.object_id != CLUTTER_ID).sum())
+    return [
+        Series("correspondence_right", "1", np.array([right / max(true, 1)])),
+        Series("correspondence_wrong", "1", np.array([1.0 - right / given if given else np.nan])),
+    ]
+
+
+def _assigned(camera: Camera, frame: Frame, positions: Array, covariances: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Assign detections of a frame to landmarks one to one: rows of landmarks, and of detections."""
+    rows = np.arange(len(frame.pixels))
+    _, _, projections, points, whitening = sight(camera, frame.time_s, frame.pixels, rows)
+    if not len(points) or not len(positions):
+        return rows[:0], rows[:0]
+    visible = camera.at(frame.time_s).in_view(positions)
+    pixels, slopes = projective(projections[0], positions)
+    noise = np.linalg.inv(np.swapaxes(whitening, 1, 2) @ whitening)
+    spread = (slopes @ covariances @ np.swapaxes(slopes, 1, 2))[:, None] + noise[None]
+    errors = points[None] - pixels[:, None]
+    distance = np.einsum("nmi,nmij,nmj->nm", errors, np.linalg.inv(spread), errors)
+    cost = np.where(visible[:, None], np.minimum(distance, GATE), GATE)
+    chosen, columns = linear_sum_assignment(cost)
+    kept = cost[chosen, columns] < GATE
+    return chosen[kept], columns[kept]
+
+
+def _views(loaded: LoadedConfig, number: int) -> _Views:
+    """Make the views of a run, and the information that they hold of the points."""
+    config, cameras = loaded.config, loaded.build_cameras()
+    scene: Scene = build_scene(config, cameras, RUN_OBJECTS.seed(config.seed, number))
+    frames = frames_in_order(cameras, simulate_frames(scene, RUN_FRAMES.seed(config.seed, number)))
+    truth = scene_truth(scene)
+    labels, at = np.unique(truth.object_id, return_index=True)
+    positions = truth.position[at]
+    parts = []
+    first: list[DisparitySpace | None] = [None] * len(labels)
+    for frame in frames:
+        assert frame.object_id is not None
+        true = frame.object_id != CLUTTER_ID
+        camera = cameras[frame.camera]
+        parts.append(sight(camera, frame.time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
+        for row in parts[-1][0].tolist():
+            if first[row] is None:
+                frozen = camera.at(frame.time_s)
+                first[row] = DisparitySpace(frozen, config.disparity.baseline, config.disparity.rectification)
+    detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    prior = build_filter(config, cameras, loaded.path).settings.birth
+    information = static_point_information(detections, positions, first, prior)
+    return _Views(cameras, frames, labels, positions, detections, information)
+
+
+def bounds(loaded: LoadedConfig) -> list[Series]:
+    """Return the bound on the root mean square error after the last view, its variances averaged over scenes."""
+    scenes = range(_scenario(loaded).bound_scenes)
+    variances = []
+    for number in scenes:
+        information = _views(loaded, number).information
+        seen = np.linalg.matrix_rank(information) == 3
+        variances.append(np.trace(np.linalg.inv(information[seen]), axis1=1, axis2=2).mean())
+    unit = loaded.config.units.length
+    return [Series("position_rmse", unit, np.array([float(np.sqrt(np.mean(variances)))]))]
+
+
+def _scenario(loaded: LoadedConfig) -> StaticSceneScenario:
+    assert loaded.config.experiment is not None
+    scenario = loaded.config.experiment.scenario
+    assert isinstance(scenario, StaticSceneScenario)
+    return scenario
+
+
+def _root(squared: Sequence[float] | Array) -> float:
+    return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
+
+
+def _root_median(squared: Array) -> float:
+    return float(np.sqrt(np.median(squared))) if len(squared) else float("nan")
+
+
+KIND = Kind(run, bounds, check)

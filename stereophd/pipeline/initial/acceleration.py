@@ -1,0 +1,188 @@
+"""The acceleration of the objects, from the log-likelihood of the filter under one value after the other.
+
+The value of greatest likelihood over the whole log (tuning by the innovations: Y. Bar-Shalom, X. R. Li and T.
+Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4) describes the usual motion.
+Real objects turn in short manoeuvres, which a log of mostly steady flight outvotes, and a track that does not follow
+a manoeuvre costs more than one that settles late. The likelihood is therefore compared in short windows as well, and
+the value is large enough for all windows but a few.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.loading import LoadedConfig, variant
+from stereophd.core.disparity.events import Event
+from stereophd.core.motion.settings import ESTIMATE
+from stereophd.core.single.settings import SingleSettings
+from stereophd.errors import InputError
+from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.initial.template import rounded
+from stereophd.pipeline.stream import EventStream, open_stream
+from stereophd.pipeline.tracking.loop import run_estimator
+
+if TYPE_CHECKING:
+    from stereophd.core.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+# Frames of a log that are looked at, stretches of it that the filter runs over, events and detections of them all.
+MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000
+LEAST_EVENTS = 20
+# Factor between neighbouring values, and their number in either direction from the first.
+FACTOR, MOST_STEPS = 3.0, 8
+# Log-likelihood that counts as a difference.
+LEAST_GAIN = 2.0
+# Events of a window, and the share of the windows whose manoeuvres may be left out: at least one.
+WINDOW, LEFT_OUT = 25, 0.02
+# Acceleration to start from over the spread of the velocity, 1/s.
+USUAL_RATIO = 0.3
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@dataclass(frozen=True)
+class AccelerationEstimate:
+    """The acceleration that a log shows.
+
+    Attributes
+    ----------
+    value : float
+        `motion.acceleration_std`, length/s^2.
+    usual : float
+        The value of greatest likelihood over all events.
+    tried : dict
+        Log-likelihood of every value, less that of `usual`.
+    events : int
+        Events that the filter ran over for each value.
+    """
+
+    value: float
+    usual: float
+    tried: dict[float, float]
+    events: int
+
+    def report(self) -> dict[str, Any]:
+        """Return the entry of ``report.json``."""
+        tried = [{"acceleration_std": a, "log_likelihood": one} for a, one in sorted(self.tried.items())]
+        return {"acceleration_std": self.value, "most_likely": self.usual, "events": self.events, "tried": tried}
+
+
+def stretches(stream: EventStream) -> list[list[Event]]:
+    """Return stretches of a log, spread over its first `MOST_FRAMES` frames: all of it if it is short."""
+    events = list(islice(stream, MOST_FRAMES))
+    detections = sum(len(event.points) for event in events)
+    most = int(min(MOST_EVENTS, len(events) * MOST_DETECTIONS / max(detections, 1)))
+    if len(events) <= most or most < STRETCHES:
+        return [events]
+    length = most // STRETCHES
+    starts = np.linspace(0, len(events) - length, STRETCHES).astype(int)
+    return [events[start : start + length] for start in starts.tolist()]
+
+
+def estimate_acceleration(
+    loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]], start: float
+) -> AccelerationEstimate:
+    """Return the acceleration of the objects.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a filter for many objects; its own acceleration does not count.
+    cameras : tuple of Camera
+        Those of the events, with their detectors.
+    parts : sequence of sequences of Event
+        Stretches of the log.
+    start : float
+        The value to begin with, length/s^2.
+    """
+    found: dict[float, Array] = {}
+
+    def likelihoods(value: float) -> Array:
+        """Return the log-likelihood of every event."""
+        if value not in found:
+            config = variant(loaded, [("estimate", {"motion.acceleration_std": value})]).config
+            estimator = build_labelled_filter(config, cameras, loaded.path, 1)
+            records = (record for part in parts for record in run_estimator(estimator, part))
+            found[value] = np.array([record.info.log_likelihood for record in records])
+        return found[value]
+
+    def climb(value: float, factor: float, least: float) -> float:
+        """Follow a direction while it gains."""
+        for _ in range(MOST_STEPS):
+            following = rounded(value * factor)
+            if likelihoods(following).sum() <= likelihoods(value).sum() + least:
+                break
+            value = following
+        return value
+
+    usual = climb(rounded(start), FACTOR, 0.0)
+    if usual == rounded(start):
+        usual = climb(usual, 1.0 / FACTOR, LEAST_GAIN)
+    for factor in (FACTOR**0.5, FACTOR**-0.5):
+        if likelihoods(rounded(usual * factor)).sum() > likelihoods(usual).sum() + LEAST_GAIN:
+            usual = rounded(usual * factor)
+            break
+    value = usual
+    for _ in range(MOST_STEPS):
+        likelihoods(rounded(value * FACTOR))
+        following = max(usual, _of_windows(found))
+        if following <= value:
+            break
+        value = following
+    if value > usual:  # the windows bound it from below
+        value = rounded(value * FACTOR)
+    best = found[usual].sum()
+    tried = {a: round(float(one.sum() - best), 2) for a, one in found.items()}
+    return AccelerationEstimate(value, usual, tried, sum(map(len, parts)))
+
+
+def _of_windows(found: dict[float, Array]) -> float:
+    """Return the least value that is as good as any in all windows but a few."""
+    values = sorted(found)
+    table = np.stack([found[value] for value in values])
+    count = max(1, table.shape[1] // WINDOW)
+    windows = np.stack([part.sum(axis=1) for part in np.array_split(table, count, axis=1)], axis=1)
+    least = (windows >= windows.max(axis=0) - LEAST_GAIN).argmax(axis=0)
+    left_out = min(count - 1, max(1, int(LEFT_OUT * count)))
+    return values[int(np.sort(least)[::-1][left_out])]
+
+
+def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, dict[str, Any] | None]:
+    """Return a configuration with the acceleration that the log shows, and what to report of it.
+
+    Without ``motion.acceleration_std: estimate`` the configuration comes back as it is.
+
+    Raises
+    ------
+    InputError
+        The filter is not one for many objects, or the log has too few frames.
+    """
+    config = loaded.config
+    if getattr(config.motion, "acceleration_std", None) != ESTIMATE:
+        return loaded, None
+    if config.filter is None or isinstance(config.filter, SingleSettings):
+        raise InputError(
+            f"{loaded.path}: motion.acceleration_std: expected a number where filter.kind is not phd or pmb, found "
+            f"{ESTIMATE}"
+        )
+    cameras = loaded.build_cameras()
+    parts = stretches(open_stream(config, cameras, log_path))
+    if sum(map(len, parts)) < LEAST_EVENTS:
+        raise InputError(
+            f"{log_path}: expected at least {LEAST_EVENTS} frames to estimate motion.acceleration_std from, found "
+            f"{sum(map(len, parts))}; state a number"
+        )
+    start = USUAL_RATIO * float(np.max(config.filter.birth.velocity_std))
+    estimate = estimate_acceleration(loaded, cameras, parts, start)
+    LOGGER.info("%s: motion.acceleration_std estimated: %g", log_path, estimate.value)
+    stated = variant(loaded, [("estimated from the log", {"motion.acceleration_std": estimate.value})])
+    return stated, estimate.report()

@@ -1,0 +1,128 @@
+"""What a log shows of the scene: roughly from rays and one-camera tracks, then from tracks of a first filter run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.loading import LoadedConfig
+from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.tracking.loop import run_estimator
+
+Array = NDArray[np.float64]
+
+# Largest standard deviation of a position, over its depth, that counts.
+CERTAIN = 0.05
+# Estimates of the shortest track that counts, and of all tracks together.
+LEAST_ESTIMATES, LEAST_TOTAL = 20, 60
+# Share of a stretch after which a track that begins is a new object.
+STARTED = 0.15
+
+
+@dataclass(frozen=True)
+class SceneFigures:
+    """Depths, speeds and comings of the objects of a log.
+
+    Attributes
+    ----------
+    depths : array (2,)
+        Quantiles of 1 and 99 % of the depth before the cameras that see the objects, length.
+    speed_std : float
+        Root mean square of one component of the velocity, length/s.
+    fastest : float
+        Quantile of 99 % of the speed, length/s.
+    objects : int
+        Tracks.
+    births, duration_s : int, float
+        Tracks that began within the stretches, and the length of these.
+    deaths, seen_s : int, float
+        Tracks that ended within the stretches, and the time that all tracks lasted together.
+    """
+
+    depths: Array
+    speed_std: float
+    fastest: float
+    objects: int
+    births: int
+    duration_s: float
+    deaths: int
+    seen_s: float
+
+
+def measure_with_filter(
+    loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]]
+) -> SceneFigures | None:
+    """Track stretches of a log, and return what the tracks show; None where hardly any are found.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        Complete settings, wide enough to track with.
+    cameras : tuple of Camera
+    parts : sequence of sequences of Event
+    """
+    estimator = build_labelled_filter(loaded.config, cameras, loaded.path, 1)
+    centers = np.array([camera.pose.center for camera in cameras])
+    depths, speeds, counted = [], [], []
+    births = deaths = 0
+    duration = seen = 0.0
+    for part in parts:
+        tracks = _tracks(estimator, part, centers)
+        begin, end = part[0].time_s, part[-1].time_s
+        duration += end - begin
+        for states, times in tracks:
+            counted.append(len(states))
+            depths.append(_depths(states[:, :3], cameras))
+            speeds.append(states[:, 3:])
+            births += bool(times[0] > begin + STARTED * (end - begin))
+            deaths += bool(times[-1] < end - STARTED * (end - begin))
+            seen += float(times[-1] - times[0])
+    if sum(counted) < LEAST_TOTAL or not sum(map(len, depths)):
+        return None
+    velocity = np.concatenate(speeds)
+    return SceneFigures(
+        np.quantile(np.concatenate(depths), [0.01, 0.99]),
+        float(np.sqrt((velocity**2).mean())),
+        float(np.quantile(np.linalg.norm(velocity, axis=1), 0.99)),
+        len(counted),
+        births,
+        duration,
+        deaths,
+        seen,
+    )
+
+
+def _tracks(estimator: DisparityFilter, part: Sequence[Event], centers: Array) -> list[tuple[Array, Array]]:
+    """Return states (n, 6) and times (n,) of every track of certain estimates."""
+    states: dict[int, list[Array]] = {}
+    times: dict[int, list[float]] = {}
+    for record in run_estimator(estimator, part):
+        found = record.estimates
+        spread = np.sqrt(np.trace(found.covariances[:, :3, :3], axis1=1, axis2=2))
+        for track, state, std in zip(found.track_ids.tolist(), found.states, spread.tolist(), strict=True):
+            states.setdefault(track, []).append(np.append(state, std))
+            times.setdefault(track, []).append(record.time_s)
+    tracks = []
+    for track, rows in states.items():
+        table = np.array(rows)
+        distance = np.linalg.norm(table[:, None, :3] - centers, axis=2).min(axis=1)
+        certain = table[:, 6] < CERTAIN * distance
+        if certain.sum() >= LEAST_ESTIMATES:
+            tracks.append((table[certain, :6], np.array(times[track])[certain]))
+    return tracks
+
+
+def _depths(positions: Array, cameras: tuple[Camera, ...]) -> Array:
+    """Return the depths of positions (n, 3) before the cameras that have them in view."""
+    found = []
+    for camera in cameras:
+        seen = camera.in_view(positions)
+        pose = camera.pose
+        found.append(((positions[seen] - pose.center) @ pose.rotation.T)[:, 2])
+    return np.concatenate(found)

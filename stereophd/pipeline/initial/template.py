@@ -1,0 +1,132 @@
+"""A draft of a configuration: values, each with the reason for it; and the values to begin with, by kind of object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from stereophd.config.cameras import CameraConfig
+
+Kind = Literal["animals", "drones", "lab"]
+
+# Metres in a unit of length.
+METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A value of the configuration, and where it comes from.
+
+    Attributes
+    ----------
+    value : object
+        As YAML holds it.
+    reason : str
+        A sentence for the comment.
+    measured : bool
+        Whether the log or the cameras gave it, and not a template.
+    """
+
+    value: Any
+    reason: str
+    measured: bool = True
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A configuration in the making.
+
+    Attributes
+    ----------
+    unit : str
+        Of lengths.
+    cameras : dict
+        By name; empty where none are known.
+    camera_notes : dict
+        Comments on each camera.
+    choices : dict
+        Dotted key -> choice, in the order of the file.
+    head : tuple of str
+        Comments at the top of the file.
+    """
+
+    unit: str
+    cameras: dict[str, CameraConfig]
+    choices: dict[str, Choice]
+    camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    head: tuple[str, ...] = ()
+
+    def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
+        """Return the draft with other values."""
+        return replace(self, choices={**self.choices, **changes})
+
+    def values(self) -> dict[str, Any]:
+        """Return the values as the sections of a configuration, without cameras."""
+        sections: dict[str, Any] = {"units": {"length": self.unit}}
+        for key, choice in self.choices.items():
+            *folders, name = key.split(".")
+            place = sections
+            for folder in folders:
+                place = place.setdefault(folder, {})
+            place[name] = choice.value
+        return sections
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Values that objects of a kind usually have, in metres and seconds."""
+
+    what: str
+    depth_range: tuple[float, float]
+    velocity_std: float
+    max_speed: float
+    acceleration_std: float
+    births_per_s: float
+
+
+SCALES: dict[Kind, Scale] = {
+    "animals": Scale("flying or swimming animals", (0.3, 15.0), 2.0, 20.0, 5.0, 0.5),
+    "drones": Scale("drones", (5.0, 200.0), 5.0, 30.0, 2.5, 0.05),
+    "lab": Scale("objects moved by hand or walking", (0.3, 5.0), 0.5, 5.0, 0.5, 0.2),
+}
+
+
+def rounded(value: float, digits: int = 2) -> float:
+    """Return a value with so many significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
+def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
+    """Return a draft with the usual values of a kind of object, in the unit of the cameras."""
+    scale, one = SCALES[kind], METRES[unit]
+    usual = f"not measured: usual for {scale.what}"
+
+    def length(value: float) -> float:
+        return rounded(value / one, 3)
+
+    near, far = map(length, scale.depth_range)
+
+    def guess(value: Any, advice: str) -> Choice:
+        return Choice(value, f"{usual}; {advice}", measured=False)
+
+    choices = {
+        "motion.model": Choice("constant_velocity", "with white acceleration; docs/filters.md has the other models"),
+        "motion.acceleration_std": guess(
+            length(scale.acceleration_std),
+            f"by how much the velocity changes in a second, {unit}/s^2; `estimate` takes it from the log",
+        ),
+        "motion.max_speed": guess(length(scale.max_speed), f"above the fastest object, {unit}/s"),
+        "filter.kind": Choice("pmb", "labelled tracks; phd is the paper's filter"),
+        "filter.survival_per_s": Choice(0.99, "the default: exp(-1 / mean time in view, s)", measured=False),
+        "filter.birth.per_s": guess(scale.births_per_s, "new objects a second in the view of a camera"),
+        "filter.birth.depth_range": guess(
+            [near, far], f"nearest and farthest depth at which objects appear before a camera, {unit}"
+        ),
+        "filter.birth.velocity_std": guess(length(scale.velocity_std), f"typical speed divided by 1.7, {unit}/s"),
+        "evaluation.cutoff": guess(
+            length(0.1 * (scale.depth_range[0] * scale.depth_range[1]) ** 0.5),
+            f"largest position error that still counts as a find, {unit}",
+        ),
+    }
+    return Draft(unit, cameras, choices)

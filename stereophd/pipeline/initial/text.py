@@ -1,0 +1,99 @@
+"""A draft as commented YAML."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import yaml
+
+from stereophd.io.cameras import CONVENTIONS, cameras_text
+from stereophd.pipeline.initial.template import Draft
+
+# The first line, by which `init` knows a file of its own.
+MARK = "# Written by stereophd init"
+WIDTH = 110
+# Sections in the order of the file.
+SECTIONS = ("motion", "region", "filter", "report", "evaluation")
+
+SMOOTHING = (
+    "  # the whole log improves every position, and tracks begin at their first detection; it is then held in memory.",
+    "  # null: no smoothing; {max_gap_s: 1.0}: over the whole log, across gaps of up to 1 s",
+    "  smooth: null",
+)
+
+
+def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> str:
+    """Return the text of a draft.
+
+    Parameters
+    ----------
+    draft : Draft
+    version : str
+        Of the program.
+    source : str
+        What the values are from, in words.
+    cameras_file : str
+        Path of the cameras for a draft that holds none.
+    """
+    lines = [f"{MARK} {version}, {source}."]
+    lines += _comment(
+        [
+            "Each comment names the source of the value below it. docs/configuration.md describes every key.",
+            *draft.head,
+        ],
+        0,
+    )
+    lines += [f"units: {{length: {draft.unit}}}", "seed: 0", ""]
+    lines += _cameras(draft, cameras_file)
+    values = draft.values()
+    values.setdefault("report", {})
+    for section in SECTIONS:
+        if section in values:
+            lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
+            lines += [*(SMOOTHING if section == "report" else ()), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _entries(draft: Draft, values: dict[str, Any], path: str, level: int) -> Iterator[str]:
+    """Yield the lines of a section, comments before the values."""
+    indent = "  " * level
+    for key, value in values.items():
+        place = f"{path}.{key}"
+        if isinstance(value, dict):
+            yield f"{indent}{key}:"
+            yield from _entries(draft, value, place, level + 1)
+            continue
+        yield from _comment([draft.choices[place].reason], level)
+        yield f"{indent}{key}: {_scalar(value)}"
+
+
+def _comment(sentences: Iterable[str], level: int) -> Iterator[str]:
+    prefix = "  " * level + "# "
+    for sentence in sentences:
+        yield from textwrap.wrap(
+            sentence, WIDTH, initial_indent=prefix, subsequent_indent=prefix, break_long_words=False,
+            break_on_hyphens=False,
+        )  # fmt: skip
+
+
+def _scalar(value: Any) -> str:
+    text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _cameras(draft: Draft, cameras_file: str) -> Iterator[str]:
+    """Yield the section of the cameras."""
+    if not draft.cameras:
+        yield "# The file of the cameras, relative to this one; see docs/formats.md for its form."
+        yield f"cameras: {cameras_file}"
+        yield ""
+        return
+    yield from textwrap.wrap(CONVENTIONS.strip().removeprefix("# "), WIDTH, initial_indent="# ", subsequent_indent="# ")
+    yield "cameras:"
+    for name, camera in draft.cameras.items():
+        yield from _comment(draft.camera_notes.get(name, ()), 1)
+        text = cameras_text({name: camera}, draft.unit)
+        yield from text.split("cameras:\n", 1)[1].rstrip("\n").splitlines()
+    yield ""

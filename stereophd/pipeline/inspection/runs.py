@@ -1,0 +1,268 @@
+"""Output folders of `track`, `calibrate` and `evaluate`, read back and put together: what a report shows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.metrics.alignment import Truth
+from stereophd.errors import InputError
+from stereophd.io.provenance import file_sha256
+from stereophd.io.table_reading import read_table
+from stereophd.io.tables import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING
+from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
+from stereophd.pipeline.inspection.tables import kind_of
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Columns = Mapping[str, NDArray[Any]]
+
+KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
+STATE = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz"), FLOAT)
+TRACKS = {**KEY, "track_id": INTEGER, **STATE, "covariance": COVARIANCE, "existence": FLOAT}
+SCANS = {**KEY, "n_detections": INTEGER, "cardinality_mean": FLOAT, "cardinality_estimate": INTEGER}
+ASSOCIATIONS = {**KEY, "u_px": FLOAT, "v_px": FLOAT, "track_id": INTEGER, "probability": FLOAT}
+SCORES = dict.fromkeys(("time_s", "ospa", "ospa_localisation", "ospa_cardinality", "gospa"), FLOAT)
+COUNTS = dict.fromkeys(("n_truth", "n_estimates", "n_matched"), INTEGER)
+
+REPORT = "report.json"
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """An evaluation of a run: its report, and the columns of ``per_scan.parquet``."""
+
+    report: Mapping[str, Any]
+    scores: Columns
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: what `track` or `calibrate` wrote, and what belongs to it.
+
+    Attributes
+    ----------
+    name : str
+        Of its folder.
+    command : str
+        ``track`` or ``calibrate``; ``evaluate`` of an evaluation whose run is not at hand.
+    report : mapping
+        Its ``report.json``.
+    cameras : tuple of Camera
+        As the run found them, else as it was given them; may be empty.
+    tracks, scans, associations : mapping, optional
+        Columns of its tables. Tracks are the confirmed estimates, with ``position_std`` and ``speed`` in place of
+        the covariance.
+    history, posterior : mapping, optional
+        Columns of a calibration's.
+    evaluation : Evaluation, optional
+    truth : Truth, optional
+        True objects.
+    log : path, optional
+        Detection log that the run was made from.
+    """
+
+    name: str
+    command: str
+    report: Mapping[str, Any]
+    cameras: tuple[Camera, ...] = ()
+    tracks: Columns | None = None
+    scans: Columns | None = None
+    associations: Columns | None = None
+    history: Columns | None = None
+    posterior: Columns | None = None
+    evaluation: Evaluation | None = None
+    truth: Truth | None = None
+    log: Path | None = None
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """Version, command, configuration, seed and hashes of the inputs."""
+        found: Mapping[str, Any] = self.report["provenance"]
+        return found
+
+    @property
+    def length_unit(self) -> str:
+        """Unit of length, empty if it is not known."""
+        return str(self.report.get("length_unit") or "")
+
+
+@dataclass
+class _Found:
+    """What the folders hold."""
+
+    runs: list[tuple[Path, Run]] = field(default_factory=list)
+    evaluations: list[tuple[Path, Evaluation]] = field(default_factory=list)
+    logs: dict[str, Path] = field(default_factory=dict)
+    truths: dict[str, Path] = field(default_factory=dict)
+
+
+def read_runs(
+    folders: Sequence[Path | str], logs: Sequence[Path | str] = (), truths: Sequence[Path | str] = ()
+) -> tuple[Run, ...]:
+    """Read output folders, and find out which evaluation, log and truth belong to which run.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        Of `track`, `calibrate`, `evaluate` or `simulate` (whose log and truth are used), in any order.
+    logs, truths : sequences of path
+        Detection logs and truths that lie elsewhere.
+
+    Returns
+    -------
+    tuple of Run
+        In the order of the folders. An evaluation belongs to the run with the very tracks that it scored, a log to
+        the runs made from it, a truth to the runs whose evaluation used it, or else to those made from a log beside
+        it; a truth named by itself belongs to the runs without another.
+
+    Raises
+    ------
+    InputError
+        A folder holds nothing to report on, a file is damaged, or a log belongs to no run.
+    """
+    found = _Found()
+    for folder in folders:
+        _read_folder(Path(folder), found)
+    for log in logs:
+        found.logs[file_sha256(log)] = Path(log)
+    for truth in truths:
+        found.truths[file_sha256(truth)] = Path(truth)
+    runs = [_complete(folder, run, found, [Path(truth) for truth in truths]) for folder, run in found.runs]
+    used = {id(run.evaluation) for run in runs}
+    for folder, evaluation in found.evaluations:
+        if id(evaluation) not in used:
+            runs.append(Run(folder.name, "evaluate", evaluation.report, evaluation=evaluation))
+    if not runs:
+        raise InputError(f"{', '.join(map(str, folders))}: expected an output folder of track, calibrate or evaluate")
+    for log in logs:
+        if not any(run.log == Path(log) for run in runs):
+            raise InputError(f"{log}: none of the runs was made from this log (their hashes differ)")
+    return _with_names(runs)
+
+
+def _read_folder(folder: Path, found: _Found) -> None:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected an output folder, found {'a file' if folder.exists() else 'nothing'}")
+    for kind, files in (("detections", found.logs), ("truth", found.truths)):
+        path = folder / f"{kind}.parquet"
+        if path.exists() and kind_of(path) == kind:
+            files[file_sha256(path)] = path
+    report = _report(folder / REPORT)
+    if report is None:
+        if not any(path.parent == folder for path in [*found.logs.values(), *found.truths.values()]):
+            raise InputError(f"{folder}: expected an output folder with a {REPORT}, found none")
+        return
+    command = report["provenance"].get("command")
+    if command == "evaluate":
+        path = folder / "per_scan.parquet"
+        scores = _columns(path, {**SCORES, **COUNTS}) if path.exists() else {}
+        found.evaluations.append((folder, Evaluation(report, scores or {})))
+    elif command in ("track", "calibrate"):
+        found.runs.append((folder, read_run(folder, command, report)))
+    else:
+        raise InputError(f"{folder}: expected the output of track, calibrate or evaluate, found that of {command}")
+
+
+def _report(path: Path) -> dict[str, Any] | None:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
+        raise InputError(f"{path}: expected a report of stereophd, found none of its keys")
+    return document
+
+
+def read_run(folder: Path, command: str, report: Mapping[str, Any]) -> Run:
+    """Read the tables of one output folder, whose report is at hand."""
+    found = {name: folder / f"{name}.parquet" for name in ("tracks", "scans", "associations", "history", "posterior")}
+    held = {name: path for name, path in found.items() if path.exists()}
+    return Run(
+        folder.name,
+        command,
+        report,
+        _cameras(folder / "cameras.yaml", report["provenance"]),
+        tracks=_tracks(held["tracks"]) if "tracks" in held else None,
+        scans=_columns(held["scans"], SCANS) if "scans" in held else None,
+        associations=_columns(held["associations"], ASSOCIATIONS) if "associations" in held else None,
+        history=_all_columns(held["history"]) if "history" in held else None,
+        posterior=_all_columns(held["posterior"]) if "posterior" in held else None,
+    )
+
+
+def _cameras(path: Path, record: Mapping[str, Any]) -> tuple[Camera, ...]:
+    if not path.exists():
+        return tuple(cameras_of_record(record) or ())
+    from stereophd.config.loading import load_cameras
+
+    return tuple(camera.build(name) for name, camera in load_cameras(path).cameras.items())
+
+
+def _tracks(path: Path) -> Columns:
+    table = read_table(path, TRACKS, {"status": STRING}, what="table of tracks")
+    if "status" in table.schema.names:
+        table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
+    covariance = table.column("covariance").combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    columns = {
+        name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names if name != "covariance"
+    }
+    variances = covariance.reshape(-1, 6, 6)[:, [0, 1, 2], [0, 1, 2]]
+    columns["position_std"] = np.sqrt(variances.sum(axis=1))
+    columns["speed"] = np.sqrt(columns["vx"] ** 2 + columns["vy"] ** 2 + columns["vz"] ** 2)
+    return columns
+
+
+def _columns(path: Path, required: Mapping[str, Any]) -> Columns:
+    table = read_table(path, required)
+    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in required}
+
+
+def _all_columns(path: Path) -> Columns:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    names = pq.read_schema(path)
+    table = read_table(path, {name: FLOAT for name in names.names if pa.types.is_floating(names.field(name).type)})
+    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names}
+    if "covariance" in names.names:
+        flat = pq.read_table(path, columns=["covariance"]).column(0).combine_chunks().flatten()
+        size = len(columns) - 1
+        columns["covariance"] = flat.to_numpy(zero_copy_only=False).reshape(-1, size, size)
+    return columns
+
+
+def _complete(folder: Path, run: Run, found: _Found, named: Sequence[Path]) -> Run:
+    """Add to a run the evaluation, log and truth that belong to it."""
+    log = found.logs.get(run.provenance["inputs"].get("detections"))
+    tracks = folder / "tracks.parquet"
+    digest = file_sha256(tracks) if tracks.exists() else None
+    evaluation = next(
+        (one for _, one in found.evaluations if digest and one.report["provenance"]["inputs"].get("tracks") == digest),
+        None,
+    )
+    truth = None if evaluation is None else found.truths.get(evaluation.report["provenance"]["inputs"].get("truth"))
+    if truth is None and log is not None:
+        truth = next((path for path in found.truths.values() if path.parent == log.parent), None)
+    if truth is None and named:
+        truth = named[0]
+    return replace(run, log=log, evaluation=evaluation, truth=None if truth is None else read_truth(truth)[0])
+
+
+def _with_names(runs: Sequence[Run]) -> tuple[Run, ...]:
+    """Number runs whose folders have the same name."""
+    names = [run.name for run in runs]
+    return tuple(
+        run if names.count(run.name) == 1 else replace(run, name=f"{run.name} {names[: k + 1].count(run.name)}")
+        for k, run in enumerate(runs)
+    )

@@ -1,0 +1,374 @@
+"""A long log in pieces: tracked independently of each other, joined where they overlap.
+
+A piece is tracked from some time before its own span, so that its filter has forgotten the beginning when the span
+begins. The tracks of two successive pieces are paired in that overlap by the probability that they are one object
+(`stereophd.core.trajectories.joining`); a pair that is more probable than not becomes one track. Smoothed pieces also
+go on beyond their spans: the smoother looks ahead.
+
+A piece is finished when its last file is there; what a piece holds does not depend on who made it, nor when.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.trajectories.joining import join_probabilities
+from stereophd.core.trajectories.smoothing import Trajectory
+from stereophd.errors import InputError, StereophdError
+from stereophd.io.checkpoints import read_checkpoint
+from stereophd.io.logs import Frame, LogReader
+from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.tracking.journal import RecordChunks
+from stereophd.pipeline.tracking.loop import Record, RunState
+from stereophd.pipeline.tracking.run import tracking_with
+from stereophd.pipeline.tracking.single import SingleTrackerState
+from stereophd.pipeline.workers import ATTEMPTS, complete, open_workers
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+DONE_FILE = "done.npz"
+
+# A piece is tracked this long before its span, s: an object that one camera alone sees keeps the depth that it had
+# when two did, so that the time is that for which objects stay in one view.
+OVERLAP_S = 60.0
+
+# Frames between two calls of `progress` while a log is read.
+TICK_EVERY = 5000
+
+# Tracks of two pieces are one object if that is more probable than not; below the second it is reported as uncertain.
+PROBABLE = 0.5
+CERTAIN = 0.99
+
+
+@dataclass(frozen=True)
+class LogPiece:
+    """A piece of a log.
+
+    Attributes
+    ----------
+    number : int
+    from_s, to_s : float
+        Its own span of true time.
+    begin_s, end_s : float
+        What is tracked.
+    events_before : int
+        Events of the log before `begin_s`: filters choose their samples by the number of an event, and so choose
+        those of the whole run.
+    """
+
+    number: int
+    from_s: float
+    to_s: float
+    begin_s: float
+    end_s: float
+    events_before: int
+
+
+@dataclass(frozen=True)
+class PieceWork:
+    """What all pieces of a run share; it is sent to the workers.
+
+    Attributes
+    ----------
+    loaded : LoadedConfig
+    cameras : tuple of Camera
+        With their detectors.
+    log : Path
+        Absolute.
+    folder : Path
+        Absolute; ``piece-NUMBER`` in it is that of a piece.
+    identity : str
+        Of configuration, log and pieces.
+    threads : int
+    """
+
+    loaded: LoadedConfig
+    cameras: tuple[Camera, ...]
+    log: Path
+    folder: Path
+    identity: str
+    threads: int
+
+    def chunks(self, piece: LogPiece) -> RecordChunks:
+        """Return the records of a piece."""
+        return RecordChunks(self.folder / f"piece-{piece.number:05d}", self.identity)
+
+
+@dataclass(frozen=True)
+class PieceDone:
+    """What the last file of a piece says: the spans of its chunks, and detections that were left out."""
+
+    spans: list[tuple[float, float]]
+    not_invertible: int
+
+
+def plan_pieces(
+    frames: Iterable[Frame],
+    length_s: float,
+    overlap_s: float,
+    ahead: bool,
+    progress: Progress | None = None,
+) -> tuple[LogPiece, ...]:
+    """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        Of the log, which is read once, with all its checks.
+    length_s, overlap_s : float
+    ahead : bool
+        Whether pieces go on beyond their spans too.
+    progress : callable, optional
+        Called now and then.
+    """
+    first_s, last_s = math.nan, math.nan
+    before = [0]  # events before what is tracked of each piece
+    for number, frame in enumerate(frames):
+        first_s = frame.time_s if number == 0 else first_s
+        while frame.time_s >= first_s + len(before) * length_s - overlap_s:
+            before.append(number)
+        last_s = frame.time_s
+        if progress is not None and number % TICK_EVERY == 0:
+            progress(0, 1)
+    count = 1 + max(0, math.floor((last_s - overlap_s - first_s) / length_s))
+    cuts = [-math.inf, *(first_s + k * length_s for k in range(1, count)), math.inf]
+    more = overlap_s if ahead else 0.0
+    return tuple(
+        LogPiece(k, cuts[k], cuts[k + 1], cuts[k] - overlap_s, cuts[k + 1] + more, before[k]) for k in range(count)
+    )
+
+
+def track_pieces(
+    work: PieceWork, pieces: Sequence[LogPiece], jobs: int, dask: str | None, progress: Progress | None
+) -> None:
+    """Track the pieces that are not finished.
+
+    Raises
+    ------
+    InputError
+        The log is at fault, or no scheduler answers.
+    StereophdError
+        The worker of a piece dies again and again; finished pieces stay.
+    """
+    todo = [piece for piece in pieces if _done(work, piece) is None]
+    finished = len(pieces) - len(todo)
+
+    def tick(done: float = 0, of: float = 0) -> None:
+        if progress is not None:
+            progress(finished, len(pieces))
+
+    with open_workers(jobs, dask) as workers:
+        track = partial(track_piece, work, tick=None if workers.remote else tick)
+        for number, result in complete(workers, track, todo):
+            if result is None:
+                raise StereophdError(
+                    f"{work.log}: the worker of piece {todo[number].number} died {ATTEMPTS} times: is there enough "
+                    "memory? finished pieces are kept: use `resume=True`"
+                )
+            finished += 1
+            tick()
+
+
+def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) -> int:
+    """Track one piece, and write its records; return their number."""
+    chunks = work.chunks(piece)
+    shutil.rmtree(chunks.folder, ignore_errors=True)
+    tracking = tracking_with(work.loaded, work.cameras, work.threads)
+    config = work.loaded.config
+    reader = LogReader(
+        work.log, work.cameras, config.input.on_bad_row, config.input.image_margin_px, from_s=piece.begin_s
+    )
+    # without what the records of other pieces decide
+    tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
+    stream = _PieceStream(work.cameras, reader, tick, piece.begin_s, piece.end_s)
+    count = 0
+    run = RunState(_numbered(tracking.estimator.init(), piece.events_before))
+    for record in tracking.records(stream.of(piece), run=run):
+        chunks.add(record)
+        count += 1
+    chunks.flush()
+    chunks.write(DONE_FILE, {"done": PieceDone(chunks.spans, stream.left_out)})
+    return count
+
+
+def _numbered(state: Any, events: int) -> Any:
+    """Return the first state of an estimator for a run whose first event has this number."""
+    if isinstance(state, SingleTrackerState):
+        return replace(state, estimator=replace(state.estimator, n_events=events))
+    return replace(state, n_events=events)
+
+
+class _PieceStream(EventStream):
+    """Counts what is left out in the span of the piece: the overlaps are those of others."""
+
+    span = (-math.inf, math.inf)
+    left_out = 0
+
+    def of(self, piece: LogPiece) -> _PieceStream:
+        """Set the span."""
+        self.span = piece.from_s, piece.to_s
+        return self
+
+    def __iter__(self) -> Iterator[Event]:
+        for event in super().__iter__():
+            if self.span[0] <= event.time_s < self.span[1]:
+                self.left_out += event.not_invertible
+            yield event
+
+
+def _done(work: PieceWork, piece: LogPiece) -> PieceDone | None:
+    """Return what the last file of a piece says, None if it is not finished."""
+    path = work.chunks(piece).folder / DONE_FILE
+    if not path.exists():
+        return None
+    done = read_checkpoint(path, work.identity, [PieceDone])["done"]
+    if not isinstance(done, PieceDone):
+        raise InputError(f"{path}: expected the end of a piece, found something else")
+    return done
+
+
+@dataclass
+class JoinedPieces:
+    """The records of all pieces as those of one run, and how sure the joins are.
+
+    Attributes
+    ----------
+    work : PieceWork
+    pieces : sequence of LogPiece
+        All finished.
+    length_s, overlap_s : float
+    one_object : bool
+        Whether there is one track only, number 0.
+    """
+
+    work: PieceWork
+    pieces: Sequence[LogPiece]
+    length_s: float
+    overlap_s: float
+    one_object: bool
+    _joined: int = 0
+    _uncertain: list[dict[str, Any]] = field(default_factory=list)
+    _next_id: int = 0
+
+    def records(self) -> Iterator[Record]:
+        """Yield the records in order of time."""
+        names: dict[int, int] = {}
+        for piece in self.pieces:
+            if piece.number > 0 and not self.one_object:
+                names = self._names(self.pieces[piece.number - 1], piece, names)
+            for record in self._chunks(piece).read(piece.from_s, piece.to_s):
+                yield record if self.one_object else self._renamed(record, names, piece.number == 0)
+
+    @property
+    def not_invertible(self) -> int:
+        """Number of detections that were left out."""
+        return sum(self._read_done(piece).not_invertible for piece in self.pieces)
+
+    def report(self) -> dict[str, Any]:
+        """Return the figures of the joins, for ``report.json``."""
+        return {
+            "count": len(self.pieces),
+            "length_s": self.length_s,
+            "overlap_s": self.overlap_s,
+            "joined_tracks": self._joined,
+            "uncertain_joins": self._uncertain,
+        }
+
+    def _read_done(self, piece: LogPiece) -> PieceDone:
+        done = _done(self.work, piece)
+        assert done is not None
+        return done
+
+    def _chunks(self, piece: LogPiece) -> RecordChunks:
+        chunks = self.work.chunks(piece)
+        chunks.spans = list(self._read_done(piece).spans)
+        return chunks
+
+    def _names(self, earlier: LogPiece, later: LogPiece, names: Mapping[int, int]) -> dict[int, int]:
+        """Return track of the later piece -> track of the run, for those that continue one."""
+        before = list(self._chunks(earlier).read(later.begin_s, earlier.end_s))
+        after = list(self._chunks(later).read(later.begin_s, earlier.end_s))
+        keys = sorted({_key(record) for record in (*before, *after)})
+        number = {key: k for k, key in enumerate(keys)}
+        times = np.array([key[0] for key in keys])
+        left, right = _trajectories(before, number, times), _trajectories(after, number, times)
+        pairs = join_probabilities(left, right, times, later.from_s, self.overlap_s / 4.0)
+        found: dict[int, int] = {}
+        rows = zip(pairs.before.tolist(), pairs.after.tolist(), pairs.probabilities.tolist(), strict=True)
+        for i, j, probability in rows:
+            earlier_id = names.get(left[i].track_id)
+            if earlier_id is None:  # a track that begins after the join
+                continue
+            joined = probability > PROBABLE
+            if joined:
+                found[right[j].track_id] = earlier_id
+                self._joined += 1
+            if 1.0 - CERTAIN < probability < CERTAIN:
+                self._uncertain.append(
+                    {"time_s": later.from_s, "track_id": earlier_id, "probability": probability, "joined": joined}
+                )
+        return found
+
+    def _renamed(self, record: Record, names: dict[int, int], first: bool) -> Record:
+        """Return a record with the tracks of the run in place of those of the piece; the first one keeps its own."""
+
+        def name(track_id: int) -> int:
+            if track_id not in names:
+                names[track_id] = track_id if first else self._next_id
+            self._next_id = max(self._next_id, names[track_id] + 1)
+            return names[track_id]
+
+        def rename(track_ids: NDArray[np.int64]) -> NDArray[np.int64]:
+            return np.array([name(one) for one in track_ids.tolist()], dtype=np.int64)
+
+        estimates = replace(record.estimates, track_ids=rename(record.estimates.track_ids))
+        if (tentative := estimates.tentative) is not None:
+            estimates = replace(estimates, tentative=replace(tentative, track_ids=rename(tentative.track_ids)))
+        return replace(
+            record,
+            estimates=estimates,
+            attributed={name(track_id): counts for track_id, counts in record.attributed.items()},
+            associations=tuple(replace(one, track_ids=rename(one.track_ids)) for one in record.associations),
+        )
+
+
+def _key(record: Record) -> tuple[float, str, bool]:
+    """What an event or a time of the grid is called in both pieces."""
+    return record.time_s, record.camera, record.is_event
+
+
+def _trajectories(
+    records: Sequence[Record], number: Mapping[tuple[float, str, bool], int], times: NDArray[np.float64]
+) -> list[Trajectory]:
+    """Return the tracks of records, in order of identity."""
+    places: dict[int, list[tuple[int, Record, int]]] = {}
+    for record in records:
+        for row, track_id in enumerate(record.estimates.track_ids.tolist()):
+            places.setdefault(track_id, []).append((number[_key(record)], record, row))
+    out = []
+    for track_id, found in sorted(places.items()):
+        events = np.array([event for event, _, _ in found], dtype=np.int64)
+        out.append(
+            Trajectory(
+                track_id,
+                events,
+                times[events],
+                np.array([record.estimates.states[row] for _, record, row in found]),
+                np.array([record.estimates.covariances[row] for _, record, row in found]),
+                np.array([record.estimates.existence[row] for _, record, row in found]),
+            )
+        )
+    return out

@@ -1,0 +1,1 @@
+"""The page of `stereophd.commands.report`: one HTML file with its data, script and style inside."""

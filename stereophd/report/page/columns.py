@@ -1,0 +1,107 @@
+"""Columns for the page: tracks in order, thinned out, and as compact text."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Longer than this many usual steps between two estimates of a track is a gap: lines break there.
+GAP_STEPS = 8.0
+
+
+def packed(values: NDArray[Any]) -> str:
+    """Return numbers as base64 of 32-bit floats, which the page's script unpacks."""
+    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Paths of objects or tracks, one after the other, each in order of time.
+
+    Attributes
+    ----------
+    ids : array (k,) of int
+    starts : array (k + 1,) of int
+        First row of each, and the number of rows.
+    columns : mapping of str to array (n,)
+        With ``time_s, x, y, z``.
+    """
+
+    ids: Integers
+    starts: Integers
+    columns: Mapping[str, Array]
+
+    @property
+    def times(self) -> Array:
+        """Times of the rows (n,), s."""
+        return self.columns["time_s"]
+
+    def positions_at(self, path: int, times: Array) -> Array:
+        """Return the positions (m, 3) of one path, interpolated; NaN outside of its life."""
+        rows = slice(int(self.starts[path]), int(self.starts[path + 1]))
+        own = self.times[rows]
+        columns = [np.interp(times, own, self.columns[axis][rows], np.nan, np.nan) for axis in "xyz"]
+        return np.stack(columns, axis=1)
+
+
+def paths_of(ids: Integers, columns: Mapping[str, Array]) -> Paths:
+    """Sort rows into paths, in order of their first time; of rows of one time the last one counts."""
+    times = columns["time_s"]
+    known, number = np.unique(ids, return_inverse=True)
+    first = np.full(len(known), np.inf)
+    np.minimum.at(first, number, times)
+    rank = np.empty(len(known), dtype=np.int64)
+    order_of_paths = np.lexsort((known, first))
+    rank[order_of_paths] = np.arange(len(known))
+    path = rank[number]
+    order = np.lexsort((np.arange(len(times)), times, path))
+    path, sorted_times = path[order], times[order]
+    last = np.append((np.diff(path) != 0) | (np.diff(sorted_times) > 0), True)[: len(path)]
+    order, path = order[last], path[last]
+    starts = np.searchsorted(path, np.arange(len(known) + 1))
+    kept = {name: np.asarray(values, dtype=np.float64)[order] for name, values in columns.items()}
+    return Paths(known[order_of_paths], starts.astype(np.int64), kept)
+
+
+def thinned(paths: Paths, budget: int) -> Paths:
+    """Keep about so many rows, first and last ones always; a row of NaN stands for each gap."""
+    count = len(paths.times)
+    step = max(1, -(-count // max(budget, 1)))
+    path = np.repeat(np.arange(len(paths.ids)), np.diff(paths.starts))
+    within = np.arange(count) - paths.starts[path]
+    steps = np.diff(paths.times)
+    inside = np.diff(path) == 0
+    usual = float(np.median(steps[inside])) if inside.any() else np.inf
+    gaps = np.append(False, inside & (steps > GAP_STEPS * usual))[:count]
+    ends = np.append(np.diff(path) != 0, True)[:count]
+    keep = (within % step == 0) | ends | gaps | np.append(gaps[1:], False)[:count]
+    rows = np.flatnonzero(keep)
+    breaks = np.flatnonzero(gaps[rows])
+    columns = {name: np.insert(values[rows], breaks, np.nan) for name, values in paths.columns.items()}
+    numbers = np.insert(path[rows], breaks, path[rows][breaks])
+    return Paths(paths.ids, np.searchsorted(numbers, np.arange(len(paths.ids) + 1)).astype(np.int64), columns)
+
+
+def chosen(count: int, most: int) -> Integers:
+    """Return at most so many of the first `count` numbers, evenly spread, first and last included."""
+    if count <= most:
+        return np.arange(count)
+    return np.unique(np.linspace(0, count - 1, max(most, 1)).round().astype(np.int64))
+
+
+def binned(times: Array, values: Mapping[str, Array], most: int) -> dict[str, Array]:
+    """Return means over neighbouring rows, at most so many; with them ``time_s``."""
+    count = len(times)
+    if count <= most:
+        return {"time_s": times, **values}
+    starts = np.arange(most) * count // most
+    sizes = np.diff(np.append(starts, count))
+    return {name: np.add.reduceat(column, starts) / sizes for name, column in {"time_s": times, **values}.items()}

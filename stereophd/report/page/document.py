@@ -1,0 +1,149 @@
+"""Put the page together: tables as HTML, the data, the script and the style."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from html import escape
+from importlib.resources import files
+from importlib.util import find_spec
+
+import yaml
+
+from stereophd.errors import InputError
+from stereophd.io.json_text import plain
+from stereophd.pipeline.inspection.runs import Run
+from stereophd.report.page.data import run_data
+from stereophd.report.summaries import SummaryTable, number, run_tables, share, tracking_part, verdict
+
+# Tracks that the page lists; a page of thousands of rows is slow, and nobody reads it.
+TRACKS_LISTED = 200
+
+
+def page(runs: Sequence[Run], title: str = "stereophd report") -> str:
+    """Return the HTML of a page about some runs.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    title : str
+
+    Raises
+    ------
+    InputError
+        plotly is not installed.
+    """
+    if find_spec("plotly") is None:
+        raise InputError("the page needs plotly, which is not installed: pip install 'stereophd[report]'")
+    from plotly.offline import get_plotlyjs
+
+    data = {"runs": [run_data(run, len(runs)) for run in runs]}
+    parts = {
+        "TITLE": escape(title),
+        "VERDICTS": "\n".join(_verdict(run) for run in runs),
+        "COMPARISON": "" if len(runs) < 2 else _html(comparison(runs)),
+        "DETAILS": "\n".join(_details(run, number) for number, run in enumerate(runs)),
+        "STYLE": _resource("page.css"),
+        # "</script" inside a text of the script would end the element
+        "PLOTLY": get_plotlyjs().replace("</script", "<\\/script"),
+        "DATA": json.dumps(plain(data), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+        "SCRIPT": _resource("page.js"),
+    }
+    out = []
+    for k, piece in enumerate(_resource("page.html").split("%%")):
+        out.append(parts[piece] if k % 2 else piece)
+    return "".join(out)
+
+
+def _resource(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _doubtful(run: Run) -> bool:
+    warns = any(found["status"] == "warning" for found in run.report.get("checks", ()))
+    undetermined = run.report.get("status") not in (None, "determined")
+    empty = run.command == "track" and not tracking_part(run.report).get("tracks")
+    return warns or undetermined or empty
+
+
+def _verdict(run: Run) -> str:
+    text = verdict(run.report, None if run.evaluation is None else run.evaluation.report)
+    doubtful = _doubtful(run)
+    mark = "<span>Doubtful:</span> " if doubtful else "<span aria-hidden='true'>&#10003;</span> "
+    return (
+        f"<p class='verdict {'doubt' if doubtful else 'fine'}'><strong>{escape(run.name)}</strong> "
+        f"<small>{escape(run.command)}</small><br>{mark}{escape(text)}</p>"
+    )
+
+
+def comparison(runs: Sequence[Run]) -> SummaryTable:
+    """Return the figures of all runs side by side; rows that no run has are left out."""
+    rows = []
+    for name, values in zip(_FIGURES, zip(*(_figures(run) for run in runs), strict=True), strict=True):
+        if any(value is not None for value in values):
+            rows.append((name, *("-" if value is None else value for value in values)))
+    return SummaryTable("Runs side by side", ("", *(run.name for run in runs)), tuple(rows))
+
+
+_FIGURES = (
+    "command", "seed", "filter", "tracks", "estimates", "detections", "explained", "residual", "log-likelihood",
+    "warnings", "OSPA", "GOSPA", "position error, RMSE", "identity switches", "consistency (NEES of position)",
+)  # fmt: skip
+
+
+def _figures(run: Run) -> Iterator[str | None]:
+    tracking = tracking_part(run.report)
+    config, unit = run.provenance["config"], run.length_unit
+    score = None if run.evaluation is None else run.evaluation.report
+    cameras = (tracking.get("cameras") or {}).values()
+    detections = sum(camera["detections"] for camera in cameras)
+    residuals = sum(camera["residuals"] for camera in cameras)
+    squares = sum(camera["residuals"] * (camera["residual_rms_px"] or 0.0) ** 2 for camera in cameras)
+    yield run.command
+    yield None if run.provenance["seed"] is None else str(run.provenance["seed"])
+    yield (config.get("filter") or {}).get("kind")
+    yield str(len(tracking["tracks"])) if "tracks" in tracking else None
+    yield str(tracking["estimates"]) if "estimates" in tracking else None
+    yield str(detections) if cameras else None
+    yield share(sum(camera["explained_detections"] for camera in cameras) / detections) if detections else None
+    yield f"{number((squares / residuals) ** 0.5, 2)} px" if residuals else None
+    yield f"{tracking['log_likelihood']:.1f}" if "log_likelihood" in tracking else None
+    yield str(sum(c["status"] == "warning" for c in run.report["checks"])) if "checks" in run.report else None
+    yield f"{number(score['ospa']['mean'])} {unit}" if score else None
+    yield f"{number(score['gospa']['mean'])} {unit}" if score else None
+    yield f"{number(score['rmse']['position'])} {unit}" if score else None
+    yield str(score["identity_switches"]) if score and score["identity_switches"] is not None else None
+    yield number(score["nees"]["position"]) if score else None
+
+
+def _details(run: Run, index: int) -> str:
+    """Tables, configuration and origin of a run; the script shows those of the chosen one."""
+    tables = "\n".join(_html(table) for table in run_tables(run.report, TRACKS_LISTED))
+    record = run.provenance
+    settings = yaml.safe_dump(plain(record["config"]), sort_keys=False, default_flow_style=None, width=110)
+    origin = [
+        ("made by", f"stereophd {record.get('version')} {record.get('command')}"),
+        ("seed", str(record.get("seed"))),
+        ("configuration, SHA-256", str(record.get("config_sha256"))),
+        *((f"{role}, SHA-256", digest) for role, digest in record["inputs"].items()),
+    ]
+    return (
+        f"<div class='details' data-run='{index}'><h3>{escape(run.name)}</h3>{tables}"
+        + _html(SummaryTable("Origin", ("", ""), tuple(origin)))
+        + f"<details><summary>Configuration</summary><pre>{escape(settings)}</pre></details></div>"
+    )
+
+
+def _html(table: SummaryTable) -> str:
+    head = "".join(f"<th scope='col'>{escape(cell)}</th>" for cell in table.header)
+    rows = "".join(
+        "<tr>" + "".join(f"<{_tag(k)}>{escape(cell)}</{_tag(k)[:2]}>" for k, cell in enumerate(row)) + "</tr>"
+        for row in table.rows
+    )
+    body = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>" if rows else ""
+    notes = "".join(f"<p class='note'>{escape(note)}</p>" for note in table.notes)
+    return f"<section class='table'><h4>{escape(table.title)}</h4><div class='wide'>{body}</div>{notes}</section>"
+
+
+def _tag(column: int) -> str:
+    return "th scope='row'" if column == 0 else "td"

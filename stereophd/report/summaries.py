@@ -1,0 +1,271 @@
+"""What a run of `track` or `calibrate` found, as tables for people: rounded, with units.
+
+The terminal and the page print the same tables.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stereophd.report.inspection import table
+
+# Tracks that the terminal lists.
+TRACKS_SHOWN = 20
+# Cameras that have a column of their own in the table of tracks.
+CAMERAS_SHOWN = 6
+# Numbers from here on are written with powers of ten.
+LARGEST_PLAIN = 1e7
+
+
+# The table whose cells are sentences.
+CHECKS = "Checks"
+
+
+@dataclass(frozen=True)
+class SummaryTable:
+    """A table of texts.
+
+    Attributes
+    ----------
+    title : str
+    header : tuple of str
+    rows : tuple of tuple of str
+    notes : tuple of str
+        Lines below the table.
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits, without powers of ten where it is of usual size."""
+    if value is None:
+        return "-"
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < LARGEST_PLAIN else text
+
+
+def share(value: float | None) -> str:
+    """Return a share in per cent."""
+    return "-" if value is None else f"{100.0 * value:.0f} %"
+
+
+def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the figures of a tracking run inside a report; empty if there are none."""
+    found = report.get("tracking", report)
+    return found if isinstance(found.get("tracks"), list) else {}
+
+
+def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
+    """Return the tables of a report of `track` or `calibrate`: calibration, cameras, tracks, findings.
+
+    Parameters
+    ----------
+    report : mapping
+        As in ``report.json``.
+    most_tracks : int, optional
+        Only the longest tracks are listed; None: all of them.
+    """
+    unit = report.get("length_unit") or "length"
+    tracking = tracking_part(report)
+    tables = []
+    if "parameters" in report:
+        tables += [_poses(report, unit), _parameters(report)]
+    described = report["provenance"]["config"].get("cameras") or {}
+    if tracking:
+        clocks = _clocks(report, described)
+        tables += [_cameras(tracking.get("cameras") or {}, described, clocks, report.get("detectors"))]
+        tables += [_tracks(tracking["tracks"], unit, most_tracks)]
+    if report.get("checks"):
+        tables.append(_findings(report["checks"]))
+    return [table for table in tables if table.rows or table.notes]
+
+
+def summary_text(report: Mapping[str, Any]) -> str:
+    """Return the verdict and the tables of a report as text for a terminal."""
+    blocks = [verdict(report)]
+    for one in run_tables(report):
+        if one.title == CHECKS:
+            rows = [f"  {name} ({camera}): {found} Remedy: {remedy}." for name, camera, found, remedy in one.rows]
+        else:
+            rows = [f"  {line}" for line in table([one.header, *one.rows])] if one.rows else []
+        blocks.append("\n".join([one.title, *rows, *(f"  {note}" for note in one.notes)]))
+    return "\n\n".join(blocks)
+
+
+def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
+    rows = [
+        (
+            name,
+            number(camera["rotation_std_deg"]),
+            number(camera["direction_std_deg"]),
+            number(camera["center_std"]),
+        )
+        for name, camera in (report.get("cameras") or {}).items()
+    ]
+    header = ("camera", "rotation std [deg]", "direction std [deg]", f"centre std [{unit}]")
+    return SummaryTable("Calibrated cameras", header, tuple(rows))
+
+
+def _parameters(report: Mapping[str, Any]) -> SummaryTable:
+    rows = []
+    for one in report["parameters"]:
+        angle = one["unit"].startswith("rad")
+        factor, unit = (math.degrees(1.0), f"deg{one['unit'][3:]}") if angle else (1.0, one["unit"])
+        mean = None if one["mean"] is None else factor * one["mean"]
+        rows.append(
+            (
+                one["name"],
+                unit,
+                number(factor * one["prior_std"]),
+                number(mean),
+                number(factor * one["std"]),
+                number(one["posterior_over_prior_std"], 2),
+                "the data" if one["determined_by_data"] else "the prior",
+            )
+        )
+    header = ("parameter", "unit", "prior std", "offset from prior", "std", "std / prior std", "determined by")
+    return SummaryTable("Parameters", header, tuple(rows))
+
+
+def _clocks(report: Mapping[str, Any], described: Mapping[str, Any]) -> dict[str, str]:
+    """Return offset and rate of every clock, with the correction that a calibration found."""
+    found = {one["name"]: one for one in report.get("parameters", ())}
+    out = {}
+    for name, camera in described.items():
+        clock = camera.get("clock") or {}
+        offset, rate = float(clock.get("offset_s") or 0.0), float(clock.get("rate") or 1.0)
+        estimated = found.get(f"{name}.clock_offset")
+        if estimated is not None and estimated["mean"] is not None:
+            text = f"{offset + estimated['mean']:+.4f} s +- {number(estimated['std'], 2)}"
+        else:
+            text = f"{offset:+.4f} s" if offset else "as in the log"
+        if rate != 1.0:
+            text += f", {1e6 * (rate - 1.0):+.0f} ppm"
+        out[name] = text
+    return out
+
+
+def _cameras(
+    figures: Mapping[str, Any],
+    described: Mapping[str, Any],
+    clocks: Mapping[str, str],
+    detectors: Mapping[str, Any] | None,
+) -> SummaryTable:
+    rows = []
+    for name, camera in figures.items():
+        detector = (detectors or {}).get("cameras", {}).get(name) or (described.get(name) or {}).get("detector") or {}
+        mean = camera["residual_mean_px"]
+        a_frame = camera["detections"] / camera["frames"] if camera["frames"] else None
+        rows.append(
+            (
+                name,
+                str(camera["frames"]),
+                str(camera["detections"]),
+                number(a_frame, 2),
+                share(camera["explained_share"]),
+                number(camera["residual_rms_px"], 2),
+                "-" if mean is None else f"{mean[0]:+.2f}, {mean[1]:+.2f}",
+                " x ".join(dict.fromkeys(number(s, 2) for s in detector.get("sigma_px") or ())) or "-",
+                clocks.get(name, "-"),
+            )
+        )
+    header = (
+        "camera", "frames", "detections", "a frame", "explained", "residual [px]", "mean u, v [px]", "noise [px]",
+        "clock offset",
+    )  # fmt: skip
+    return SummaryTable("Cameras", header, tuple(rows))
+
+
+def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) -> SummaryTable:
+    if not tracks:
+        return SummaryTable("Tracks", (), (), ("no tracks",))
+    names = list(tracks[0]["n_detections"])
+    each = names if len(names) <= CAMERAS_SHOWN else []
+    by_length = sorted(tracks, key=lambda one: (one["first_s"] - one["last_s"], one["track_id"]))
+    chosen = sorted(by_length[: len(tracks) if most is None else most], key=lambda one: one["track_id"])
+    rows = []
+    for one in chosen:
+        counts = one["n_detections"]
+        rows.append(
+            (
+                str(one["track_id"]),
+                f"{one['first_s']:.2f}",
+                f"{one['last_s']:.2f}",
+                f"{one['last_s'] - one['first_s']:.2f}",
+                *(str(counts[name]) for name in each),
+                *(() if each else (str(sum(counts.values())), str(sum(n > 0 for n in counts.values())))),
+                number(one.get("mean_speed")),
+                number(one.get("mean_position_std"), 2),
+                number(one["mean_existence"], 2),
+            )
+        )
+    header = (
+        "track", "from [s]", "to [s]", "lasts [s]", *(f"seen by {name}" for name in each),
+        *(() if each else ("detections", "cameras")), f"speed [{unit}/s]", f"position std [{unit}]", "existence",
+    )  # fmt: skip
+    hidden = len(tracks) - len(chosen)
+    notes = (f"... and {hidden} shorter tracks",) if hidden else ()
+    return SummaryTable(f"Tracks ({len(tracks)})", header, tuple(rows), notes)
+
+
+def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:
+    warnings = [found for found in checks if found["status"] == "warning"]
+    rows = tuple(
+        (found["name"], found["camera"] or "all", found["message"], found["remedy"] or "-") for found in warnings
+    )
+    fine = sum(found["status"] == "ok" for found in checks)
+    note = f"{fine} of {len(checks)} checks passed" + (f", {len(warnings)} warn" if warnings else "")
+    return SummaryTable(CHECKS, ("check", "camera", "finding", "remedy"), rows, (note,))
+
+
+def verdict(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None = None) -> str:
+    """Return in one line what came of a run, and what is doubtful."""
+    return "; ".join(_clauses(report, evaluation)) + "."
+
+
+def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) -> Iterator[str]:
+    unit = report.get("length_unit") or "length"
+    if "parameters" in report or "status" in report:
+        text = {"determined": "Cameras are determined", "partly determined": "Cameras are determined in part"}.get(
+            str(report.get("status")), f"Cameras are {report.get('status')}"
+        )
+        yield text + (f": {report['reason']}" if report.get("reason") else "")
+        worst = [camera["rotation_std_deg"] for camera in (report.get("cameras") or {}).values()]
+        if worst:
+            yield f"rotations to {number(max(worst), 2)} deg or better"
+    tracking = tracking_part(report)
+    if tracking:
+        tracks = tracking["tracks"]
+        span = max((t["last_s"] for t in tracks), default=0.0) - min((t["first_s"] for t in tracks), default=0.0)
+        count = len(tracks)
+        cameras = tracking.get("cameras") or {}
+        yield (
+            f"{count} track{'' if count == 1 else 's'} in {number(span)} s from {len(cameras)} cameras"
+            if count
+            else "No tracks"
+        )
+        detections = sum(camera["detections"] for camera in cameras.values())
+        if detections and count:
+            explained = sum(camera["explained_detections"] for camera in cameras.values())
+            squares = sum(c["residuals"] * c["residual_rms_px"] ** 2 for c in cameras.values() if c["residuals"])
+            residuals = sum(camera["residuals"] for camera in cameras.values())
+            yield f"they explain {share(explained / detections)} of {detections:,} detections"
+            if residuals:
+                yield f"residual {number((squares / residuals) ** 0.5, 2)} px"
+    if evaluation is not None:
+        ospa = evaluation["ospa"]
+        scale = f" {unit}" if ospa["base"] == "euclidean" else ""
+        yield f"OSPA {number(ospa['mean'])}{scale} (cutoff {ospa['cutoff']:g}{scale})"
+    warnings = [found["name"] for found in report.get("checks", ()) if found["status"] == "warning"]
+    if warnings:
+        what = "check warns" if len(warnings) == 1 else "checks warn"
+        yield f"{len(warnings)} {what}: {', '.join(dict.fromkeys(warnings))}"
+    elif report.get("checks"):
+        yield "no check warns"

@@ -1,0 +1,168 @@
+"""`init`: a configuration from a log, and templates; ``motion.acceleration_std: estimate``."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.init import init
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config, make_config
+from stereophd.errors import InputError
+from stereophd.pipeline.initial import acceleration
+from stereophd.pipeline.initial.acceleration import _of_windows
+
+ROOT = Path(__file__).parents[2]
+ACCELERATION = 0.3
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four objects of known acceleration before the two side cameras of the quickstart, 6 s."""
+    folder = tmp_path_factory.mktemp("scene") / "out"
+    values = yaml.safe_load((ROOT / "configs" / "quickstart.yaml").read_text())
+    values["cameras"].pop("middle")
+    values["simulate"] |= {"duration_s": 6.0, "acceleration_std": ACCELERATION}
+    values["simulate"]["objects"] |= {"births_per_s": 0.0}
+    simulate(make_config(values), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def written(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("written")
+    return folder, init(folder, scene / "detections.parquet")
+
+
+def test_track_runs_with_what_init_writes(scene: Path, written: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    folder, report = written
+    assert not [found["message"] for found in report["checks"] if found["status"] == "warning"]
+    loaded = load_config(folder / "config.yaml")
+    track(loaded, scene / "detections.parquet", tmp_path / "out")
+    cutoff = loaded.config.evaluation.cutoff
+    assert cutoff is not None
+    assert 0.5 < cutoff < 2.0
+    score = evaluate(tmp_path / "out" / "tracks.parquet", scene / "truth.parquet", plots=False)
+    assert (score["tracks"], score["identity_switches"], score["ospa"]["cutoff"]) == (4, 0, cutoff)
+    assert score["ospa"]["mean"] < 0.1
+
+
+def test_every_value_has_its_source(written: tuple[Path, dict[str, Any]]) -> None:
+    folder, report = written
+    lines = (folder / "config.yaml").read_text().splitlines()
+    assert max(map(len, lines)) <= 120
+    loaded = load_config(folder / "config.yaml")
+    for row in report["values"]:
+        place: Any = loaded.resolved
+        for key in row["key"].split("."):
+            place = place[key]
+        assert place == row["value"]
+        assert row["source"]
+        name = row["key"].rsplit(".", 1)[1]
+        (number,) = [n for n, line in enumerate(lines) if line.strip().startswith(f"{name}: ")][-1:]
+        assert lines[number - 1].strip().startswith("# ")
+    assert {row["key"] for row in report["values"] if not row["measured"]} <= {"filter.survival_per_s"}
+
+
+def test_acceleration_is_near_the_true_one(written: tuple[Path, dict[str, Any]]) -> None:
+    found = load_config(written[0] / "config.yaml").config.motion.acceleration_std  # type: ignore[union-attr]
+    assert ACCELERATION / 3.0 < found < 3.5 * ACCELERATION  # type: ignore[operator]
+
+
+def test_an_estimated_acceleration_is_reported(
+    scene: Path, written: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    stated = load_config(written[0] / "config.yaml")
+    asked = load_config(written[0] / "config.yaml", ["motion.acceleration_std=estimate"])
+    assert "acceleration_std: estimate" not in (written[0] / "config.yaml").read_text()
+    report = track(asked, scene / "detections.parquet", tmp_path / "out")
+    value = report["motion"]["acceleration_std"]
+    assert value == pytest.approx(stated.config.motion.acceleration_std, rel=2.1)  # type: ignore[union-attr]
+    assert report["provenance"]["config"]["motion"]["acceleration_std"] == value
+    best = max(report["motion"]["tried"], key=lambda row: row["log_likelihood"])
+    assert best["log_likelihood"] >= 0.0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["motion"] == report["motion"]
+
+
+def test_an_acceleration_is_not_estimated_elsewhere(scene: Path, tmp_path: Path) -> None:
+    single = load_config(ROOT / "configs" / "paper" / "single_object.yaml", ["motion.acceleration_std=estimate"])
+    with pytest.raises(InputError, match=r"acceleration_std: expected a number where filter\.kind is not"):
+        track(single, scene / "detections.parquet", tmp_path / "out")
+    with pytest.raises(InputError, match="only track estimates it"):
+        single.config.motion.build()
+
+
+def test_windows_bound_the_acceleration_from_below() -> None:
+    # 400 events, of which the last 25 hold a manoeuvre that the smaller values miss
+    quiet = {0.1: 0.0, 0.3: -0.2, 1.0: -1.0}
+    manoeuvre = {0.1: -9.0, 0.3: -4.0, 1.0: 0.0}
+    likelihoods = {a: np.r_[np.full(350, quiet[a]), np.full(50, manoeuvre[a])] for a in quiet}
+    assert _of_windows(likelihoods) == 1.0
+    likelihoods = {a: np.r_[np.full(375, quiet[a]), np.full(25, manoeuvre[a])] for a in quiet}
+    assert _of_windows(likelihoods) == 0.1  # one window may be anything
+
+
+def test_too_short_a_log_needs_a_number(written: tuple[Path, dict[str, Any]], scene: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr(acceleration, "LEAST_EVENTS", 10_000)
+    asked = load_config(written[0] / "config.yaml", ["motion.acceleration_std=estimate"])
+    with pytest.raises(InputError, match="expected at least 10000 frames"):
+        acceleration.with_estimated_motion(asked, scene / "detections.parquet")
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("animals", "cm"), ("drones", "m"), ("lab", "mm")])
+def test_templates_without_a_log(kind: Any, unit: str, scene: Path, tmp_path: Path) -> None:
+    report = init(tmp_path / "a", kind=kind, length_unit=unit)
+    text = (tmp_path / "a" / "config.yaml").read_text()
+    assert "cameras: cameras.yaml" in text
+    assert not any(row["measured"] for row in report["values"] if "birth" in row["key"])
+    cameras = (scene / "cameras.yaml").read_text().replace("length: m", f"length: {unit}")
+    (tmp_path / "a" / "cameras.yaml").write_text(cameras)
+    loaded = load_config(tmp_path / "a" / "config.yaml")
+    assert loaded.config.units.length == unit
+    near, far = loaded.config.filter.birth.depth_range  # type: ignore[union-attr,misc]
+    assert 0.0 < near < far
+
+
+def test_cameras_alone_and_a_log_alone(scene: Path, tmp_path: Path) -> None:
+    init(tmp_path / "cameras", cameras_path=scene / "cameras.yaml", kind="animals")
+    assert list(load_config(tmp_path / "cameras" / "config.yaml").cameras) == ["left", "right"]
+    (tmp_path / "log.parquet").write_bytes((scene / "detections.parquet").read_bytes())
+    init(tmp_path / "log", tmp_path / "log.parquet")
+    assert "# The log has the cameras left (20 Hz), right (25 Hz)." in (tmp_path / "log" / "config.yaml").read_text()
+
+
+def test_cameras_that_do_not_fit_leave_the_usual_values(
+    scene: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    described = yaml.safe_load((scene / "cameras.yaml").read_text())
+    for camera in described["cameras"].values():
+        camera["pose"]["rotation_vector_deg"] = [-angle for angle in camera["pose"]["rotation_vector_deg"]]
+    (tmp_path / "cameras.yaml").write_text(yaml.safe_dump(described))
+    with caplog.at_level(logging.WARNING, "stereophd"):
+        report = init(tmp_path / "out", scene / "detections.parquet", tmp_path / "cameras.yaml")
+    assert any(found["cause"] == "rotation_transposed" for found in report["checks"])
+
+
+def test_a_configuration_of_the_user_stays(scene: Path, tmp_path: Path) -> None:
+    init(tmp_path, kind="lab")
+    with pytest.raises(InputError, match=r"config\.yaml: expected no configuration, found one"):
+        init(tmp_path, kind="lab")
+    init(tmp_path, kind="drones", force=True)
+    (tmp_path / "config.yaml").write_text("units: {length: m}\n")
+    with pytest.raises(InputError, match="found another"):
+        init(tmp_path, kind="lab", force=True)
+    for options, message in (
+        ({"kind": "planets"}, "`kind`: expected one of animals"),
+        ({"length_unit": "mile"}, "`length_unit`: expected one of mm"),
+        ({"length_unit": "cm", "cameras_path": scene / "cameras.yaml"}, r"units\.length: expected cm, found m"),
+    ):
+        with pytest.raises(InputError, match=message):
+            init(tmp_path / "new", **options)
