@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import copy
-import math
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
