@@ -35,7 +35,7 @@ from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
-from stereophd.core.multi.history import History, Rows
+from stereophd.core.multi.history import ClaimedRows, History
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.compilation import compiled
@@ -184,7 +184,7 @@ def _meet(one: Array, other: Array, views: Array, a: int, b: int, prior: NewObje
 
 @compiled
 def filter_again(
-    rows: Rows,
+    rows: ClaimedRows,
     spaces: Array,
     motion: MotionArrays,
     prior: NewObjects,
@@ -197,7 +197,7 @@ def filter_again(
 
     Parameters
     ----------
-    rows : Rows
+    rows : ClaimedRows
         Detections (n) of the track, forwards or backwards in time.
     spaces : array (n, 30)
         Packed space of each.
@@ -349,7 +349,7 @@ class CrosswiseTest:
         found = [self._filter_again(path, prior) for path in paths]
         return odds, (found[0], found[1])
 
-    def _filter_again(self, rows: Rows, prior: NewObjects) -> Track:
+    def _filter_again(self, rows: ClaimedRows, prior: NewObjects) -> Track:
         """Filter the detections of one track again, in the order of the rows."""
         spaces = self.rig.spaces(rows.cameras, rows.times)
         motion = self.motion.arrays(np.diff(rows.times, prepend=rows.times[0]))

@@ -15,7 +15,7 @@ Integers = NDArray[np.int64]
 KEPT_EVENTS = 32
 
 
-class Sighting(NamedTuple):
+class ClaimedDetections(NamedTuple):
     """The detections of one event that labels claim.
 
     Attributes
@@ -64,15 +64,15 @@ class History:
 
     Attributes
     ----------
-    sightings : tuple of Sighting
+    sightings : tuple of ClaimedDetections
         In order of time.
     tests : Tests
     """
 
-    sightings: tuple[Sighting, ...] = ()
+    sightings: tuple[ClaimedDetections, ...] = ()
     tests: Tests = field(default_factory=no_tests)
 
-    def add(self, sighting: Sighting) -> History:
+    def add(self, sighting: ClaimedDetections) -> History:
         """Return the history after one more event."""
         if not len(sighting.labels):
             return self
@@ -81,16 +81,16 @@ class History:
             sightings = _thinned(sightings[:KEPT_EVENTS]) + sightings[KEPT_EVENTS:]
         return History((*sightings, sighting), self.tests)
 
-    def rows_of(self, first: int, second: int) -> Rows:
+    def rows_of(self, first: int, second: int) -> ClaimedRows:
         """Return the kept detections of two labels, one row each, in order of time."""
         rows = self._rows()
         return rows.take(np.flatnonzero((rows.labels == first) | (rows.labels == second)))
 
-    def _rows(self) -> Rows:
+    def _rows(self) -> ClaimedRows:
         kept = self.sightings
         counts = [len(one.labels) for one in kept]
         delays = [np.zeros(len(one.labels)) if one.delays is None else one.delays for one in kept]
-        return Rows(
+        return ClaimedRows(
             np.repeat([one.camera for one in kept], counts),
             np.repeat([one.time_s for one in kept], counts),
             np.concatenate([one.labels for one in kept]),
@@ -107,7 +107,7 @@ class History:
         )
 
 
-def _thinned(sightings: tuple[Sighting, ...]) -> tuple[Sighting, ...]:
+def _thinned(sightings: tuple[ClaimedDetections, ...]) -> tuple[ClaimedDetections, ...]:
     """Return every second event of each camera, and the first of all."""
     kept, seen = [], dict[int, int]()
     for one in sightings:
@@ -118,13 +118,13 @@ def _thinned(sightings: tuple[Sighting, ...]) -> tuple[Sighting, ...]:
     return tuple(kept)
 
 
-def _exchanged(sighting: Sighting, first: int, second: int) -> Sighting:
+def _exchanged(sighting: ClaimedDetections, first: int, second: int) -> ClaimedDetections:
     labels = sighting.labels.copy()
     labels[sighting.labels == first], labels[sighting.labels == second] = second, first
     return sighting._replace(labels=labels)
 
 
-class Rows(NamedTuple):
+class ClaimedRows(NamedTuple):
     """Detections in order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), delays (n,)."""
 
     cameras: Integers
@@ -134,9 +134,9 @@ class Rows(NamedTuple):
     noises: Array
     delays: Array
 
-    def take(self, index: Integers) -> Rows:
+    def take(self, index: Integers) -> ClaimedRows:
         """Return some of the rows."""
-        return Rows(
+        return ClaimedRows(
             self.cameras[index], self.times[index], self.labels[index], self.points[index], self.noises[index],
             self.delays[index],
         )  # fmt: skip

@@ -30,7 +30,7 @@ from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.history import History, Sighting
+from stereophd.core.multi.history import ClaimedDetections, History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
@@ -103,9 +103,9 @@ def _update(
     return reduced, log_likelihood, detected, expected, claims, likely
 
 
-def _sighting(event: Event, labels: Integers, detections: Integers) -> Sighting:
+def _sighting(event: Event, labels: Integers, detections: Integers) -> ClaimedDetections:
     """Return the detections of an event that labels claim."""
-    return Sighting(
+    return ClaimedDetections(
         event.camera, event.time_s, labels, event.points[detections], event.covariances[detections],
         None if event.delays is None else event.delays[detections],
     )  # fmt: skip

@@ -14,7 +14,7 @@ from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.crosswise import CrosswiseTest, NewObjects, crosswise_pairs
-from stereophd.core.multi.history import KEPT_EVENTS, History, Rows, Sighting
+from stereophd.core.multi.history import KEPT_EVENTS, ClaimedDetections, ClaimedRows, History
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.io.checkpoints import read_checkpoint, write_checkpoint
 from tests.core.multi.scenes import make_mixture
@@ -68,7 +68,7 @@ def test_the_odds_of_an_exchange_are_those_of_its_reverse(steps: list[Step]) -> 
     assert for_wrong == pytest.approx(-for_right, rel=1e-12) == -by_other
 
 
-def fitting(test: CrosswiseTest, history: History, label: int, prior: NewObjects) -> Rows:
+def fitting(test: CrosswiseTest, history: History, label: int, prior: NewObjects) -> ClaimedRows:
     """Detections of a label without those that it claimed before it had settled."""
     rows = history.rows_of(label, label)
     rows = rows.take(np.arange(len(rows.times))[::-1])
@@ -107,7 +107,7 @@ def test_filtering_again_is_what_a_plain_filter_does(steps: list[Step]) -> None:
     assert (found.camera, found.time_s) == (rows.cameras[-1], rows.times[-1])
 
 
-def _event(multi_filter: PmbFilter, rows: Rows) -> Event:
+def _event(multi_filter: PmbFilter, rows: ClaimedRows) -> Event:
     camera = int(rows.cameras[0])
     event = make_event(multi_filter.rig.cameras[camera], camera, float(rows.times[0]), rows.points[:1])
     return replace(event, covariances=rows.noises[:1])
@@ -142,7 +142,7 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     assert len(same.tests.due) == 1
 
 
-def _own(history: History | None, label: int) -> Rows:
+def _own(history: History | None, label: int) -> ClaimedRows:
     assert history is not None
     rows = history.rows_of(label, label)
     return rows
@@ -205,9 +205,9 @@ def test_the_history_is_bounded_and_keeps_every_camera() -> None:
     assert history.add(_sighting(500, 0, [])) is history
 
 
-def _sighting(time_s: float, camera: int, labels: list[int]) -> Sighting:
+def _sighting(time_s: float, camera: int, labels: list[int]) -> ClaimedDetections:
     count = len(labels)
-    return Sighting(
+    return ClaimedDetections(
         camera, float(time_s), np.array(labels, dtype=np.int64), np.zeros((count, 2)), np.zeros((count, 2, 2)), None
     )
 
