@@ -1,11 +1,12 @@
 """Which mistakes in a set-up are diagnosed, and whether correct set-ups stay without a warning.
 
-    python benchmarks/mistakes.py [--seed 11] [--correct 30] [--only NAME ...]
+    python benchmarks/mistakes.py [--seed 11] [--correct 30] [--only NAME ...] [--checks-only]
 
 Makes each of 41 mistakes in a simulated scene of three cameras (`configs/quickstart.yaml` with another seed), runs
 `track` with its checks and scores the tracks. Prints a table: the outcome (error, warning, silent), the cause that was
 named, OSPA beside that of the correct set-up, and the verdict. Then checks that many correct set-ups, and reports the
 warnings on them, which are false. Exit code 1 if a damaging mistake is silent.
+With --checks-only nothing is tracked: only the checks that need no filter run, and no OSPA tells damage.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
+from stereophd.pipeline.checks.run import check_log
+from stereophd.pipeline.tracking.run import build_tracking
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
@@ -192,6 +195,7 @@ def _one(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[Setup
     return lambda setup: change(setup.cameras["cameras"][name])
 
 
+LENS = ("lens_missing", "lens_sign", "lens_inaccurate")
 # Mistake -> how it is made, and the causes that name it rightly.
 MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
     "rotation transposed": (_each(_transposed), ("rotation_transposed",)),
@@ -212,8 +216,8 @@ MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
     "focal length in mm": (_each(_intrinsics(1 / 120.0, 1.0)), ("focal_length_millimetres",)),
     "principal point of another resolution": (_each(_intrinsics(1.0, 2.0)), ("principal_point_resolution",)),
     "intrinsics of another resolution": (_each(_intrinsics(0.5, 0.5)), ("intrinsics_resolution",)),
-    "lens left out": (_each(lambda c: c.__setitem__("distortion", {"model": "none"})), ("lens_missing",)),
-    "sign of the lens reversed": (_each(_lens(-1.0)), ("lens_sign",)),
+    "lens left out": (_each(lambda c: c.__setitem__("distortion", {"model": "none"})), LENS),
+    "sign of the lens reversed": (_each(_lens(-1.0)), LENS),
     "times in milliseconds": (_times(None, lambda t: 1000.0 * t), ("milliseconds",)),
     "frame number as time": (_frames_as_times, ("frame_number_as_time",)),
     "wrong frame rate of one camera": (_times("right", lambda t: t * 25.0 / 30.0), ("frame_rate", "clock_rate")),
@@ -243,8 +247,8 @@ MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-def run(setup: Setup, truth: Path, folder: Path) -> tuple[str, list[str], float]:
-    """Track a set-up; return the outcome (error, warning, silent), the causes named, and OSPA."""
+def run(setup: Setup, truth: Path, folder: Path, tracked: bool = True) -> tuple[str, list[str], float]:
+    """Track a set-up; return the outcome (error, warning, silent), the causes named, and OSPA (NaN if not tracked)."""
     folder.mkdir(parents=True)
     (folder / "config.yaml").write_text(yaml.safe_dump(setup.config, sort_keys=False))
     (folder / "cameras.yaml").write_text(yaml.safe_dump(setup.cameras, sort_keys=False))
@@ -252,10 +256,16 @@ def run(setup: Setup, truth: Path, folder: Path) -> tuple[str, list[str], float]
     order.to_parquet(folder / "log.parquet", index=False)
     try:
         loaded = load_config(folder / "config.yaml", (), None, folder / "cameras.yaml")
-        report = track(loaded, folder / "log.parquet", folder / "out")
+        if tracked:
+            checks = track(loaded, folder / "log.parquet", folder / "out")["checks"]
+        else:
+            build_tracking(loaded)
+            checks = [one.as_dict() for one in check_log(loaded, folder / "log.parquet", thorough=False)]
     except InputError:
         return "error", ["error"], float("nan")
-    causes = [found["cause"] for found in report["checks"] if found["status"] == "warning"]
+    causes = [found["cause"] for found in checks if found["status"] == "warning"]
+    if not tracked:
+        return ("warning" if causes else "silent"), causes, float("nan")
     try:
         score = evaluate(folder / "out" / "tracks.parquet", truth, None, cutoff=CUTOFF)["ospa"]["mean"]
     except InputError:
@@ -269,6 +279,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--correct", type=int, default=30)
     parser.add_argument("--only", nargs="*")
+    parser.add_argument("--checks-only", action="store_true")
     options = parser.parse_args()
     logging.getLogger("stereophd").setLevel(logging.CRITICAL)
     silent = 0
@@ -285,7 +296,8 @@ def main() -> int:
         # without metadata: the name of the unit is one of the mistakes
         truth = folder / "truth.parquet"
         pd.read_parquet(folder / "scene" / "truth.parquet").to_parquet(truth, index=False)
-        _, _, best = run(copy.deepcopy(base), truth, folder / "correct")
+        tracked = not options.checks_only
+        _, _, best = run(copy.deepcopy(base), truth, folder / "correct", tracked)
         print(
             f"correct set-up: OSPA {best:.4f}\n\n| mistake | outcome | causes named | OSPA | verdict |\n|" + 5 * "---|"
         )
@@ -295,28 +307,33 @@ def main() -> int:
                 continue
             setup = copy.deepcopy(base)
             change(setup)
-            outcome, causes, score = run(setup, truth, folder / str(number))
+            outcome, causes, score = run(setup, truth, folder / str(number), tracked)
             named = any(cause in right for cause in causes)
             damaging = score > max(DAMAGE * best, LEAST_DAMAGE)
-            verdict = "named" if named else "warned" if outcome != "silent" else "SILENT" if damaging else "harmless"
+            quiet = "SILENT" if damaging else "harmless" if tracked else "silent"
+            verdict = "named" if named else "warned" if outcome != "silent" else quiet
             silent += verdict == "SILENT"
             counts[verdict] = counts.get(verdict, 0) + 1
             print(f"| {title} | {outcome} | {', '.join(map(str, causes))} | {score:.4f} | {verdict} |", flush=True)
         print(f"\n{counts}\n")
-        false = sum(_false_warnings(k, folder / f"correct-{k}") for k in range(options.correct))
+        false = sum(_false_warnings(k, folder / f"correct-{k}", tracked) for k in range(options.correct))
         if options.correct:
             print(f"false warnings on {options.correct} correct set-ups: {false}")
     return int(silent > 0)
 
 
-def _false_warnings(k: int, folder: Path) -> int:
+def _false_warnings(k: int, folder: Path, tracked: bool) -> int:
     """Return the number of warnings on a correct set-up, and print them."""
     config = ROOT / CORRECT[k % len(CORRECT)]
     loaded = load_config(config, [f"seed={1000 + k}"])
     with contextlib.redirect_stdout(sys.stderr):
         simulate(loaded, folder / "scene")
-    report = track(loaded, folder / "scene" / "detections.parquet", folder / "out")
-    found = [one for one in report["checks"] if one["status"] == "warning"]
+    log = folder / "scene" / "detections.parquet"
+    if tracked:
+        checks = track(loaded, log, folder / "out")["checks"]
+    else:
+        checks = [one.as_dict() for one in check_log(loaded, log, thorough=False)]
+    found = [one for one in checks if one["status"] == "warning"]
     for one in found:
         print(f"false: {config.name} seed {1000 + k}: {one['name']}: {one['message']}", flush=True)
     return len(found)

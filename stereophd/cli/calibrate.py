@@ -9,7 +9,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.batch import are_many, finish_batch
-from stereophd.cli.terminal import begin, load, print_report, progress_bar
+from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
 from stereophd.errors import GateError
 
 
@@ -46,6 +46,7 @@ def calibrate_command(
         Require | None,
         typer.Option("--require", help="Exit with 1 if the data determine less of the cameras.", show_default=False),
     ] = None,
+    strict: options.Strict = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
@@ -66,7 +67,7 @@ def calibrate_command(
 
         with progress_bar(session, "calibrate") as progress:
             found = calibrate_logs(loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least)
-        finish_batch(session, found)
+        finish_batch(session, found, strict)
         return
     from stereophd.commands.calibrate import calibrate
     from stereophd.pipeline.batch.names import expand
@@ -79,6 +80,7 @@ def calibrate_command(
             )  # fmt: skip
     except GateError as error:
         if error.report is not None:
-            print_report(session, error.report)
+            print_run(session, error.report)
         raise
-    print_report(session, report)
+    print_run(session, report)
+    exit_if_strict(strict, report)

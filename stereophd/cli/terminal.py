@@ -87,6 +87,16 @@ def print_report(session: Session, report: Mapping[str, Any]) -> None:
         print_data("\n".join(_lines(plain(report))))
 
 
+def print_run(session: Session, report: Mapping[str, Any]) -> None:
+    """Print the report of a run of track or calibrate: JSON, or a verdict and tables."""
+    if session.json:
+        print_report(session, report)
+    elif not session.quiet:
+        from stereophd.report.summaries import summary_text
+
+        print_data(summary_text(report))
+
+
 def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:
     """Exit with code 1 if `strict` and a check of a report warns."""
     if strict and any(found["status"] == "warning" for found in report["checks"]):

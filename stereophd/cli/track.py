@@ -8,7 +8,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
-from stereophd.cli.terminal import begin, exit_if_strict, load, print_report, progress_bar
+from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
 
 
 def track_command(
@@ -45,6 +45,10 @@ def track_command(
         bool,
         typer.Option("--associations", help="Write which detection belongs to which track (report.associations)."),
     ] = False,
+    plots: Annotated[
+        bool,
+        typer.Option("--plots", help="Draw views, timelines, residuals (needs the extra 'plot'; adds --associations)."),
+    ] = False,
     strict: options.Strict = False,
     overrides: options.Set = None,
     seed: options.Seed = None,
@@ -61,7 +65,7 @@ def track_command(
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
     wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
-    wanted += ["report.associations=true"] if associations else []
+    wanted += ["report.associations=true"] if associations or plots else []
     if wanted:
         loaded = load(config, [*(overrides or []), *wanted], seed, cameras)
     many = are_many(log)
@@ -70,18 +74,20 @@ def track_command(
             if many:
                 from stereophd.commands.track_logs import track_logs
 
-                report = track_logs(loaded, log, out, force, threads, progress, resume, jobs, dask, pieces, overlap)
+                report = track_logs(
+                    loaded, log, out, force, threads, progress, resume, jobs, dask, pieces, overlap, plots
+                )
             else:
                 from stereophd.commands.track import track
                 from stereophd.pipeline.batch.names import expand
 
                 path = expand(log)[0]
-                report = track(loaded, path, out, force, threads, progress, resume, pieces, overlap, jobs, dask)
+                report = track(loaded, path, out, force, threads, progress, resume, pieces, overlap, jobs, dask, plots)
     except (KeyboardInterrupt, SystemExit):
         say_what_is_kept(out)
         raise
     if many:
         finish_batch(session, report, strict)
     else:
-        print_report(session, report)
+        print_run(session, report)
         exit_if_strict(strict, report)

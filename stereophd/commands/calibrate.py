@@ -29,6 +29,8 @@ from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
+from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import (
@@ -43,6 +45,7 @@ from stereophd.report.installed import whether_to_draw
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
+    from stereophd.pipeline.checks.finding import Finding
     from stereophd.pipeline.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
@@ -54,6 +57,9 @@ ACCEPTED = {
     "partly": (DETERMINED, PARTLY),
     "determined": (DETERMINED,),
 }
+
+# Checks that the calibrated cameras make possible; those of the log by itself come first.
+WITH_CAMERAS = ("geometry.", "settings.")
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -132,6 +138,7 @@ def calibrate(
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
+    findings = report_findings(check_log_alone(loaded, log_path))
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
         # Only here, where no other run can be at work on it.
@@ -153,7 +160,9 @@ def calibrate(
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )
-            report["tracking"] = _track(loaded, cameras, log_path, out, to_metadata(record))
+            report["tracking"], further = _track(loaded, cameras, log_path, out, to_metadata(record))
+            findings += report_findings(further)
+        report["checks"] = findings
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
@@ -204,10 +213,16 @@ def _track(
     log_path: Path | str,
     out: OutputFolder,
     metadata: dict[bytes, bytes],
-) -> dict[str, Any]:
-    """Track with the calibrated cameras, as `stereophd.commands.track` does; return the figures of the run."""
+) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
     report = loaded.config.report
     multi_filter = pmb_filter(loaded, cameras)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
-    return write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
+    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
+    findings = [
+        found
+        for found in check_log(loaded, log_path, thorough=False, cameras=cameras)
+        if found.name.startswith(WITH_CAMERAS)
+    ]
+    return summary, (*findings, *check_tracking(summary, stream.counts, cameras))

@@ -171,9 +171,16 @@ def _run(
                 estimates=scored.estimates,
                 cameras=cameras or [],
                 length_unit=unit,
+                false_tracks=_mostly_unmatched(report["purity"], "track_id", "estimates"),
+                missed_objects=_mostly_unmatched(report["completeness"], "object_id", "scans"),
             )
             write_plots(pictures, {name: out.path(name) for name in PLOT_NAMES})
     return report
+
+
+def _mostly_unmatched(part: Mapping[str, Any], identity: str, count: str) -> frozenset[int]:
+    """Return the identities of which less than half of the rows are matched."""
+    return frozenset(int(row[identity]) for row in part["table"] or () if 2 * row["matched"] < row[count])
 
 
 def _input_paths(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from stereophd.io.provenance import provenance, sha256_of, to_metadata
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
+from stereophd.pipeline.compile_ahead import compiling_ahead
 from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.progress import Progress
@@ -44,12 +46,14 @@ from stereophd.pipeline.tracking.run import (
 )
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 CAMERAS_FILE = "cameras.yaml"
-FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json")
+PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -67,6 +71,7 @@ def track(
     overlap_s: float = OVERLAP_S,
     jobs: int = 1,
     dask: str | None = None,
+    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
@@ -96,6 +101,8 @@ def track(
     jobs, dask : int, str
         Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
         them.
+    plots : bool
+        Whether to draw views, timelines of the tracks and, with ``report.associations``, residuals by camera.
 
     Returns
     -------
@@ -122,14 +129,14 @@ def track(
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
-    _announce_compilation()
-    findings = check_log(loaded, log_path, thorough=False)
-    with output_lock(out_dir):
+    kind = loaded.config.filter.kind if loaded.config.filter is not None else ""
+    with _compilation(kind), output_lock(out_dir):
+        findings = check_log(loaded, log_path, thorough=False)
         unfinished.prepare(resume, force)
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
             tracking = with_estimated_detectors(tracking, loaded, stream, threads)
             stream = stream.with_cameras(tracking.cameras)
-            run = _Run(loaded, tracking, stream, record, unfinished, motion)
+            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
             if pieces_s is None:
                 journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
                 report = run.write(tracking.records(stream, journal), findings, out)
@@ -151,6 +158,7 @@ class _Run:
     record: dict[str, Any]
     unfinished: UnfinishedRun
     motion: dict[str, Any] | None = None
+    plots: bool = False
 
     def in_pieces(
         self, length_s: float, overlap_s: float, threads: int, jobs: int, dask: str | None, progress: Progress | None
@@ -194,13 +202,29 @@ class _Run:
             "provenance": self.record,
         }
         write_json(out.path("report.json"), report)
+        if self.plots:
+            _draw(report, out)
         return report
 
 
-def _announce_compilation() -> None:
-    """Say that the kernels are compiled first, where no compiled ones are found."""
+def _draw(report: dict[str, Any], out: OutputFolder) -> None:
+    """Draw the plots of a run from the files that it has written."""
+    # Costly to import, and matplotlib is an extra.
+    from stereophd.pipeline.inspection.runs import read_run
+    from stereophd.report.track_plots import write_track_plots
+
+    run = read_run(out.path(TRACKS_FILE).parent, "track", report)
+    kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]
+    write_track_plots(run, {name: out.path(name) for name in kept})
+
+
+@contextmanager
+def _compilation(kind: str) -> Iterator[None]:
+    """Say that the kernels are compiled first, where no compiled ones are found, and compile them in two processes."""
     if not is_kept(carry_components):
-        LOGGER.info("first run: compiling the kernels, once, in about a minute")
+        LOGGER.info("first run: compiling the kernels, once, in about half a minute")
+    with compiling_ahead(kind):
+        yield
 
 
 def _warn_of_losses(stream: EventStream) -> None:

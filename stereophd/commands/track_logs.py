@@ -38,6 +38,7 @@ def track_logs(
     dask: str | None = None,
     pieces_s: float | None = None,
     overlap_s: float = OVERLAP_S,
+    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of many detection logs.
 
@@ -61,7 +62,7 @@ def track_logs(
         Processes on this machine; the outputs do not depend on it.
     dask : str, optional
         Address of a Dask scheduler whose workers do the work instead.
-    pieces_s, overlap_s : float
+    pieces_s, overlap_s, plots : float, float, bool
         As of `stereophd.commands.track.track`.
 
     Returns
@@ -76,7 +77,7 @@ def track_logs(
     """
     items = log_items(logs)
     metadata = to_metadata(provenance("track", loaded.record))
-    keywords = {"threads": threads, "pieces_s": pieces_s, "overlap_s": overlap_s}
+    keywords = {"threads": threads, "pieces_s": pieces_s, "overlap_s": overlap_s, "plots": plots}
     batch = Batch(
         items, partial(_track, loaded, force, resume, keywords), _values, (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
     )

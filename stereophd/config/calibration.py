@@ -86,10 +86,12 @@ class SpeedScale(Model):
 
 
 class LengthScale(Model):
-    """Two objects keep a known distance, as the ends of a rod do."""
+    """Objects keep a known distance, as the ends of a rod or neighbouring corners of a board do."""
 
     kind: Literal["length"] = parameter("what fixes the scale")
-    length: PositiveLength = parameter("distance of the two objects", unit="length")
+    length: PositiveLength = parameter(
+        "distance of two objects; of many pairs, the most frequent distance that the priors allow", unit="length"
+    )
     std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 
 
@@ -115,6 +117,16 @@ class CalibrationConfig(Model):
     )
     shared: list[list[str]] = parameter(
         "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list
+    )
+    stages: Literal["auto"] | list[Annotated[list[str], Len(1)]] = parameter(
+        "unknowns that are freed stage by stage while tracking, such as [[center, rotation, clock_offset], [focal]], "
+        "the rest last; auto: poses and clocks, focal lengths and k1, the rest",
+        default="auto",
+    )
+    select: Literal["auto", "all"] = parameter(
+        "which unknowns beside poses and clocks are estimated: all, or (auto) fewer where sets of fewer predict "
+        "held-out stretches of the log better",
+        default="auto",
     )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
     annealed: AnnealedSettings = parameter("settings of this method", default_factory=AnnealedSettings)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
-from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS
+from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS, marker_of
 
 Array = NDArray[np.float64]
 
@@ -175,7 +175,13 @@ def draw_residuals(pictures: CalibrationPictures) -> Figure:
         some = here[:: max(len(here) // MOST_POINTS, 1)]
         colour = TRACK_COLOURS[number % len(TRACK_COLOURS)]
         over_time.scatter(
-            pictures.residual_times[some], pictures.residuals[some], s=3, color=colour, linewidths=0, label=name
+            pictures.residual_times[some],
+            pictures.residuals[some],
+            s=4,
+            color=colour,
+            linewidths=0,
+            label=name,
+            marker=marker_of(number),
         )
     over_time.set_xlabel("time [s]")
     over_time.set_ylabel("residual [sigma]")

@@ -18,7 +18,7 @@ from matplotlib.ticker import LogFormatter
 
 from stereophd.experiments.engine.base import Array
 from stereophd.report.experiment_moves import draw_moves
-from stereophd.report.style import INK, STYLE, TRACK_COLOURS, legend_right
+from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,6 +38,9 @@ DPI = 100
 
 # Decades of a logarithmic scale up to which some, and all, of the numbers between its powers are written.
 MINOR_LABELS = (2.0, 0.5)
+
+# Ratios to the bound beyond this are drawn on a logarithmic scale.
+LARGEST_LINEAR_RATIO = 5.0
 
 # Points of one case that stand side by side, as a share of the distance between cases.
 SPREAD = 0.6
@@ -87,17 +90,19 @@ def _draw(results: Results) -> Figure:
     quantities = _quantities(results)
     over = settings.over or (None if _vary_with_time(results, quantities) else next(iter(results.config.cases), None))
     groups = _groups(results, over)
-    shape = (len(quantities), len(groups))
+    panels = [(quantity, ratio) for quantity in quantities for ratio in _kinds_of_panel(results, quantity, over)]
+    shape = (len(panels), len(groups))
     width = 1.8 + 4.4 * shape[1] + (2.2 if shape[1] == 1 else 0.0)
     figure = Figure(figsize=(width, 0.9 + 2.3 * shape[0]), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False)
-    for row, quantity in enumerate(quantities):
+    for row, (quantity, ratio) in enumerate(panels):
         for column, (group, cells) in enumerate(groups.items()):
             axes = grid[row, column]
-            unit = _panel(axes, results, quantity, cells, over)
+            unit = _panel(axes, results, quantity, cells, over, ratio)
             if column == 0:
-                axes.set_ylabel(quantity.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else ""))
+                bracketed = f" [{unit}]" if unit not in ("", "1") else ""
+                axes.set_ylabel("ratio to the bound" if ratio else quantity.replace("_", " ") + bracketed)
             if row == 0 and group:
                 axes.set_title(group, fontsize=10)
             if row == shape[0] - 1:
@@ -144,8 +149,33 @@ def _axis_label(results: Results, over: str) -> str:
     return over + (f" [{unit}]" if unit else "")
 
 
-def _panel(axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], over: str | None) -> str:
-    """Draw one panel, and return the unit of its quantity."""
+def _kinds_of_panel(results: Results, quantity: str, over: str | None) -> tuple[bool, ...]:
+    """Return whether panels of a quantity show it, or its ratio to the bound: both in a sweep with a bound."""
+    if over is None or _numbers(results, over) is None:
+        return (False,)
+    summaries = [one for cell in results.cells for one in cell.summaries if one.quantity == quantity]
+    known = any(one.times_s is None and np.isfinite(one.bound).any() for one in summaries)
+    return (False, True) if known else (False,)
+
+
+def _draw_ratios(axes: Axes, lines: Sequence[_Line]) -> None:
+    """Draw what the methods reach as multiples of the bound."""
+    ratios = [
+        _Line(one.label, one.x, one.mean / one.bound, one.low / one.bound, one.high / one.bound, one.bound / one.bound)
+        for one in lines
+    ]
+    _draw_curves(axes, ratios, marked=True)
+    values = np.concatenate([one.mean for one in ratios])
+    if np.nanmax(values) > LARGEST_LINEAR_RATIO:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(_PlainNumbers())
+        axes.yaxis.set_minor_formatter(_PlainNumbers(minor_thresholds=MINOR_LABELS))
+
+
+def _panel(
+    axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], over: str | None, ratio: bool = False
+) -> str:
+    """Draw one panel, of a quantity or of its ratio to the bound, and return the unit of the quantity."""
     unit = next((one.unit for cell in cells for one in cell.summaries if one.quantity == quantity), "")
     if over is None:
         lines = [
@@ -158,6 +188,9 @@ def _panel(axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], o
     else:
         numbers = _numbers(results, over)
         lines = _lines_over(results, quantity, cells, over)
+        if ratio:
+            _draw_ratios(axes, lines)
+            return unit
         if numbers is None:
             _draw_points(axes, lines, [name for name, _ in results.config.cases[over].points()])
         else:
@@ -205,13 +238,15 @@ def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: st
 
 
 def _draw_curves(axes: Axes, lines: Sequence[_Line], marked: bool = False) -> None:
-    for line, colour, marker in zip(lines, _cycle(TRACK_COLOURS, lines), _cycle(MARKERS, lines), strict=True):
+    cycles = zip(lines, _cycle(TRACK_COLOURS, lines), _cycle(MARKERS, lines), strict=True)
+    for number, (line, colour, marker) in enumerate(cycles):
         axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(
             line.x,
             line.mean,
             color=colour,
             linewidth=1.4,
+            linestyle=dash_of(number),
             label=line.label,
             marker=marker if marked else None,
             markersize=4,

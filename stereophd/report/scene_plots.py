@@ -18,6 +18,8 @@ from stereophd.report.style import (
     CAMERA_COLOUR,
     INK,
     TRACK_COLOURS,
+    TRACK_MARKERS,
+    WRONG,
     Pictures,
     bracketed,
     legend_right,
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from stereophd.core.geometry.camera import Camera
+
+# Crosses on false tracks.
+MOST_CROSSES = 40
 
 # More than this cannot be distinguished on a page, and makes the files large.
 MOST_POINTS_DRAWN = 20_000
@@ -51,6 +56,16 @@ def draw_views(pictures: Pictures) -> dict[str, Figure]:
 def _draw_view(
     pictures: Pictures, view: SceneView, title: str, rows: Any, cameras: Sequence[Camera], scene: FloatArray
 ) -> Figure:
+    figure, axes = view_axes(view, scene, title, bracketed(unit_text(pictures)))
+    draw_camera_views(axes, cameras, pictures.truth.position[rows], view)
+    _draw_estimates(axes, pictures.estimates, view, *limits(view.project(scene)), pictures.false_tracks)
+    _draw_truth(axes, pictures, view, rows)
+    legend_right(axes, ("truth", "start", "estimates", "false", "cameras"))
+    return figure
+
+
+def view_axes(view: SceneView, scene: FloatArray, title: str, unit: str) -> tuple[Figure, Axes]:
+    """Return a figure with axes for a view of a scene (n, 3), to scale; `unit` follows the names of the axes."""
     across, along = limits(view.project(scene))
     width, height = across[1] - across[0], along[1] - along[0]
     scale = min(8.0 / width, 6.5 / height)
@@ -59,21 +74,22 @@ def _draw_view(
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
-    points = pictures.truth.position[rows]
-    for camera in cameras:
-        _draw_field_of_view(axes, camera, viewing_depth(camera, points), view)
-    _draw_cameras(axes, cameras, view, 0.03 * max(width, height))
-    _draw_estimates(axes, pictures.estimates, view, across, along)
-    _draw_truth(axes, pictures, view, rows)
     axes.set_xlim(across)
     axes.set_ylim(along[::-1] if view.inverted else along)
     names = "xyz"
-    unit = bracketed(unit_text(pictures))
     axes.set_xlabel(f"{names[view.horizontal]}{unit}")
     axes.set_ylabel(f"{names[view.vertical]}{unit}{' (down)' if view.inverted else ''}")
     axes.set_title(title)
-    legend_right(axes, ("truth", "start", "estimates", "cameras"))
-    return figure
+    return figure, axes
+
+
+def draw_camera_views(axes: Axes, cameras: Sequence[Camera], points: FloatArray, view: SceneView) -> None:
+    """Draw cameras and what they see, past the farthest of the points (n, 3); the axes keep their limits."""
+    across, along = axes.get_xlim(), axes.get_ylim()
+    axes.autoscale(False)
+    for camera in cameras:
+        _draw_field_of_view(axes, camera, viewing_depth(camera, points), view)
+    _draw_cameras(axes, cameras, view, 0.03 * max(abs(across[1] - across[0]), abs(along[1] - along[0])))
 
 
 def _draw_field_of_view(axes: Axes, camera: Camera, depth: float, view: SceneView) -> None:
@@ -118,8 +134,9 @@ def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: SceneView, near: 
 
 
 def _draw_estimates(
-    axes: Axes, estimates: PointSets, view: SceneView, across: tuple[float, float], along: tuple[float, float]
-) -> None:
+    axes: Axes, estimates: PointSets, view: SceneView, across: tuple[float, float], along: tuple[float, float],
+    false_tracks: frozenset[int],
+) -> None:  # fmt: skip
     """Draw the estimates that lie within the limits, and state how many do not."""
     drawn = view.project(estimates.position)
     low, high = np.stack([across, along], axis=1)
@@ -128,13 +145,31 @@ def _draw_estimates(
     rows = rows[:: max(1, -(-len(rows) // MOST_POINTS_DRAWN))]
     labels = estimates.label[rows]
     labelled = bool((labels > UNLABELLED).any())
-    colours = np.array(TRACK_COLOURS)[_ranks(labels) % len(TRACK_COLOURS)] if labelled else BLUE
-    # Thousands of points make a vector file slow to open: they are an image inside it.
-    axes.scatter(drawn[rows, 0], drawn[rows, 1], s=9, c=colours, linewidths=0, zorder=3, rasterized=True)
+    ranks = _ranks(labels) if labelled else np.zeros(len(rows), dtype=np.int64)
+    colours = np.array(TRACK_COLOURS)[ranks % len(TRACK_COLOURS)] if labelled else np.full(len(rows), BLUE)
+    rounds = ranks // len(TRACK_COLOURS) % len(TRACK_MARKERS)
+    for number in np.unique(rounds).tolist():
+        own = rounds == number
+        # Thousands of points make a vector file slow to open: they are an image inside it.
+        axes.scatter(
+            drawn[rows[own], 0], drawn[rows[own], 1], s=9 if number == 0 else 14, c=colours[own],
+            marker=TRACK_MARKERS[number],
+            linewidths=0, zorder=3, rasterized=True,
+        )  # fmt: skip
+    _mark_false(axes, drawn[rows], labels, false_tracks)
     hidden = int(len(inside) - inside.sum())
     name = "estimates" + (",\na colour for each track" if labelled else "")
+    name += " and\na mark for each round of colours" if rounds.any() else ""
     name += f",\n{hidden} outside the picture" if hidden else ""
     axes.plot([], [], marker="o", markersize=4, color=TRACK_COLOURS[0], linestyle="none", label=name)
+
+
+def _mark_false(axes: Axes, points: FloatArray, labels: IntArray, false_tracks: frozenset[int]) -> None:
+    """Cross out some estimates of each false track."""
+    false = np.flatnonzero(np.isin(labels, np.array(sorted(false_tracks), dtype=np.int64)))
+    if len(false):
+        false = false[:: max(1, len(false) // MOST_CROSSES)]
+        axes.plot(*points[false].T, "x", color=WRONG, markersize=7, zorder=5, label="false tracks")
 
 
 def _ranks(labels: IntArray) -> IntArray:
@@ -154,6 +189,10 @@ def _draw_truth(axes: Axes, pictures: Pictures, view: SceneView, rows: Any) -> N
     cuts = np.flatnonzero(breaks[keep])
     path = np.insert(points[keep], cuts, np.nan, axis=0)
     axes.plot(*path.T, color=INK, linewidth=1.1, alpha=0.85, zorder=4, label="truth")
+    missed = np.isin(np.insert(label[keep], cuts, -1), np.array(sorted(pictures.missed_objects), dtype=np.int64))
+    if missed.any():
+        lost = np.where(missed[:, None], path, np.nan)
+        axes.plot(*lost.T, color=WRONG, linewidth=3.5, alpha=0.5, zorder=3.5, label="missed objects")
     axes.plot(
         *points[first].T,
         marker="o",

@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
 # Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.
 TRACK_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#b8a800")
+# What is wrong in a picture: false tracks and missed objects.
+WRONG = "#cf222e"
+# Tracks of one colour differ in their marks and line styles.
+TRACK_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+TRACK_DASHES: tuple[Any, ...] = ("solid", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 CAMERA_COLOUR = "#6e40c9"
 
 STYLE: dict[Any, Any] = {
@@ -43,6 +48,16 @@ STYLE: dict[Any, Any] = {
 }
 
 
+def marker_of(number: int) -> str:
+    """Return the mark of a track: one for each round of the colours."""
+    return TRACK_MARKERS[number // len(TRACK_COLOURS) % len(TRACK_MARKERS)]
+
+
+def dash_of(number: int) -> Any:
+    """Return the line style of a track: one for each round of the colours."""
+    return TRACK_DASHES[number // len(TRACK_COLOURS) % len(TRACK_DASHES)]
+
+
 @dataclass(frozen=True)
 class Pictures:
     """What is drawn.
@@ -63,6 +78,8 @@ class Pictures:
         May be empty.
     length_unit : str or None
         For the labels.
+    false_tracks, missed_objects : frozenset of int
+        Tracks most of whose estimates match no object, and objects that no track matches most of the time.
     """
 
     columns: Mapping[str, Any]
@@ -74,6 +91,8 @@ class Pictures:
     estimates: PointSets
     cameras: Sequence[Camera]
     length_unit: str | None
+    false_tracks: frozenset[int] = frozenset()
+    missed_objects: frozenset[int] = frozenset()
 
 
 def legend_right(axes: Axes, order: Sequence[str] = ()) -> None:

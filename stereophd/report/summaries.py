@@ -10,12 +10,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from stereophd.report.inspection import table
+
 # Tracks that the terminal lists.
 TRACKS_SHOWN = 20
 # Cameras that have a column of their own in the table of tracks.
 CAMERAS_SHOWN = 6
 # Numbers from here on are written with powers of ten.
 LARGEST_PLAIN = 1e7
+
+
+# The table whose cells are sentences.
+CHECKS = "Checks"
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,18 @@ def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN
     if report.get("checks"):
         tables.append(_findings(report["checks"]))
     return [table for table in tables if table.rows or table.notes]
+
+
+def summary_text(report: Mapping[str, Any]) -> str:
+    """Return the verdict and the tables of a report as text for a terminal."""
+    blocks = [verdict(report)]
+    for one in run_tables(report):
+        if one.title == CHECKS:
+            rows = [f"  {name} ({camera}): {found} Remedy: {remedy}." for name, camera, found, remedy in one.rows]
+        else:
+            rows = [f"  {line}" for line in table([one.header, *one.rows])] if one.rows else []
+        blocks.append("\n".join([one.title, *rows, *(f"  {note}" for note in one.notes)]))
+    return "\n\n".join(blocks)
 
 
 def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
@@ -204,7 +222,7 @@ def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:
     )
     fine = sum(found["status"] == "ok" for found in checks)
     note = f"{fine} of {len(checks)} checks passed" + (f", {len(warnings)} warn" if warnings else "")
-    return SummaryTable("Checks", ("check", "camera", "finding", "remedy"), rows, (note,))
+    return SummaryTable(CHECKS, ("check", "camera", "finding", "remedy"), rows, (note,))
 
 
 def verdict(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None = None) -> str:

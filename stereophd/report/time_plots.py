@@ -24,6 +24,10 @@ MOST_SCANS_DRAWN = 1500
 # Of a short run every scan gets a dot.
 MOST_SCANS_MARKED = 150
 
+# A largest value this many times the median, of at least so many values, is a spike.
+SPIKE = 10.0
+LEAST_FOR_LOG = 5
+
 # An interval this many times the usual one between scans is a gap: scans in it were not scored.
 GAP_STEPS = 10
 
@@ -45,13 +49,23 @@ def draw_ospa(pictures: Pictures) -> Figure:
         ("ospa_localisation", "localisation part", BLUE),
     ):
         parts.plot(bins.time_s, bins.mean(columns[name]), color=colour, linewidth=1.4, label=label, **bins.style)
-    for axes in (whole, parts):
-        axes.set_ylim(bottom=0)
+    for axes, names in ((whole, ("ospa",)), (parts, ("ospa_cardinality", "ospa_localisation"))):
+        _set_scale(axes, np.concatenate([columns[name] for name in names]))
         legend_right(axes)
     figure.supylabel(f"OSPA{bracketed(unit)}", fontsize=10, color=INK)
     base = "" if pictures.base == "euclidean" else ", Mahalanobis"
     whole.set_title(f"OSPA over time  (p = {pictures.order:g}, c = {pictures.cutoff:g}{unit}{base})")
     return figure
+
+
+def _set_scale(axes: Axes, values: FloatArray) -> None:
+    """Choose a logarithmic scale where spikes would hide the rest, which then begins below most of the values."""
+    positive = values[values > 0.0]
+    if len(positive) < LEAST_FOR_LOG or positive.max() < SPIKE * np.median(positive):
+        axes.set_ylim(bottom=0)
+        return
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=0.7 * float(np.quantile(positive, 0.005)), top=1.4 * float(positive.max()))
 
 
 def draw_cardinality(pictures: Pictures) -> Figure:

@@ -236,3 +236,34 @@ def test_the_table_of_a_run_without_identities_or_covariances():
     assert "no identities" in text
     assert "seen by 2 cameras within 0.2 s" in text
     assert " cm" not in text
+
+
+def test_spikes_do_not_hide_the_rest():
+    from dataclasses import replace
+
+    from stereophd.report.time_plots import draw_ospa
+
+    data = pictures(60)
+    flat = np.full(60, 0.2)
+    for ospa, scale in ((flat, "linear"), (np.where(np.arange(60) == 7, 20.0, flat), "log")):
+        found = draw_ospa(replace(data, columns={**data.columns, "ospa": ospa})).axes[0]
+        assert found.get_yscale() == scale
+    assert 0.1 < found.get_ylim()[0] < 0.2
+
+
+def test_false_and_missed_tracks_are_marked_and_colours_have_marks():
+    from dataclasses import replace
+
+    from stereophd.report.scene_plots import draw_views
+    from stereophd.report.style import TRACK_COLOURS, dash_of, marker_of
+
+    data = pictures(50)
+    labels = [line.get_label() for line in draw_views(data)["top"].axes[0].lines]
+    assert "false tracks" not in labels
+    assert "missed objects" not in labels
+    false, missed = int(data.estimates.label.max()), int(data.truth.object_id.max())
+    wrong = replace(data, false_tracks=frozenset({false}), missed_objects=frozenset({missed}))
+    labels = [line.get_label() for line in draw_views(wrong)["top"].axes[0].lines]
+    assert {"false tracks", "missed objects"} <= set(labels)
+    looks = {(TRACK_COLOURS[k % 7], marker_of(k), str(dash_of(k))) for k in range(56)}
+    assert len(looks) == 56

@@ -209,3 +209,18 @@ def test_page_works_in_a_browser(folders: Path, tmp_path: Path) -> None:
     assert found["uploads"] == 0
     drawn = {"scene0", "frame", "ospa", "gospa", "lives", "values", "residual-cameras", "residual-time", "count"}
     assert drawn <= set(found["plots"])
+
+
+def test_track_draws_and_prints_tables(folders: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="plots need matplotlib (the extra plot)")
+    from stereophd.cli.app import run
+
+    log, out = folders / "sim" / "detections.parquet", tmp_path / "out"
+    assert run(["track", str(folders / "scene.yaml"), str(log), "--out", str(out), "--plots"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(verdict(json.loads((out / "report.json").read_text())))
+    assert "residual [px]" in printed
+    assert max(map(len, printed.splitlines())) < 160
+    for plot in ("top", "side", "timelines", "residuals"):
+        assert (out / f"{plot}.png").stat().st_size > 5000
+        assert (out / f"{plot}.svg").exists()

@@ -106,6 +106,8 @@ class Problem:
     observations : Observations
     loss : Loss
     scale : ScaleMeasurement or None
+    held : array (m,) of bool, optional
+        Values that stay where the adjustment starts; default none.
     """
 
     parameters: ParameterSet
@@ -114,6 +116,7 @@ class Problem:
     observations: Observations
     loss: Loss
     scale: ScaleMeasurement | None = None
+    held: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -234,6 +237,11 @@ class Linearisation:
             matrix += np.outer(slope, slope) / problem.scale.std**2
             value_vector += slope * residual / problem.scale.std
             cost += residual**2
+        if problem.held is not None:
+            held = problem.held
+            coupling[:, held], value_vector[held] = 0.0, 0.0
+            matrix[held], matrix[:, held] = 0.0, 0.0
+            matrix[held, held] = parameters.prior_std[held] ** -2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
 
     def residuals(self, values: Array, states: Array) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
@@ -326,7 +334,7 @@ def adjust(
     Returns
     -------
     Adjustment
-        Its covariance is that of the undamped equations.
+        Its covariance is that of the undamped equations; held values keep that of the prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)

@@ -64,8 +64,8 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
         values = fit.adjustment.values
         history.append(values)
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
-    for inflation in inflations:
-        fit = tracked_fit(task, values, inflation)
+    for number_of_pass, inflation in enumerate(inflations):
+        fit = tracked_fit(task, values, inflation, task.held(number_of_pass))
         if fit is None:
             return failed(f"no track is shared by two cameras at {inflation:g} times the noise")
         values = fit.adjustment.values

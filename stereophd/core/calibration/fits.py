@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import Linearisation, Loss, Observations, Problem, adjust, true_times
+from stereophd.core.calibration.adjustment import (
+    Linearisation,
+    Loss,
+    Observations,
+    Problem,
+    adjust,
+    posterior_covariance,
+    true_times,
+)
 from stereophd.core.calibration.association import (
     fitted_detections,
     keep,
@@ -33,6 +41,7 @@ from stereophd.core.calibration.trajectories import (
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
@@ -74,7 +83,7 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
-    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
     return _fit(task, problem, pairing.values, states, detections, _annealed_iterations(task))
 
 
@@ -89,8 +98,11 @@ def with_clocks(task: Task, draws: Array) -> Array:
     return draws
 
 
-def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
-    """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any."""
+def tracked_fit(task: Task, values: Array, inflation: float, held: Booleans | None = None) -> Fit | None:
+    """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
+
+    `held` (m,) are values that stay.
+    """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
     found = track_detections(with_cameras(task.filter, cameras), scans, inflation)
@@ -105,7 +117,7 @@ def tracked_fit(task: Task, values: Array, inflation: float) -> Fit | None:
     knots = _knots(task, observations, found.positions[rows], values)
     precision = 1.0 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), found.positions[rows], precision)
-    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
     return _fit(task, problem, values, states, detections, _annealed_iterations(task))
 
 
@@ -134,6 +146,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False
         return None
     rows, numbers = keep(trajectories, chosen)
     chosen_detections = scans.source[detections[rows]]
+    fit = replace(fit, held=None)
     observations = task.observations(cameras, numbers, chosen_detections)
     if weighted and task.settings.shared_error_px > 0.0:
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)
@@ -192,25 +205,50 @@ def adjusted_to(
     scale: ScaleMeasurement | None,
     max_iterations: int = MOST_ITERATIONS,
 ) -> Fit:
-    """Adjust to observations, starting from a fit; `of_fit` are their trajectories there."""
+    """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
+
+    What the fit held is held again.
+    """
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
     knots = _knots(task, observations, points, fit.adjustment.values)
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
-    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale)
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale, fit.held)
     return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
+
+
+def problem_of(task: Task, fit: Fit) -> Problem:
+    """Return the problem that a fit solves, with all values free."""
+    return Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
+
+
+def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
+    """Adjust again with only some values free (m,), the others at the prior mean.
+
+    The covariance is that of all values being unknown: what is held at the prior mean is known no better than that,
+    and the free values are only as sure as that leaves them.
+    """
+    parameters = task.parameters
+    values = np.where(free, fit.adjustment.values, parameters.prior_mean)
+    begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=~free)
+    again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections, task.scale)
+    equations = Linearisation.of(problem_of(task, again)).at(again.adjustment.values, again.adjustment.states)
+    covariance = posterior_covariance(equations, parameters.prior_std)
+    covariance[~free], covariance[:, ~free] = 0.0, 0.0
+    covariance[~free, ~free] = parameters.prior_std[~free] ** 2
+    return replace(again, adjustment=replace(again.adjustment, covariance=covariance))
 
 
 def marginal_fit(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior, where more than poses is unknown.
 
-    Not where detections share errors: what the trajectories absorb of those is no volume of the motion model.
+    Not where values are held, and not where detections share errors: what the trajectories absorb of those is no
+    volume of the motion model.
     """
-    if task.parameters.only_moves or fit.observations.weights is not None:
+    if task.parameters.only_moves or fit.held is not None or fit.observations.weights is not None:
         return fit
-    problem = Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
-    found = marginal_optimum(problem, fit.adjustment)
+    found = marginal_optimum(problem_of(task, fit), fit.adjustment)
     cameras = task.parameters.build(found.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     return replace(fit, adjustment=found, observations=observations)
@@ -229,7 +267,7 @@ def _fit(
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))
-    return Fit(found, problem.knots, observations, detections)
+    return Fit(found, problem.knots, observations, detections, problem.held)
 
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:

@@ -17,6 +17,7 @@ from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.track_rays import RawTracks
 from stereophd.core.calibration.trajectories import Knots
+from stereophd.core.calibration.unknown_sets import UnknownSet, default_stages
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb import PmbFilter
 
@@ -50,6 +51,8 @@ class Task:
     settings : AnnealedSettings
     clocks : ClockOffsets
         Offsets of unknown clocks by the motion that the tracks show.
+    stages : tuple of UnknownSet
+        Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
     """
 
     parameters: ParameterSet
@@ -64,6 +67,7 @@ class Task:
     scale: ScaleMeasurement | None
     settings: AnnealedSettings
     clocks: ClockOffsets
+    stages: tuple[UnknownSet, ...]
 
     @property
     def followed(self) -> float:
@@ -79,8 +83,12 @@ class Task:
         frames: Integers,
         scale: ScaleMeasurement | None,
         settings: AnnealedSettings,
+        stages: tuple[UnknownSet, ...] = (),
     ) -> Task:
-        """Prepare what all starts share: the tracks that each camera has by itself."""
+        """Prepare what all starts share: the tracks that each camera has by itself.
+
+        Without `stages` those of `stereophd.core.calibration.unknown_sets.default_stages` are taken.
+        """
         scans = Scans.of(recording, parameters.cameras)
         tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
         tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
@@ -88,8 +96,13 @@ class Task:
         clocks = search_offsets(parameters, RawTracks.of(recording, tracks))
         return Task(
             parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings,
-            clocks,
+            clocks, stages or default_stages(parameters),
         )  # fmt: skip
+
+    def held(self, number: int) -> NDArray[np.bool_] | None:
+        """Values (m,) that are held in the pass of this number; None where all are free."""
+        free = self.stages[min(number, len(self.stages) - 1)].free
+        return None if free.all() else ~free
 
     def all_scans(self, cameras: Sequence[Camera]) -> Scans:
         """Return the events of all frames by these cameras."""
@@ -108,12 +121,16 @@ class Task:
 
 @dataclass(frozen=True)
 class Fit:
-    """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to."""
+    """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to.
+
+    `held` (m,) are the values that the adjustment did not move; None if it moved all.
+    """
 
     adjustment: Adjustment
     knots: Knots
     observations: Observations
     detections: Integers
+    held: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import Task
+from stereophd.core.calibration.unknown_sets import UnknownSet, default_stages, stages_named
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
@@ -330,7 +331,25 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
         tracked_frames(problem.recording, settings.max_events),
         problem.scale,
         settings,
+        build_stages(loaded, problem.parameters),
     )
+
+
+def build_stages(loaded: LoadedConfig, parameters: ParameterSet) -> tuple[UnknownSet, ...]:
+    """Return the stages in which unknowns are freed.
+
+    Raises
+    ------
+    InputError
+        A stage names what is no unknown.
+    """
+    stages = calibration_section(loaded).stages
+    if stages == "auto":
+        return default_stages(parameters)
+    try:
+        return stages_named(parameters, stages)
+    except ValueError as error:
+        raise InputError(f"{loaded.path}: calibration.stages: {error}") from None
 
 
 def _filter_section(loaded: LoadedConfig) -> FilterSettings:

@@ -21,11 +21,13 @@ from stereophd.core.calibration.annealed import (
     start_values,
 )
 from stereophd.core.calibration.clock_search import offset_places
-from stereophd.core.calibration.fits import fit_until, marginal_fit
+from stereophd.core.calibration.fits import fit_until, marginal_fit, problem_of, restricted_fit
 from stereophd.core.calibration.known_scale import measured_scale, rescaled
 from stereophd.core.calibration.posterior import laplace_draws
 from stereophd.core.calibration.scale import ScaleMeasurement
+from stereophd.core.calibration.selection import compare
 from stereophd.core.calibration.task import Fit, Start, Task
+from stereophd.core.calibration.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
@@ -58,7 +60,10 @@ def annealed_outcome(
     task = annealed_task(loaded, section, problem)
     starts = _all_starts(loaded, task, checkpoint, jobs, progress)
     best = best_of(starts)
-    details: dict[str, Any] = {"starts": [_start_report(problem, start, best) for start in starts]}
+    details: dict[str, Any] = {
+        "starts": [_start_report(problem, start, best) for start in starts],
+        "stages": [list(stage.names) for stage in task.stages],
+    }
     if (offset_places(problem.parameters) >= 0).any():
         details["clocks"] = _clock_report(task)
     size = problem.parameters.size
@@ -71,7 +76,7 @@ def annealed_outcome(
     if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
         doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
     task, fit = _at_known_scale(section, task, best.fit, details)
-    fit = marginal_fit(task, fit)
+    fit = marginal_fit(task, selected(section, task, fit, details))
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
     if (against := prior_disagreement(task.parameters, mean)) is not None:
         doubt = f"with the known {section.scale.kind} {against}"
@@ -146,6 +151,26 @@ def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: d
     if measured is None:
         return task, fit
     return replace(task, scale=measured), rescaled(task, fit, measured)
+
+
+def selected(section: CalibrationConfig, task: Task, fit: Fit, details: dict[str, Any]) -> Fit:
+    """Adjust with the set of unknowns that predicts the log best, and report the comparison."""
+    if section.select == "all" or section.posterior == "smc":
+        return fit
+    sets = candidates(task.parameters)
+    found = compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, sets)
+    if found is None:
+        return fit
+    details["selection"] = {
+        "chosen": list(found.sets[found.chosen].names),
+        "sets": [
+            {"unknowns": list(one.names), "held_out_loss": float(total), "above_all": float(total - found.totals[-1]),
+             "above_all_std_error": float(error)}
+            for one, total, error in zip(found.sets, found.totals, found.errors, strict=True)
+        ],
+    }  # fmt: skip
+    free = found.sets[found.chosen].free
+    return fit if free.all() else restricted_fit(task, fit, free)
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

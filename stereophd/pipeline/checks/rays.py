@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose
 from stereophd.pipeline.checks.sample import CameraSample
 
 Array = NDArray[np.float64]
@@ -168,8 +169,7 @@ def distances(found: Candidates, first: Reading, second: Reading) -> tuple[Array
     rays_b = second.rays(found.pixels_b.reshape(-1, 2)).reshape(*shape, 3)
     pose_a, pose_b = first.camera.pose, second.camera.pose
     offset = pose_b.center - pose_a.center
-    cross = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
-    essential = pose_b.rotation @ cross @ pose_a.rotation.T
+    essential = _essential(pose_a, pose_b)
     line_b = rays_a @ essential.T
     line_a = rays_b @ essential
     value = np.einsum("snki,ni->snk", rays_b, line_b)
@@ -178,6 +178,23 @@ def distances(found: Candidates, first: Reading, second: Reading) -> tuple[Array
         distance = np.abs(value) / np.sqrt(variance)
     depth, in_front = _depths(rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, offset)
     return np.where(in_front & np.isfinite(distance), distance, np.inf), depth
+
+
+def signed_distances(first: Camera, second: Camera, pixels_a: Array, pixels_b: Array) -> Array:
+    """Return the distances (n,) of the rays of pixels (n, 2) and (n, 2) in standard deviations, with their sign."""
+    rays_a, rays_b = Reading(first).rays(pixels_a), Reading(second).rays(pixels_b)
+    essential = _essential(first.pose, second.pose)
+    line_b, line_a = rays_a @ essential.T, rays_b @ essential
+    variance = _pixel_variance(line_b, second) + _pixel_variance(line_a, first)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((rays_b * line_b).sum(axis=1) / np.sqrt(variance))
+
+
+def _essential(pose_a: Pose, pose_b: Pose) -> Array:
+    """Return the essential matrix E of two poses: b^T E a = 0 for rays that meet."""
+    offset = pose_b.center - pose_a.center
+    cross = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
+    return np.asarray(pose_b.rotation @ cross @ pose_a.rotation.T)
 
 
 def _pixel_variance(line: Array, camera: Camera) -> Array:

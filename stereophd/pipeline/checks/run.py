@@ -10,12 +10,14 @@ from stereophd.io.logs import LogReader
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.pipeline.checks.geometry import check_geometry, measure
+from stereophd.pipeline.checks.residuals import check_residuals
 from stereophd.pipeline.checks.sample import MOST_FRAMES, CameraSample, sample_log
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+    from stereophd.core.geometry.camera import Camera
 
 # Frames of each camera that a check inside another command looks at.
 QUICK_FRAMES = 400
@@ -23,7 +25,9 @@ QUICK_FRAMES = 400
 LOGGER = logging.getLogger("stereophd")
 
 
-def check_log(loaded: LoadedConfig, log_path: Path | str, thorough: bool = True) -> tuple[Finding, ...]:
+def check_log(
+    loaded: LoadedConfig, log_path: Path | str, thorough: bool = True, cameras: tuple[Camera, ...] | None = None
+) -> tuple[Finding, ...]:
     """Check whether a log fits the cameras and the settings of a configuration.
 
     Parameters
@@ -34,6 +38,8 @@ def check_log(loaded: LoadedConfig, log_path: Path | str, thorough: bool = True)
         Detection log.
     thorough : bool
         Whether more of the log is read, and clock offsets are tried even where nothing is suspicious.
+    cameras : tuple of Camera, optional
+        In place of those of the configuration, such as calibrated ones.
 
     Returns
     -------
@@ -45,7 +51,7 @@ def check_log(loaded: LoadedConfig, log_path: Path | str, thorough: bool = True)
     InputError
         The configuration has no cameras; the log is not usable, or the known trajectory of a camera does not cover it.
     """
-    cameras = loaded.build_cameras()
+    cameras = loaded.build_cameras() if cameras is None else cameras
     reader = LogReader(log_path, cameras, "drop", float("inf"))
     most = MOST_FRAMES if thorough else QUICK_FRAMES
     samples = sample_log(covered(cameras, reader, str(log_path)), cameras, most)
@@ -53,17 +59,31 @@ def check_log(loaded: LoadedConfig, log_path: Path | str, thorough: bool = True)
     return check_samples(loaded, samples, thorough, whole)
 
 
+def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:
+    """Check a log by itself: frames, times, pixels and detectors, but neither poses nor settings (see `check_log`)."""
+    cameras = loaded.build_cameras()
+    reader = LogReader(log_path, cameras, "drop", float("inf"))
+    samples = sample_log(reader, cameras, QUICK_FRAMES)
+    return _of_files(loaded, samples, sum(len(sample.times) for sample in samples) < QUICK_FRAMES * len(cameras))
+
+
+def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) -> tuple[Finding, ...]:
+    """Return the findings of a log by itself, without those about detectors that are to be estimated."""
+    config = loaded.config
+    estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
+    return tuple(
+        found
+        for found in check_files(samples, whole)
+        if not (found.name.startswith("detector.") and found.camera in estimated)
+    )
+
+
 def check_samples(
     loaded: LoadedConfig, samples: list[CameraSample], thorough: bool, whole: bool
 ) -> tuple[Finding, ...]:
     """Check a part of a log that is in memory (see `check_log`); `whole`: it is all of the log."""
     config = loaded.config
-    estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
-    findings = [
-        found
-        for found in check_files(samples, whole)
-        if not (found.name.startswith("detector.") and found.camera in estimated)
-    ]
+    findings = [*_of_files(loaded, samples, whole)]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
@@ -72,6 +92,7 @@ def check_samples(
     geometry = measure(samples, expected_depths(config, samples), thorough)
     findings += check_geometry(geometry, thorough)
     if not any(found.name == "geometry.cause" for found in warnings_of(tuple(findings))):
+        findings += check_residuals(samples)
         findings += check_settings(config, measure_scene(geometry), samples, config.units.length)
     return tuple(findings)
 

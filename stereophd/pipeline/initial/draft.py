@@ -17,19 +17,15 @@ import numpy as np
 from stereophd.config.cameras import CameraConfig, DetectorConfig
 from stereophd.config.loading import LoadedConfig, make_config
 from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs import LogReader
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.geometry import measure
 from stereophd.pipeline.checks.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
-from stereophd.pipeline.detectors.passes import estimate_detectors
-from stereophd.pipeline.initial.acceleration import (
-    LEAST_EVENTS,
-    AccelerationEstimate,
-    estimate_acceleration,
-    stretches,
-)
+from stereophd.pipeline.detectors.passes import LASTING, estimate_detectors
+from stereophd.pipeline.initial.acceleration import LEAST_EVENTS, estimate_acceleration, stretches
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_stream
@@ -42,6 +38,8 @@ MEETING_SCORE = 2.5
 SIGMA_ERROR, P_DETECT_ERROR = 0.15, 0.05
 # Least clutter to begin with: no detector is free of it, and births need some to compete with.
 LEAST_CLUTTER = 0.02
+# Noise of a detection to begin with, px: errors of lens and pose count as noise, and are rarely below it.
+USUAL_SIGMA_PX = 0.5
 # Margins of what is written about what was seen.
 NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
 REGION_NEARER, REGION_FARTHER = 0.4, 2.5
@@ -119,7 +117,7 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> Draft:
         if name not in contradicted and not detector.estimate:
             notes[name] = (*notes.get(name, ()), "detector: as the file of cameras states it")
             continue
-        noise = detector.sigma_px if sample.noise_px is None else 2 * (rounded(max(sample.noise_px, 0.05), 3),)
+        noise = 2 * (rounded(max(sample.noise_px or 0.0, USUAL_SIGMA_PX), 3),)
         clutter = rounded(max(sample.isolated_per_frame, LEAST_CLUTTER), 3)
         unknown = DetectorConfig(sigma_px=noise, p_detect=0.9, clutter_per_frame=clutter, estimate=True)
         cameras[name] = cameras[name].model_copy(update={"detector": unknown})
@@ -158,56 +156,59 @@ def _with_filter(draft: Draft, usual: Draft, log_path: Path | str) -> Draft:
     parts = stretches(stream)
     if sum(map(len, parts)) < LEAST_EVENTS:
         return draft
-    draft, stream = _with_detectors(draft, loaded, stream)
-    loaded, parts = loaded_draft(draft, str(log_path)), stretches(stream)
-    start = float(draft.choices["motion.acceleration_std"].value)
-    found = estimate_acceleration(loaded, stream.cameras, parts, start)
-    draft = draft.with_choices({"motion.acceleration_std": _acceleration(found, draft.unit)})
+    draft = _with_acceleration(draft, stream.cameras, parts, str(log_path))
+    if any(camera.detector.estimate for camera in draft.cameras.values()):
+        draft = _with_detectors(draft, loaded_draft(draft, str(log_path)), stream)
+        stream = stream.with_cameras(loaded_draft(draft, str(log_path)).build_cameras())
+        parts = stretches(stream)
+        draft = _with_acceleration(draft, stream.cameras, parts, str(log_path))
     figures = measure_with_filter(loaded_draft(draft, str(log_path)), stream.cameras, parts)
     return draft if figures is None else draft.with_choices(_final(figures, usual, draft.unit, parts))
 
 
-def _acceleration(found: AccelerationEstimate, unit: str) -> Choice:
+def _with_acceleration(draft: Draft, cameras: tuple[Camera, ...], parts: list[list[Event]], name: str) -> Draft:
+    """Return the draft with the acceleration that the log shows, from that of the draft on."""
+    start = float(draft.choices["motion.acceleration_std"].value)
+    found = estimate_acceleration(loaded_draft(draft, name), cameras, parts, start)
     why = f"from the likelihood of {len(found.tried)} values over {found.events} events"
     if found.value > found.usual:
         why += f" ({found.usual:g} for most of them, more where objects turn)"
-    return Choice(found.value, f"{why}; {unit}/s^2")
+    return draft.with_choices({"motion.acceleration_std": Choice(found.value, f"{why}; {draft.unit}/s^2")})
 
 
-def _with_detectors(draft: Draft, loaded: LoadedConfig, stream: EventStream) -> tuple[Draft, EventStream]:
+def _with_detectors(draft: Draft, loaded: LoadedConfig, stream: EventStream) -> Draft:
     """Estimate the detectors that are unknown; those that the log leaves uncertain stay to be estimated by `track`."""
     unknown = [name for name, camera in draft.cameras.items() if camera.detector.estimate]
-    if not unknown:
-        return draft, stream
     config, path = loaded.config, loaded.path
-    built, report = estimate_detectors(
+    _, report = estimate_detectors(
         stream.cameras, unknown, lambda used: build_labelled_filter(config, used, path, 1), stream
     )
     cameras, notes = dict(draft.cameras), dict(draft.camera_notes)
-    for camera in built:
-        entry = report["cameras"].get(camera.name)
-        if entry is None:
-            continue
-        errors, p_error = entry["sigma_px_standard_error"], entry["p_detect_standard_error"]
-        certain = (
-            errors is not None
-            and p_error is not None
-            and max(e / s for e, s in zip(errors, entry["sigma_px"], strict=True)) < SIGMA_ERROR
-            and p_error < P_DETECT_ERROR
-        )
-        detector = DetectorConfig(
-            sigma_px=(rounded(entry["sigma_px"][0], 3), rounded(entry["sigma_px"][1], 3)),
-            p_detect=rounded(min(max(entry["p_detect"], 0.05), 0.995), 3),
-            clutter_per_frame=rounded(max(entry["clutter_per_frame"], 1e-3), 3),
-            estimate=not certain,
-        )
-        text = f"detector: estimated from {entry['residuals']:.0f} detections of tracks that two cameras saw"
-        if not certain:
-            text += ", too few to be sure: track estimates it again"
-        cameras[camera.name] = cameras[camera.name].model_copy(update={"detector": detector})
-        notes[camera.name] = (*notes.get(camera.name, ()), text)
-    draft = replace(draft, cameras=cameras, camera_notes=notes)
-    return draft, stream.with_cameras(loaded_draft(draft, str(path)).build_cameras())
+    for name, entry in report["cameras"].items():
+        detector, text = _detector(cameras[name].detector, entry)
+        cameras[name] = cameras[name].model_copy(update={"detector": detector})
+        notes[name] = (*notes.get(name, ()), text)
+    return replace(draft, cameras=cameras, camera_notes=notes)
+
+
+def _detector(begun: DetectorConfig, entry: Mapping[str, Any]) -> tuple[DetectorConfig, str]:
+    """Return the detector that an estimate gives, and its comment."""
+    errors, p_error = entry["sigma_px_standard_error"], entry["p_detect_standard_error"]
+    lasting = entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING
+    certain = errors is not None and max(e / s for e, s in zip(errors, entry["sigma_px"], strict=True)) < SIGMA_ERROR
+    text = f"detector: from {entry['residuals']:.0f} detections of tracks that two cameras saw"
+    sigma = begun.sigma_px
+    if certain and not lasting:
+        sigma = (rounded(entry["sigma_px"][0], 3), rounded(entry["sigma_px"][1], 3))
+    elif lasting:
+        text += "; their errors last from frame to frame, so sigma_px is that of the change between frames"
+    else:
+        text += "; too few to be sure of sigma_px, which is that of the change between frames"
+    p_detect = begun.p_detect
+    if p_error is not None and p_error < P_DETECT_ERROR:
+        p_detect = rounded(min(max(entry["p_detect"], 0.05), 0.995), 3)
+    clutter = rounded(max(entry["clutter_per_frame"], 1e-3), 3)
+    return DetectorConfig(sigma_px=sigma, p_detect=p_detect, clutter_per_frame=clutter), text
 
 
 def _final(figures: SceneFigures, usual: Draft, unit: str, parts: list[list[Event]]) -> dict[str, Choice]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
@@ -16,7 +17,7 @@ from stereophd.core.metrics.alignment import Truth
 from stereophd.errors import InputError
 from stereophd.io.provenance import file_sha256
 from stereophd.io.table_reading import read_table
-from stereophd.io.tables import COVARIANCE, FLOAT, INTEGER, STRING
+from stereophd.io.tables import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.tables import kind_of
 
@@ -58,7 +59,8 @@ class Run:
     cameras : tuple of Camera
         As the run found them, else as it was given them; may be empty.
     tracks, scans, associations : mapping, optional
-        Columns of its tables. Tracks have ``position_std`` and ``speed`` too, and no covariance.
+        Columns of its tables. Tracks are the confirmed estimates, with ``position_std`` and ``speed`` in place of
+        the covariance.
     history, posterior : mapping, optional
         Columns of a calibration's.
     evaluation : Evaluation, optional
@@ -165,7 +167,7 @@ def _read_folder(folder: Path, found: _Found) -> None:
         scores = _columns(path, {**SCORES, **COUNTS}) if path.exists() else {}
         found.evaluations.append((folder, Evaluation(report, scores or {})))
     elif command in ("track", "calibrate"):
-        found.runs.append((folder, _run(folder, command, report)))
+        found.runs.append((folder, read_run(folder, command, report)))
     else:
         raise InputError(f"{folder}: expected the output of track, calibrate or evaluate, found that of {command}")
 
@@ -182,7 +184,8 @@ def _report(path: Path) -> dict[str, Any] | None:
     return document
 
 
-def _run(folder: Path, command: str, report: dict[str, Any]) -> Run:
+def read_run(folder: Path, command: str, report: Mapping[str, Any]) -> Run:
+    """Read the tables of one output folder, whose report is at hand."""
     found = {name: folder / f"{name}.parquet" for name in ("tracks", "scans", "associations", "history", "posterior")}
     held = {name: path for name, path in found.items() if path.exists()}
     return Run(
@@ -207,7 +210,9 @@ def _cameras(path: Path, record: Mapping[str, Any]) -> tuple[Camera, ...]:
 
 
 def _tracks(path: Path) -> Columns:
-    table = read_table(path, TRACKS, what="table of tracks")
+    table = read_table(path, TRACKS, {"status": STRING}, what="table of tracks")
+    if "status" in table.schema.names:
+        table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
     covariance = table.column("covariance").combine_chunks().flatten().to_numpy(zero_copy_only=False)
     columns = {
         name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names if name != "covariance"

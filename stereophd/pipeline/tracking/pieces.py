@@ -335,6 +335,8 @@ class JoinedPieces:
             return np.array([name(one) for one in track_ids.tolist()], dtype=np.int64)
 
         estimates = replace(record.estimates, track_ids=rename(record.estimates.track_ids))
+        if (tentative := estimates.tentative) is not None:
+            estimates = replace(estimates, tentative=replace(tentative, track_ids=rename(tentative.track_ids)))
         return replace(
             record,
             estimates=estimates,

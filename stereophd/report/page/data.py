@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stereophd.core.geometry.camera import Camera
 from stereophd.pipeline.inspection.runs import Evaluation, Run
 from stereophd.report.page.columns import Paths, binned, chosen, packed, paths_of, thinned
-from stereophd.report.page.frames import camera_frames, residuals
+from stereophd.report.page.frames import camera_frames, paths_of_run, residuals
 from stereophd.report.summaries import verdict
 from stereophd.report.views import down_axis
 
@@ -37,7 +37,7 @@ FRUSTUM = 0.12
 
 def run_data(run: Run, runs: int) -> dict[str, Any]:
     """Return what is drawn of one of so many runs."""
-    paths = _paths(run)
+    paths = None if run.tracks is None else paths_of_run(run)
     truth = _truth(run)
     start, end = _period(run, paths)
     vertical, is_down = down_axis(run.cameras)
@@ -68,13 +68,6 @@ def run_data(run: Run, runs: int) -> dict[str, Any]:
     if run.report.get("parameters"):
         data["calibration"] = _calibration(run, start)
     return data
-
-
-def _paths(run: Run) -> Paths | None:
-    if run.tracks is None:
-        return None
-    names = ("time_s", "x", "y", "z", "vx", "vy", "vz", "speed", "position_std", "existence")
-    return paths_of(run.tracks["track_id"], {name: run.tracks[name] for name in names})
 
 
 def _truth(run: Run) -> Paths | None:

@@ -11,7 +11,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs import LogReader
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.pipeline.tracking.explained import PROBABLE, residuals_px
-from stereophd.report.page.columns import Paths, chosen, packed
+from stereophd.report.page.columns import Paths, chosen, packed, paths_of
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -83,6 +83,25 @@ def camera_frames(run: Run, paths: Paths, budget: int, start_s: float) -> list[d
 
 def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[str, Any]] | None:
     """Return detections minus reprojected tracks by camera; None without associations or cameras."""
+    found = camera_residuals(run, paths, max(budget // max(len(run.cameras), 1), 1))
+    if found is None:
+        return None
+    return [
+        {
+            "t": packed(times - start_s),
+            "u": packed(values[:, 0]),
+            "v": packed(values[:, 1]),
+            "track": packed(tracks),
+        }
+        for times, values, tracks in found
+    ]
+
+
+def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Array, Integers]] | None:
+    """Return times (n,), residuals (n, 2) in px and tracks (n,) of every camera; None without associations or cameras.
+
+    Of the detections that belong to a track more probably than not, at most so many of each camera, evenly spread.
+    """
     found = run.associations
     if found is None or not run.cameras:
         return None
@@ -93,29 +112,32 @@ def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[
     for camera in run.cameras:
         of_camera = (found["camera"][probable] == camera.name) & (path >= 0)
         rows, own = probable[of_camera], path[of_camera]
-        few = chosen(len(rows), max(budget // len(run.cameras), 1))
+        few = chosen(len(rows), most)
         rows, own = rows[few], own[few]
         times = found["time_s"][rows]
-        states = np.full((len(rows), 6), np.nan)
-        for number in np.unique(own).tolist():
-            here = np.flatnonzero(own == number)
-            span = slice(int(paths.starts[number]), int(paths.starts[number + 1]))
-            for axis, name in enumerate(("x", "y", "z", "vx", "vy", "vz")):
-                states[here, axis] = np.interp(
-                    times[here], paths.times[span], paths.columns[name][span], np.nan, np.nan
-                )
         pixels = np.column_stack([found["u_px"][rows], found["v_px"][rows]])
-        values = residuals_px(camera, times, states, pixels)
+        values = residuals_px(camera, times, _states(paths, own, times), pixels)
         known = np.isfinite(values).all(axis=1)
-        out.append(
-            {
-                "t": packed(times[known] - start_s),
-                "u": packed(values[known, 0]),
-                "v": packed(values[known, 1]),
-                "track": packed(own[known]),
-            }
-        )
+        out.append((times[known], values[known], own[known]))
     return out
+
+
+def _states(paths: Paths, own: Integers, times: Array) -> Array:
+    """States (n, 6) of tracks (n,) at times (n,), interpolated; NaN outside of their lives."""
+    states = np.full((len(times), 6), np.nan)
+    for number in np.unique(own).tolist():
+        here = np.flatnonzero(own == number)
+        span = slice(int(paths.starts[number]), int(paths.starts[number + 1]))
+        for axis, name in enumerate(("x", "y", "z", "vx", "vy", "vz")):
+            states[here, axis] = np.interp(times[here], paths.times[span], paths.columns[name][span], np.nan, np.nan)
+    return states
+
+
+def paths_of_run(run: Run) -> Paths:
+    """Return the tracks of a run as paths."""
+    assert run.tracks is not None
+    names = ("time_s", "x", "y", "z", "vx", "vy", "vz", "speed", "position_std", "existence")
+    return paths_of(run.tracks["track_id"], {name: run.tracks[name] for name in names})
 
 
 def _owners(run: Run, paths: Paths) -> dict[tuple[str, int, float, float], int]:

@@ -24,6 +24,7 @@
   const dash = (k) => DASHES[Math.floor(k / COLOURS.length) % DASHES.length];
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const clock = (t) => `${(+t).toFixed(2)} s`;
+  const count = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
   const run = () => RUNS[state.run];
 
   // ---- layout shared by all plots
@@ -194,7 +195,7 @@
     const [su, sv, seen] = pick(frame.seen_at, [frame.seen_u, frame.seen_v, frame.seen_track]);
     const id = (n) => (n < 0 ? "no track" : `track ${r.tracks.ids[n]}`);
     const owned = u.map((_, i) => owner[i] >= 0), not = owned.map((o) => !o), of = (list, mask) => list.filter((_, i) => mask[i]);
-    by("frame-text").textContent = `frame ${frame.frame[nearest]} at ${clock(times[nearest] + r.start)}: ${u.length} detections, ${seen.length} tracks in view`;
+    by("frame-text").textContent = `frame ${frame.frame[nearest]} at ${clock(times[nearest] + r.start)}: ${count(u.length, "detection")}, ${count(seen.length, "track")} in view`;
     draw("frame", [
       { type: "scatter", mode: "markers", name: "detections without a track", x: of(u, not), y: of(v, not), hoverinfo: "x+y", marker: { symbol: "x-thin", size: 9, line: { width: 2, color: css("--truth") } } },
       { type: "scatter", mode: "markers", name: "detections of tracks", x: of(u, owned), y: of(v, owned), text: of(owner, owned).map(id), hoverinfo: "text+x+y", marker: { symbol: "cross-thin", size: 11, line: { width: 2, color: of(owner, owned).map(colour) } } },

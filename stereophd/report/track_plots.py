@@ -1,0 +1,133 @@
+"""Plots of a tracking run by itself, without truth: views, timelines of tracks, residuals by camera.
+
+Needs the extra ``plot``. The same run gives the same files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from stereophd.pipeline.inspection.runs import Run
+from stereophd.report.page.columns import Paths
+from stereophd.report.page.frames import camera_residuals, paths_of_run
+from stereophd.report.scene_plots import draw_camera_views, view_axes
+from stereophd.report.style import BLUE, ORANGE, STYLE, TRACK_COLOURS, dash_of, marker_of
+from stereophd.report.views import SceneView, views
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Points of one track, and residuals of one camera, that are drawn.
+MOST_ROWS = 2000
+MOST_RESIDUALS = 3000
+# Tracks that have a label of their own.
+MOST_LABELS = 60
+
+
+def write_track_plots(run: Run, paths: Mapping[str, Path]) -> None:
+    """Draw the plots that `paths` names: ``top``, ``side``, ``timelines`` and ``residuals``, as png or svg."""
+    tracks = paths_of_run(run)
+    makers: dict[str, Callable[[], Figure]] = {
+        "top": lambda: _draw_view(run, tracks, "top"),
+        "side": lambda: _draw_view(run, tracks, "side"),
+        "timelines": lambda: _draw_timelines(run, tracks),
+        "residuals": lambda: _draw_residuals(run, tracks),
+    }
+    with mpl.rc_context(STYLE):
+        figures: dict[str, Figure] = {}
+        for name, path in paths.items():
+            plot, kind = name.rsplit(".", 1)
+            if plot not in figures:
+                figures[plot] = makers[plot]()
+            metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
+            figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.15)
+
+
+def _positions(tracks: Paths) -> NDArray[np.float64]:
+    return np.stack([tracks.columns[axis] for axis in "xyz"], axis=1)
+
+
+def _draw_view(run: Run, tracks: Paths, name: str) -> Figure:
+    """Draw tracks as lines with their numbers, and the cameras, from above or from the side."""
+    points = _positions(tracks)
+    time = float(tracks.times.min()) if len(tracks.times) else 0.0
+    cameras = [camera.at(time) for camera in run.cameras]
+    scene = np.concatenate([points, *(camera.pose.center[None] for camera in cameras)])
+    view: SceneView = views(cameras, scene)[name]
+    title = {"top": "From above", "side": "From the side"}[name]
+    figure, axes = view_axes(view, scene, title, f" [{run.length_unit}]" if run.length_unit else "")
+    draw_camera_views(axes, cameras, points, view)
+    drawn = view.project(points)
+    for number, track_id in enumerate(tracks.ids.tolist()):
+        rows = np.arange(tracks.starts[number], tracks.starts[number + 1])
+        rows = np.append(rows[: -1 : max(1, len(rows) // MOST_ROWS)], rows[-1])
+        colour = TRACK_COLOURS[number % len(TRACK_COLOURS)]
+        axes.plot(*drawn[rows].T, color=colour, linestyle=dash_of(number), linewidth=1.3, zorder=3)
+        axes.plot(*drawn[rows[0]], color=colour, marker=marker_of(number), markersize=5, linestyle="none", zorder=4)
+        if number < MOST_LABELS:
+            place = (float(drawn[rows[0], 0]), float(drawn[rows[0], 1]))
+            axes.annotate(
+                str(track_id), place, (4, 4), textcoords="offset points", fontsize=8, color=colour, zorder=5,
+                annotation_clip=True,
+            )  # fmt: skip
+    return figure
+
+
+def _draw_timelines(run: Run, tracks: Paths) -> Figure:
+    """Draw when each track was reported, and below it which camera detected how many of all detections of tracks."""
+    count = len(tracks.ids)
+    figure = Figure(figsize=(9.0, 1.4 + min(0.22 * count, 8.0)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for number in range(count):
+        rows = slice(int(tracks.starts[number]), int(tracks.starts[number + 1]))
+        times = tracks.times[rows]
+        colour = TRACK_COLOURS[number % len(TRACK_COLOURS)]
+        axes.plot(
+            [times[0], times[-1]], [number, number], color=colour, linestyle=dash_of(number),
+            linewidth=float(np.clip(240.0 / max(count, 1), 1.0, 4.0)), marker=marker_of(number), markersize=3,
+        )  # fmt: skip
+    step = -(-count // 40) or 1
+    axes.set_yticks(range(0, count, step), [str(i) for i in tracks.ids[::step].tolist()])
+    axes.set_ylim(count - 0.4, -0.6)
+    axes.set_ylabel("track")
+    axes.set_xlabel("time [s]")
+    axes.set_title("When each track was reported")
+    return figure
+
+
+def _draw_residuals(run: Run, tracks: Paths) -> Figure:
+    """Draw detection minus reprojected track over time, a panel a camera, with means."""
+    found = camera_residuals(run, tracks, MOST_RESIDUALS) or []
+    figure = Figure(figsize=(9.0, 0.9 + 1.7 * max(len(found), 1)), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(max(len(found), 1), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, camera, (times, values, _) in zip(grid, run.cameras, found, strict=False):
+        _draw_camera_residuals(axes, times, values)
+        rms = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+        axes.set_title(f"{camera.name}: root mean square {rms:.2f} px", fontsize=10)
+        axes.set_ylabel("px")
+    grid[-1].set_xlabel("time [s]")
+    if not found:
+        grid[-1].text(0.5, 0.5, "no associations were kept", transform=grid[-1].transAxes, ha="center")
+    return figure
+
+
+def _draw_camera_residuals(axes: Axes, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+    for axis, (name, colour) in enumerate((("u", BLUE), ("v", ORANGE))):
+        axes.scatter(times, values[:, axis], s=3, color=colour, linewidths=0, alpha=0.4, rasterized=True)
+        order = np.argsort(times, kind="stable")
+        parts = np.array_split(order, max(1, min(40, len(order) // 15)))
+        parts = [part for part in parts if len(part)]
+        middle = [float(times[part].mean()) for part in parts]
+        mean = [float(values[part, axis].mean()) for part in parts]
+        axes.plot(middle, mean, color=colour, linewidth=1.6, label=f"mean along {name}")
+    axes.legend(loc="upper right", fontsize=7, ncols=2)
