@@ -145,8 +145,9 @@ def simulated(scene: Sequence[str], number: int, seed: int = 20_261_121) -> Run:
     times = np.array([frame.time_s for frame in frames])
     last = last_event_of_each_time(times)
     truth = scene_truth(objects)
-    points = align_truth(truth, times[last], DEFAULT_GAP_STEPS * truth.step_s).points
-    return Run(frames, last, times[last], points)
+    aligned = align_truth(truth, times[last], DEFAULT_GAP_STEPS * truth.step_s)
+    usable = ~(aligned.outside | aligned.gap)
+    return Run(frames, last[usable], times[last][usable], aligned.points.keep_scans(usable))
 
 
 def tracked(run: Run, settings: Sequence[str]) -> list[Estimates]:

@@ -272,7 +272,7 @@ class TestErrors:
         found = message(path, "motion.acceleration_std=fast")
         assert found == (
             "`overrides` motion.acceleration_std=fast: motion.acceleration_std: "
-            'expected a number or a list, found "fast"'
+            "expected a number or a list or 'estimate', found \"fast\""
         )
 
     def test_known_keys_of_a_lens_are_those_of_its_model(self, path: Path) -> None:

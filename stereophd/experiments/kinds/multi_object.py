@@ -59,7 +59,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
     with method_clock():
         if _scenario(loaded).tracker == "filter":
-            estimates = filtered_points(loaded, cameras, frames, last)
+            estimates = filtered_points(loaded, cameras, frames, last, _scenario(loaded).tentative)
         else:
             estimates = _known(loaded, cameras, frames, event_times[last], aligned.points, scene.motion)
     usable = ~(aligned.outside | aligned.gap)
@@ -81,9 +81,13 @@ def scene_truth(scene: Scene) -> Truth:
 
 
 def filtered_points(
-    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], last: np.ndarray
+    loaded: LoadedConfig,
+    cameras: Sequence[Camera],
+    frames: Sequence[Frame],
+    last: np.ndarray,
+    tentative: bool = False,
 ) -> PointSets:
-    """Track with the configuration's filter; return what it reports after the events `last`."""
+    """Track with the configuration's filter; return what it reports after the events `last`, also tentatively."""
     config = loaded.config
     multi_filter = build_filter(config, tuple(cameras), loaded.path)
     stream = EventStream(cameras, frames)
@@ -91,7 +95,7 @@ def filtered_points(
     report = config.report.model_copy(update={"times": "events"})
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     estimates = [record.estimates for record in records]
-    if _scenario(loaded).tentative:
+    if tentative:
         estimates = [one.with_tentative() for one in estimates]
     if config.report.max_position_std is not None:
         estimates = [one.certain(config.report.max_position_std) for one in estimates]
