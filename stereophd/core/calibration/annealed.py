@@ -152,8 +152,13 @@ def best_of(starts: list[Start]) -> Start | None:
 
 def enough(starts: list[Start], agreeing: int) -> bool:
     """Whether so many starts agree on the best that no more are needed."""
+    return agreeing_with_best(starts) >= agreeing
+
+
+def agreeing_with_best(starts: list[Start]) -> int:
+    """How many successful starts found the cameras of the best, itself included; 0 if none succeeded."""
     best = best_of(starts)
-    return best is not None and sum(s.succeeded and agree(best, s) for s in starts) >= agreeing
+    return 0 if best is None else sum(s.succeeded and agree(best, s) for s in starts)
 
 
 def start_values(parameters: ParameterSet, seed: np.random.SeedSequence, count: int) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedScale
 from stereophd.core.calibration.annealed import (
+    agreeing_with_best,
     best_of,
     distinct,
     enough,
@@ -43,6 +45,8 @@ from stereophd.pipeline.progress import Progress
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
+LOGGER = logging.getLogger("stereophd")
+
 # Draws that stand for a Laplace posterior, and times at which it is given in the history.
 LAPLACE_DRAWS = 1000
 HISTORY_TIMES = 25
@@ -62,6 +66,7 @@ def annealed_outcome(
     best = best_of(starts)
     details: dict[str, Any] = {
         "starts": [_start_report(problem, start, best) for start in starts],
+        "agreeing_starts": agreeing_with_best(starts),
         "stages": [list(stage.names) for stage in task.stages],
     }
     if (offset_places(problem.parameters) >= 0).any():
@@ -72,6 +77,11 @@ def annealed_outcome(
         why = f"none of {len(starts)} starts agrees with the data; most often: {often}"
         nothing = np.full((size, size), np.nan)
         return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
+    if details["agreeing_starts"] < min(task.settings.agreeing_starts, task.settings.starts):
+        LOGGER.warning(
+            "only %d of %d starts found these cameras: another optimum may be the right one; narrower priors or more "
+            "starts (calibration.annealed.starts) show it", details["agreeing_starts"], len(starts),
+        )  # fmt: skip
     doubt = ""
     if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
         doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
