@@ -19,6 +19,7 @@ import stereophd
 from stereophd.cli import (
     calibrate,
     check,
+    compile,
     config,
     evaluate,
     experiment,
@@ -57,6 +58,7 @@ app.command("calibrate")(calibrate.calibrate_command)
 app.command("evaluate")(evaluate.evaluate_command)
 app.command("experiment")(experiment.experiment_command)
 app.command("check")(check.check_command)
+app.command("compile")(compile.compile_command)
 app.command("import")(importing.import_command)
 app.command("export")(export.export_command)
 app.command("info")(info.info_command)

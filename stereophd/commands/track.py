@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from stereophd.io.provenance import provenance, sha256_of, to_metadata
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
+from stereophd.pipeline.compile_ahead import compiling_ahead
 from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.progress import Progress
@@ -127,9 +129,9 @@ def track(
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
-    _announce_compilation()
-    findings = check_log(loaded, log_path, thorough=False)
-    with output_lock(out_dir):
+    kind = loaded.config.filter.kind if loaded.config.filter is not None else ""
+    with _compilation(kind), output_lock(out_dir):
+        findings = check_log(loaded, log_path, thorough=False)
         unfinished.prepare(resume, force)
         with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
             tracking = with_estimated_detectors(tracking, loaded, stream, threads)
@@ -216,10 +218,13 @@ def _draw(report: dict[str, Any], out: OutputFolder) -> None:
     write_track_plots(run, {name: out.path(name) for name in kept})
 
 
-def _announce_compilation() -> None:
-    """Say that the kernels are compiled first, where no compiled ones are found."""
+@contextmanager
+def _compilation(kind: str) -> Iterator[None]:
+    """Say that the kernels are compiled first, where no compiled ones are found, and compile them in two processes."""
     if not is_kept(carry_components):
-        LOGGER.info("first run: compiling the kernels, once, in about a minute")
+        LOGGER.info("first run: compiling the kernels, once, in about half a minute")
+    with compiling_ahead(kind):
+        yield
 
 
 def _warn_of_losses(stream: EventStream) -> None:

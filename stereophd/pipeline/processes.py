@@ -63,15 +63,15 @@ def on_processes(
             return_as="generator" if ordered else "generator_unordered",
             batch_size=1,
             pre_dispatch="n_jobs",
-            initializer=partial(_end_with, os.getpid()),
+            initializer=partial(end_with, os.getpid()),
         )
         results = pool(delayed(function)(argument) for argument in arguments)
     with closing(results):
         yield from results
 
 
-def _end_with(parent: int) -> None:
-    """Watch the process that started this one, and end when it is gone."""
+def end_with(parent: int) -> None:
+    """Watch the process `parent` that started this one, and end when it is gone."""
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any, TypeVar, cast
 
 from numba.core.registry import CPUDispatcher
+from numba.core.types.misc import unliteral
 
 from stereophd.core.numerics.kernel_cache import KernelCache
 from stereophd.core.numerics.kernel_units import KernelCompiler, register
@@ -45,6 +46,11 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     def add_overload(self, cres: Any) -> None:
         """Add a form for other kernels, which Python cannot call."""
         self.overloads[tuple(cres.signature.args)] = cres
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return the form for a call by another kernel: one form for all values of a number."""
+        args = [unliteral(kind) for kind in args]
+        return super().get_call_template(args, {name: unliteral(kind) for name, kind in kws.items()})
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         entry = self.for_python._compile_for_args(*args, **kws)

@@ -83,6 +83,15 @@ def _is_private(folder: Path) -> bool:
     return not _HAS_USERS or (found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) == 0o700)
 
 
+def place_to_keep() -> Path | None:
+    """Return the folder in which new kernels are probably kept; None: there is none that can be written to."""
+    for folder in kernel_folders():
+        there = next((path for path in (folder, *folder.parents) if path.exists()), None)
+        if there is not None and there.is_dir() and os.access(there, os.W_OK):
+            return folder
+    return None
+
+
 # Folders that a kernel could not be written to in this process.
 _FAILED: set[Path] = set()
 
@@ -92,8 +101,8 @@ def _note_nothing_kept() -> None:
     """Say, once, that kernels are compiled and cannot be kept; worker processes (without handlers) say nothing."""
     if LOGGER.hasHandlers():
         LOGGER.warning(
-            "compiled kernels cannot be kept, so every run compiles them, for about a minute: none of these folders "
-            "can be written to: %s; set NUMBA_CACHE_DIR to one that can",
+            "compiled kernels cannot be kept, so every run compiles them, for about half a minute: none of these "
+            "folders can be written to: %s; set NUMBA_CACHE_DIR to one that can",
             ", ".join(map(str, kernel_folders())),
         )
 

@@ -1,0 +1,46 @@
+"""Compile the kernels of `track` and keep them, so that later runs find them."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from stereophd.core.multi.filter_settings import filters
+from stereophd.core.multi.preparation import prepare
+from stereophd.core.numerics.kernel_cache import place_to_keep
+from stereophd.errors import InputError
+from stereophd.pipeline.processes import on_processes
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def compile_kernels(jobs: int = 1) -> dict[str, Any]:
+    """Compile the kernels of all filters for many objects, where they are not kept already.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes.
+
+    Returns
+    -------
+    dict
+        ``folder``: where new kernels are kept; ``filters``: the names of the filters.
+
+    Raises
+    ------
+    InputError
+        No folder can be written to.
+    """
+    place = place_to_keep()
+    if place is None:
+        raise InputError("compiled kernels: expected a folder that can be written to; set NUMBA_CACHE_DIR to one")
+    kinds = sorted(filters())
+    if jobs == 1:
+        for kind in kinds:
+            prepare(kind)
+    else:
+        for _ in on_processes(prepare, kinds, jobs):
+            pass
+    LOGGER.info("kernels of %s: kept in %s", ", ".join(kinds), place)
+    return {"folder": str(place), "filters": kinds}

@@ -1,0 +1,69 @@
+"""Kernels compiled beforehand, and by a second process while a run begins."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from stereophd.cli.app import run
+from stereophd.commands import compile
+from stereophd.core.multi import preparation
+from stereophd.pipeline import compile_ahead
+
+
+def test_compile_prepares_every_filter(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    prepared: list[str] = []
+    monkeypatch.setattr(compile, "prepare", prepared.append)
+    assert run(["compile", "--json"]) == 0
+    assert prepared == json.loads(capsys.readouterr().out)["filters"] == sorted(preparation.LAST_KERNELS)
+
+
+def test_compile_needs_a_folder(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(compile, "place_to_keep", lambda: None)
+    assert run(["compile"]) == 2
+    assert "NUMBA_CACHE_DIR" in capsys.readouterr().err
+
+
+class _Process:
+    """In the place of a second process."""
+
+    def __init__(self, command: list[str], **_: Any) -> None:
+        self.command, self.ended = command, False
+        _STARTED.append(self)
+
+    def terminate(self) -> None:
+        self.ended = True
+
+    def wait(self, timeout: float) -> None:
+        pass
+
+
+_STARTED: list[_Process] = []
+
+
+@pytest.mark.parametrize(
+    ("kind", "kept", "cores", "begun"),
+    [("pmb", False, 2, True), ("phd", False, 2, True), ("pmb", True, 2, False), ("pmb", False, 1, False)]
+    + [("single", False, 2, False)],
+)
+def test_a_second_process_compiles_where_nothing_is_kept(
+    monkeypatch: pytest.MonkeyPatch, kind: str, kept: bool, cores: int, begun: bool
+) -> None:
+    _STARTED.clear()
+    monkeypatch.setattr(compile_ahead.subprocess, "Popen", _Process)
+    monkeypatch.setattr(compile_ahead, "is_kept", lambda kernel: kept)
+    monkeypatch.setattr(compile_ahead, "_cores", lambda: cores)
+    with compile_ahead.compiling_ahead(kind) as running:
+        assert running is begun
+        assert not any(process.ended for process in _STARTED)
+    assert [process.ended for process in _STARTED] == [True] * begun
+
+
+def test_what_both_processes_compile_is_the_same() -> None:
+    preparation.prepare_last_first("pmb")
+    before = sum(preparation.reduce_tracks.stats.cache_misses.values())  # type: ignore[attr-defined]
+    preparation.prepare("pmb")
+    assert sum(preparation.reduce_tracks.stats.cache_misses.values()) == before  # type: ignore[attr-defined]
+    assert len(preparation.reduce_tracks.overloads) == 1  # type: ignore[attr-defined]
