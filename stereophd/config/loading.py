@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -202,8 +203,17 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
     return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 
 
+def _as_json(value: Any) -> Any:
+    """Return a resolved configuration with what JSON has no number for, infinity, as YAML writes it."""
+    if isinstance(value, dict):
+        return {key: _as_json(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_as_json(inner) for inner in value]
+    return ".inf" if isinstance(value, float) and math.isinf(value) else value
+
+
 def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> LoadedConfig:
-    resolved = config.model_dump(mode="json")
+    resolved = _as_json(config.model_dump(mode="json"))
     cameras = config.cameras if isinstance(config.cameras, dict) else {}
     return LoadedConfig(config, cameras, resolved, sha256_of(resolved), path, inputs, tree)
 

@@ -59,8 +59,8 @@ def file_sha256(path: Path | str) -> str:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def origin_sha256(path: Path | str) -> str | None:
-    """Return the SHA-256 of the provenance that a Parquet file carries; None without one.
+def origin(path: Path | str) -> dict[str, str] | None:
+    """Return the command that made a Parquet file and the SHA-256 of its provenance; None if it carries none.
 
     All files of one run of `simulate` carry the same provenance, so tracks can be matched with their truth.
     """
@@ -75,7 +75,10 @@ def origin_sha256(path: Path | str) -> str | None:
         except (pa.ArrowException, OSError):
             return None  # damaged: whoever reads its rows reports that
     text = (metadata or {}).get(METADATA_KEY)
-    return None if text is None else hashlib.sha256(text).hexdigest()
+    record = from_metadata(metadata)
+    if text is None or record is None:
+        return None
+    return {"command": str(record.get("command")), "sha256": hashlib.sha256(text).hexdigest()}
 
 
 def canonical_json(value: Any) -> str:
@@ -128,11 +131,11 @@ def provenance(
     Returns
     -------
     dict
-        ``version, command, config, config_sha256, seed, inputs {role: sha256}, origins {role: sha256},
-        units {length}``; an origin is the hash of the provenance that an input carries itself.
+        ``version, command, config, config_sha256, seed, inputs {role: sha256}, origins {role: {command, sha256}},
+        units {length}``; an origin is the command that made an input, and the hash of the provenance that it carries.
     """
     hashes = {role: file_sha256(path) for role, path in (inputs or {}).items()}
-    origins = {role: origin_sha256(path) for role, path in (inputs or {}).items()}
+    origins = {role: origin(path) for role, path in (inputs or {}).items()}
     if isinstance(configuration, Mapping):
         resolved: dict[str, Any] = dict(configuration)
         digest = sha256_of(resolved)
@@ -149,7 +152,7 @@ def provenance(
         "config_sha256": digest,
         "seed": seed,
         "inputs": dict(sorted(hashes.items())),
-        "origins": {role: digest for role, digest in sorted(origins.items()) if digest is not None},
+        "origins": {role: found for role, found in sorted(origins.items()) if found is not None},
         "units": {"length": length_unit},
     }
 

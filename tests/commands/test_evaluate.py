@@ -456,9 +456,12 @@ def test_tracks_of_another_scene_are_named(tmp_path, caplog):
     rows = [(float(t), "a", t, 1, 0.0) for t in range(10)]
     origin = json.dumps({"command": "simulate", "seed": 4})
     digest = hashlib.sha256(origin.encode()).hexdigest()
-    record = json.dumps({"origins": {"detections": digest}})
+    record = json.dumps({"origins": {"detections": {"command": "simulate", "sha256": digest}}})
     tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata={**CENTIMETRES, "stereophd": record})
-    for content, warns in ((origin, False), (json.dumps({"command": "simulate", "seed": 5}), True)):
+    for content, warns in (
+        (origin, False),
+        *((json.dumps({"command": name}), name == "simulate") for name in ("simulate", "import")),
+    ):
         truth = write_truth(tmp_path / "truth.parquet", [(t, 3, 0) for t in range(10)], metadata={"stereophd": content})
         caplog.clear()
         evaluate(tracks, truth)

@@ -367,3 +367,10 @@ def test_a_misspelt_kind_is_named_where_it_stands(tmp_path: Path) -> None:
         InputError, match=r'^`overrides` filter.kind=pbm: filter.kind: expected .*, found "pbm"; did you mean pmb'
     ):
         load_config(quickstart, ["filter.kind=pbm"])
+
+
+def test_infinity_is_recorded_as_yaml_writes_it(path: Path) -> None:
+    """JSON has no number for it."""
+    loaded = load_config(path, ["filter.out_of_view_s=.inf"])
+    assert loaded.resolved["filter"]["out_of_view_s"] == ".inf"
+    json.dumps(loaded.resolved, allow_nan=False)

@@ -55,6 +55,43 @@ def claims_of(labels: Integers, weights: Array, n_missed: int, updated: Integers
 
 
 @compiled
+def likely_claims(labels: Integers, weights: Array, n_missed: int, detections: Integers) -> tuple[Integers, Integers]:
+    """Labels and the detections that they made more probably than not, given that their objects exist.
+
+    Parameters
+    ----------
+    labels, weights : arrays (n,)
+        Components after an update, as for `claims_of`.
+    n_missed : int
+        The first so many were missed.
+    detections : array (n - n_missed,) of int
+        Detection of each of the others.
+    """
+    order = np.argsort(labels, kind="mergesort")
+    chosen, wanted = np.empty(len(detections), dtype=np.int64), np.empty(len(detections), dtype=np.int64)
+    found, start = 0, 0
+    while start < len(order):
+        label, end, whole = labels[order[start]], start, 0.0
+        while end < len(order) and labels[order[end]] == label:
+            whole += weights[order[end]]
+            end += 1
+        for i in range(start, end):
+            if label < 0 or order[i] < n_missed:
+                continue
+            # the rows of one label and detection are alternatives
+            j, share = detections[order[i] - n_missed], 0.0
+            for other in order[start:end]:
+                if other >= n_missed and detections[other - n_missed] == j:
+                    share += weights[other]
+            if share > 0.5 * whole:
+                chosen[found], wanted[found] = label, j
+                found += 1
+                break
+        start = end
+    return chosen[:found], wanted[:found]
+
+
+@compiled
 def detected_labels(labels: Integers, weights: Array, n_missed: int) -> Integers:
     """Labels that an event detected: more probably than not, given that the object exists.
 

@@ -22,6 +22,7 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.multi.birth import birth_moments
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import select_objects
+from stereophd.core.multi.history import History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
@@ -50,6 +51,8 @@ class FilterState:
         First unused label and identity.
     undetected : Undetected, optional
         Objects that no camera has detected yet; None before the first event.
+    history : History, optional
+        Detections of the last events, of a filter that looks back.
     """
 
     mixture: GaussianMixture
@@ -58,6 +61,7 @@ class FilterState:
     next_label: int
     next_track: int
     undetected: Undetected | None = None
+    history: History | None = None
 
     @property
     def labels(self) -> Integers:
@@ -179,7 +183,13 @@ class DisparityFilter(ABC):
         )
         # `replace` takes longer
         state = FilterState(
-            chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected
+            chosen.mixture,
+            state.time_s,
+            state.n_events,
+            chosen.next_label,
+            chosen.next_track,
+            state.undetected,
+            state.history,
         )
         mixture, index = chosen.mixture, chosen.index
         cameras, times = mixture.cameras[index], mixture.times[index]

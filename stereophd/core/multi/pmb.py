@@ -13,6 +13,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,11 +24,13 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
+from stereophd.core.multi.attribution import Claims, claims_of, detected_labels, likely_claims
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
 from stereophd.core.multi.batch_kernels import update_track_sets
+from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
+from stereophd.core.multi.history import ClaimedDetections, History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
@@ -56,6 +59,11 @@ class PmbFilter(DisparityFilter):
         """Settings of the reduction, for compiled code."""
         return compiled_settings(PmbReduction, self.settings)
 
+    @cached_property
+    def _crosswise(self) -> CrosswiseTest:
+        samples, settings = self.sets.turn(0), self.settings
+        return CrosswiseTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
+
     @property
     def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
         """See `DisparityFilter`."""
@@ -65,13 +73,19 @@ class PmbFilter(DisparityFilter):
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, detected, expected, claims = _update(
+        reduced, log_likelihood, detected, expected, claims, likely = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
             self.event_numbers(event, state.next_label, prediction.births), reduction,
         )  # fmt: skip
+        history = state.history
+        if math.isfinite(self.settings.exchange_above):
+            history = (history or History()).add(_sighting(event, *likely))
+            reduced, history = self._crosswise.put_right(reduced, history, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
         return (
-            FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
+            FilterState(
+                reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
+            ),
             Info(log_likelihood, expected, reduced.size, detected, claims),
         )
 
@@ -79,10 +93,19 @@ class PmbFilter(DisparityFilter):
 @compiled
 def _update(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PmbReduction
-) -> tuple[GaussianMixture, float, Integers, float, Claims]:
+) -> tuple[GaussianMixture, float, Integers, float, Claims, tuple[Integers, Integers]]:
     """`update_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
     updated, log_likelihood, by = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by)
+    likely = likely_claims(updated.labels, updated.weights, len(mixture.weights), claims.detections)
     reduced, expected = reduce_tracks(updated, reduction)
-    return reduced, log_likelihood, detected, expected, claims
+    return reduced, log_likelihood, detected, expected, claims, likely
+
+
+def _sighting(event: Event, labels: Integers, detections: Integers) -> ClaimedDetections:
+    """Return the detections of an event that labels claim."""
+    return ClaimedDetections(
+        event.camera, event.time_s, labels, event.points[detections], event.covariances[detections],
+        None if event.delays is None else event.delays[detections],
+    )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 
 from stereophd.core.metrics.alignment import Truth
 from stereophd.errors import InputError
-from stereophd.io.provenance import origin_sha256
+from stereophd.io.provenance import origin
 from stereophd.pipeline.evaluation.inputs import Tracks
 
 # The paper's cutoff: 20 cm, or 20 standard deviations.
@@ -56,8 +56,10 @@ def default_cutoff(base: str, unit: str | None, record: Mapping[str, Any] | None
 def warn_of_another_scene(inputs: Mapping[str, Path], tracks: Tracks, truth: Truth, scans: Mapping[str, int]) -> None:
     """Warn where provenance or times say that tracks and truth belong to different scenes."""
     of_log = ((tracks.metadata or {}).get("origins") or {}).get("detections")
-    of_truth = origin_sha256(inputs["truth"])
-    if of_log is not None and of_truth is not None and of_log != of_truth:
+    of_truth = origin(inputs["truth"])
+    # logs of other commands, such as `import`, carry a provenance of their own
+    made = [one.get("command") for one in (of_log, of_truth) if isinstance(one, dict)]
+    if made == ["simulate", "simulate"] and of_log != of_truth:
         LOGGER.warning(
             "%s: another scene: these tracks were made from a log of another run than %s (by the provenance of both)",
             inputs["tracks"], inputs["truth"],

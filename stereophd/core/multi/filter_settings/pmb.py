@@ -55,6 +55,12 @@ class PmbSettings(FilterSettings):
     least_share: Annotated[float, Interval(ge=0, lt=1), FINITE] = parameter(
         "hypotheses of a smaller share of their track are dropped", default=1e-3
     )
+    exchange_above: Annotated[float, Interval(gt=0), NOT_NAN] = parameter(
+        "two tracks in one epipolar plane exchange the detections of a camera where this explains their last events "
+        "better by this many nats (log-odds); .inf: never",
+        default=5.0,
+        advice="lower puts crosswise pairs right sooner, and exchanges more of those that were right.",
+    )
     missed: Missed = parameter(
         MISSED, default="keep", advice="split for objects that are never hidden, keep where they hide behind others."
     )

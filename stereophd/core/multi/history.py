@@ -1,0 +1,142 @@
+"""Which detections the labels of a filter claimed in the last events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Events of which detections are kept; at twice as many, every second one of the older half is dropped.
+KEPT_EVENTS = 32
+
+
+class ClaimedDetections(NamedTuple):
+    """The detections of one event that labels claim.
+
+    Attributes
+    ----------
+    camera, time_s : int, float
+        The event.
+    labels : array (k,) of int
+    points, noises : arrays (k, 2), (k, 2, 2)
+        Undistorted pixels and their covariances.
+    delays : array (k,) or None
+        As in `stereophd.core.disparity.events.Event`.
+    """
+
+    camera: int
+    time_s: float
+    labels: Integers
+    points: Array
+    noises: Array
+    delays: Array | None
+
+
+class Tests(NamedTuple):
+    """Tests made: rows (first label, second label, camera) (n, 3), and the event (n,) before which not again."""
+
+    pairs: Integers
+    due: Integers
+
+    def after(self, event: int) -> Tests:
+        """Return those that still hold at an event."""
+        waits = self.due > event
+        return Tests(self.pairs[waits], self.due[waits])
+
+    def add(self, pair: tuple[int, int, int], due: int) -> Tests:
+        """Return the tests after one more."""
+        return Tests(np.concatenate([self.pairs, [pair]]), np.append(self.due, due))
+
+
+def no_tests() -> Tests:
+    """Return the tests of a run before its first event."""
+    return Tests(np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class History:
+    """What the test needs of the events before.
+
+    Attributes
+    ----------
+    sightings : tuple of ClaimedDetections
+        In order of time.
+    tests : Tests
+    """
+
+    sightings: tuple[ClaimedDetections, ...] = ()
+    tests: Tests = field(default_factory=no_tests)
+
+    def add(self, sighting: ClaimedDetections) -> History:
+        """Return the history after one more event."""
+        if not len(sighting.labels):
+            return self
+        sightings = self.sightings
+        if len(sightings) == 2 * KEPT_EVENTS:
+            sightings = _thinned(sightings[:KEPT_EVENTS]) + sightings[KEPT_EVENTS:]
+        return History((*sightings, sighting), self.tests)
+
+    def rows_of(self, first: int, second: int) -> ClaimedRows:
+        """Return the kept detections of two labels, one row each, in order of time."""
+        rows = self._rows()
+        return rows.take(np.flatnonzero((rows.labels == first) | (rows.labels == second)))
+
+    def _rows(self) -> ClaimedRows:
+        kept = self.sightings
+        counts = [len(one.labels) for one in kept]
+        delays = [np.zeros(len(one.labels)) if one.delays is None else one.delays for one in kept]
+        return ClaimedRows(
+            np.repeat([one.camera for one in kept], counts),
+            np.repeat([one.time_s for one in kept], counts),
+            np.concatenate([one.labels for one in kept]),
+            np.concatenate([one.points for one in kept]),
+            np.concatenate([one.noises for one in kept]),
+            np.concatenate(delays),
+        )
+
+    def exchanged(self, first: int, second: int, camera: int) -> History:
+        """Return the history in which two labels have the detections of a camera exchanged."""
+        return History(
+            tuple(_exchanged(one, first, second) if one.camera == camera else one for one in self.sightings),
+            self.tests,
+        )
+
+
+def _thinned(sightings: tuple[ClaimedDetections, ...]) -> tuple[ClaimedDetections, ...]:
+    """Return every second event of each camera, and the first of all."""
+    kept, seen = [], dict[int, int]()
+    for one in sightings:
+        number = seen.get(one.camera, 0)
+        seen[one.camera] = number + 1
+        if number % 2 == 0:
+            kept.append(one)
+    return tuple(kept)
+
+
+def _exchanged(sighting: ClaimedDetections, first: int, second: int) -> ClaimedDetections:
+    labels = sighting.labels.copy()
+    labels[sighting.labels == first], labels[sighting.labels == second] = second, first
+    return sighting._replace(labels=labels)
+
+
+class ClaimedRows(NamedTuple):
+    """Detections in order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), delays (n,)."""
+
+    cameras: Integers
+    times: Array
+    labels: Integers
+    points: Array
+    noises: Array
+    delays: Array
+
+    def take(self, index: Integers) -> ClaimedRows:
+        """Return some of the rows."""
+        return ClaimedRows(
+            self.cameras[index], self.times[index], self.labels[index], self.points[index], self.noises[index],
+            self.delays[index],
+        )  # fmt: skip
