@@ -81,8 +81,11 @@ def _run(words: list[str]) -> dict[str, float]:
 def _as_truth(tracks: Path, out: Path) -> None:
     """Write tracks as a truth: each track once at each time, after its last event."""
     code = (
-        "import sys, pyarrow.parquet as pq, pyarrow as pa, numpy as np\n"
-        f"table = pq.read_table(sys.argv[1], columns={list(COLUMNS)!r})\n"
+        "import sys, pyarrow.parquet as pq, pyarrow as pa, pyarrow.compute as pc, numpy as np\n"
+        "table = pq.read_table(sys.argv[1])\n"
+        "if 'status' in table.schema.names:\n"
+        "    table = table.filter(pc.equal(table['status'], 'confirmed'))\n"
+        f"table = table.select({list(COLUMNS)!r})\n"
         "key = np.stack([table['time_s'].to_numpy(), table['track_id'].to_numpy().astype(float)], axis=1)\n"
         "_, last = np.unique(key[::-1], axis=0, return_index=True)\n"
         "table = table.take(pa.array(np.sort(len(key) - 1 - last)))\n"

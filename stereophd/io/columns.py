@@ -1,24 +1,29 @@
 """Many objects of one class as a few arrays: one column a field, for checkpoints that hold thousands of them.
 
-A column of arrays is their rows end to end, one of objects is columns of its own; fields of numbers, truth values,
-text and small mappings go as they are. The objects that come back are equal to those that went in, to the bit.
+A column of arrays is their rows end to end, one of objects is columns of its own. Numbers, truth values, text and
+counts (number -> text -> count) have columns too. The objects that come back are equal to those that went in, to the
+bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 # Keys of a column: what it is, and what it holds.
 _KIND, _VALUES = "kind", "values"
 
 
-def pack(objects: Sequence[Any]) -> dict[str, Any]:
+def pack(objects: Sequence[Any], leave_out: frozenset[str] = frozenset()) -> dict[str, Any]:
     """Return the columns of objects of one dataclass or named tuple, for `stereophd.io.checkpoints.write_checkpoint`.
+
+    Fields of the names `leave_out`, of the objects and of those in them, come back as None.
 
     Raises
     ------
@@ -26,7 +31,11 @@ def pack(objects: Sequence[Any]) -> dict[str, Any]:
         A field holds what has no column: a fault of the program.
     """
     names = _field_names(type(objects[0])) or ()
-    columns = {name: _column([getattr(one, name) for one in objects], name) for name in names}
+    nothing = [None] * len(objects)
+    columns = {
+        name: _column(nothing if name in leave_out else list(map(attrgetter(name), objects)), name, leave_out)
+        for name in names
+    }
     return {_KIND: type(objects[0]).__name__, "count": len(objects), _VALUES: columns}
 
 
@@ -53,16 +62,16 @@ def _field_names(kind: type) -> tuple[str, ...] | None:
     return getattr(kind, "_fields", None) if issubclass(kind, tuple) else None
 
 
-def _column(values: list[Any], name: str) -> dict[str, Any]:
-    """Return the column of one field."""
-    there = [value is not None for value in values]
-    if not all(there):
+def _column(values: list[Any], name: str, leave_out: frozenset[str]) -> dict[str, Any]:
+    """Return the column of one field; thousands of values a second pass here, so that loops are those of built-ins."""
+    kinds = set(map(type, values))
+    if type(None) in kinds:
         inner = [value for value in values if value is not None]
-        return {_KIND: "some", "there": np.array(there), _VALUES: _column(inner, name) if inner else None}
-    kinds = {type(value) for value in values}
+        there = np.array([value is not None for value in values])
+        return {_KIND: "some", "there": there, _VALUES: _column(inner, name, leave_out) if inner else None}
     if len(kinds) == 1:
-        kind = kinds.pop()
-        if kind in (bool, int, float):
+        kind = next(iter(kinds))
+        if kind in _DTYPES:
             return {_KIND: kind.__name__, _VALUES: np.array(values, dtype=_DTYPES[kind])}
         if issubclass(kind, np.generic) and kind is not np.object_:
             return {_KIND: "scalars", _VALUES: np.array(values, dtype=kind)}
@@ -70,31 +79,40 @@ def _column(values: list[Any], name: str) -> dict[str, Any]:
             words = sorted(set(values))
             places = {word: place for place, word in enumerate(words)}
             return {_KIND: "text", "words": words, _VALUES: np.array([places[value] for value in values])}
-        if kind is np.ndarray and len({(v.dtype, v.ndim, v.shape[1:]) for v in values}) == 1 and values[0].ndim:
-            lengths = np.array([len(value) for value in values])
-            return {_KIND: "arrays", "lengths": lengths, _VALUES: np.concatenate(values)}
+        if kind is np.ndarray and values[0].ndim and len(set(map(attrgetter("dtype"), values))) == 1:
+            return {_KIND: "arrays", "lengths": _lengths(values), _VALUES: np.concatenate(values)}
         if kind is tuple:
-            items = [item for value in values for item in value]
-            lengths = np.array([len(value) for value in values])
-            return {_KIND: "tuples", "lengths": lengths, _VALUES: _column(items, name) if items else None}
+            items = list(chain.from_iterable(values))
+            column = _column(items, name, leave_out) if items else None
+            return {_KIND: "tuples", "lengths": _lengths(values), _VALUES: column}
         if _field_names(kind) is not None:
-            return {_KIND: "objects", _VALUES: pack(values)}
-    if all(isinstance(value, Mapping) for value in values):
-        full = [(place, _pairs(value)) for place, value in enumerate(values) if value]
-        return {_KIND: "mappings", _VALUES: [list(pair) for pair in full]}
+            return {_KIND: "objects", _VALUES: pack(values, leave_out)}
+    if all(issubclass(kind, Mapping) for kind in kinds):
+        return _counts(values)
     raise TypeError(f"no column for the values of {name}")
 
 
+def _lengths(values: list[Any]) -> NDArray[np.int64]:
+    return np.fromiter(map(len, values), dtype=np.int64, count=len(values))
+
+
+def _counts(values: list[Mapping[int, Mapping[str, int]]]) -> dict[str, Any]:
+    """Return the column of mappings number -> text -> count."""
+    rows = [
+        (place, key, word, count)
+        for place, value in enumerate(values)
+        if value
+        for key, counts in value.items()
+        for word, count in counts.items()
+    ]
+    places, keys, texts, counts = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [], [])
+    words = sorted(set(texts))
+    codes = {word: code for code, word in enumerate(words)}
+    table = np.array([places, keys, [codes[text] for text in texts], counts], dtype=np.int64).reshape(4, len(rows))
+    return {_KIND: "counts", "words": words, _VALUES: table}
+
+
 _DTYPES: dict[type, Any] = {bool: np.bool_, int: np.int64, float: np.float64}
-
-
-def _pairs(value: Any) -> Any:
-    """Return a mapping as lists of pairs: JSON knows text keys only."""
-    return [[key, _pairs(item)] for key, item in value.items()] if isinstance(value, Mapping) else value
-
-
-def _mapping(value: Any) -> Any:
-    return {key: _mapping(item) for key, item in value} if isinstance(value, list) else value
 
 
 def _values(column: Mapping[str, Any], count: int, classes: Mapping[str, type]) -> list[Any]:
@@ -104,11 +122,11 @@ def _values(column: Mapping[str, Any], count: int, classes: Mapping[str, type]) 
         there = np.asarray(column["there"], dtype=bool)
         inner = iter([] if values is None else _values(values, int(there.sum()), classes))
         return [next(inner) if one else None for one in there.tolist()]
-    if kind == "mappings":
-        found: list[Any] = [{} for _ in range(count)]
-        for place, pairs in values:
-            found[place] = _mapping(pairs)
-        return found
+    if kind == "counts":
+        found: list[dict[int, dict[str, int]]] = [{} for _ in range(count)]
+        for place, key, code, number in values.T.tolist():
+            found[place].setdefault(key, {})[column["words"][code]] = number
+        return list(found)
     return _PLAIN[kind](column, classes)
 
 

@@ -166,6 +166,9 @@ def test_paths_are_sorted_thinned_and_broken_at_gaps() -> None:
     assert (few.times[0], few.times[-1]) == (0.0, 5000.0)
     assert np.isnan(few.times[-2])
     assert few.times[-3] == 998.0
+    # four cameras that report in bursts make no gaps
+    bursts = (np.arange(40)[:, None] + 0.01 * np.arange(4)).ravel()
+    assert not np.isnan(thinned(Paths(np.array([0]), np.array([0, 160]), {"time_s": bursts}), 1000).times).any()
     assert chosen(1000, 5).tolist() == [0, 250, 500, 749, 999]
 
 

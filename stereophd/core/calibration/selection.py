@@ -25,8 +25,9 @@ from stereophd.core.calibration.unknown_sets import UnknownSet
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Stretches of the log, and iterations of an adjustment to half of them and of the trajectories of the others.
-STRETCHES, TRAINED_ITERATIONS, HELD_ITERATIONS = 12, 15, 6
+# Stretches of the log; iterations of an adjustment to half of them and of the trajectories of the others, and the
+# relative change of the cost at which they end.
+STRETCHES, TRAINED_ITERATIONS, HELD_ITERATIONS, TOLERANCE = 12, 10, 4, 1e-4
 # Detections of a stretch that are needed for a comparison.
 LEAST_DETECTIONS = 8
 
@@ -92,12 +93,12 @@ def compare(problem: Problem, values: Array, states: Array, sets: Sequence[Unkno
         for parity in (0, 1):
             seen = stretches % 2 == parity
             train = replace(problem, observations=replace(observations, weights=weights * seen), held=~one.free)
-            trained = adjust(train, begin, states, TRAINED_ITERATIONS)
+            trained = adjust(train, begin, states, TRAINED_ITERATIONS, TOLERANCE)
             test = replace(
                 problem, observations=replace(observations, weights=weights * ~seen),
                 held=np.ones(len(values), dtype=np.bool_),
             )  # fmt: skip
-            predicted = adjust(test, trained.values, states, HELD_ITERATIONS)
+            predicted = adjust(test, trained.values, states, HELD_ITERATIONS, TOLERANCE)
             loss = -2.0 * np.log(np.exp(-0.5 * predicted.distances) + problem.loss.scale)
             losses[row] += np.bincount(stretches[~seen], (weights * loss)[~seen], minlength=STRETCHES)
     return Comparison(tuple(sets), losses, choice(losses))

@@ -29,6 +29,9 @@ STATE_FILE = "state.npz"
 KEEP_EVERY_S = 60.0
 MOST_SHARE = 0.01
 
+# What only the loop needs is not kept.
+LEFT_OUT = frozenset({"event", "claims"})
+
 # A chunk has at most so many records, or estimates in them: some megabytes.
 CHUNK_RECORDS = 20_000
 
@@ -104,8 +107,8 @@ class RecordChunks:
         self._estimates = 0
 
     def add(self, record: Record) -> None:
-        """Keep a record; what only the loop needs is left out."""
-        self._waiting.append(replace(record, event=None, info=replace(record.info, claims=None)))
+        """Keep a record."""
+        self._waiting.append(record if record.event is None else replace(record, event=None))
         self._estimates += len(record.estimates.track_ids)
         if max(len(self._waiting), self._estimates) >= CHUNK_RECORDS:
             self.flush()
@@ -114,7 +117,7 @@ class RecordChunks:
         """Write the records that wait."""
         if not self._waiting:
             return
-        self.write(self._path(len(self.spans)).name, {"records": pack(self._waiting)})
+        self.write(self._path(len(self.spans)).name, {"records": pack(self._waiting, LEFT_OUT)})
         self.spans.append((self._waiting[0].time_s, self._waiting[-1].time_s))
         self._waiting, self._estimates = [], 0
 

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Longer than this many usual steps between two estimates of a track is a gap: lines break there.
-GAP_STEPS = 8.0
+# Longer than this many usual steps between two estimates of a track is a gap: lines break there. Steps differ by much
+# where cameras report one soon after the other and then pause, so usual is what few steps exceed.
+GAP_STEPS = 3.0
+USUAL_SHARE = 0.98
 
 
 def packed(values: NDArray[Any]) -> str:
@@ -79,7 +81,7 @@ def thinned(paths: Paths, budget: int) -> Paths:
     within = np.arange(count) - paths.starts[path]
     steps = np.diff(paths.times)
     inside = np.diff(path) == 0
-    usual = float(np.median(steps[inside])) if inside.any() else np.inf
+    usual = float(np.quantile(steps[inside], USUAL_SHARE)) if inside.any() else np.inf
     gaps = np.append(False, inside & (steps > GAP_STEPS * usual))[:count]
     ends = np.append(np.diff(path) != 0, True)[:count]
     keep = (within % step == 0) | ends | gaps | np.append(gaps[1:], False)[:count]

@@ -1,0 +1,194 @@
+"""Calibrate the drone recording with clocks of its own from a wrong guess, and score the trajectory against RTK.
+
+    python benchmarks/drone_recording.py --seed 0 --out out/drone [--wrong 0.1] [--offset 0.3] [--focal 0.05] [--plot F]
+
+Poses are 2 m and 5 degrees off in random directions, clock offsets off by up to --offset, rates taken as 1, lenses as
+supplied; --focal also takes all focal lengths off by this part, and --wrong replaces that part of the detections by
+points anywhere in the image. The recording is not part of the project: its folder is $STEREOPHD_DATA/drone/1, or that
+of ../shared/data. Further `--set` go to `calibrate`. Distances are taken after rigid alignment, at the times of RTK
+between two estimates of a track at most 0.25 s apart; once by the times of the results (the clock of cam0, rate 1), and
+once with the rate of that clock taken from the recording's authors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import yaml
+from numpy.typing import NDArray
+
+from stereophd.commands.calibrate import calibrate
+from stereophd.config.loading import load_cameras, load_config
+from stereophd.core.geometry.camera import Clock
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.io.cameras import write_cameras
+from stereophd.pipeline.calibration.inputs import with_quantities
+
+Array = NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIG = ROOT / "configs" / "drone_own_clocks.yaml"
+LONGEST_STEP_S, NEAR_S = 0.25, 0.1
+
+
+def data_folder() -> Path:
+    """Folder of the recording."""
+    return Path(os.environ.get("STEREOPHD_DATA", ROOT.parent / "shared" / "data")) / "drone" / "1"
+
+
+def write_guess(folder: Path, path: Path, seed: int, offset: float, focal: float) -> None:
+    """Write cameras that are as far off as the head of this file says."""
+    rng = np.random.default_rng(seed)
+    supplied, clocks = (
+        load_cameras(folder / "cameras_as_supplied.yaml").cameras,
+        yaml.safe_load((folder / "clocks.yaml").read_text()),
+    )
+    cameras = []
+    for number, (name, config) in enumerate(supplied.items()):
+        camera = config.build(name)
+        moved, turned, late = rng.standard_normal(3), rng.standard_normal(3), rng.uniform(-offset, offset)
+        pose, start = camera.pose, float(clocks[name]["offset_s"])
+        if number > 0:
+            turn = rotation_from_vector(np.deg2rad(5.0) * turned / np.linalg.norm(turned))
+            pose = Pose(turn @ pose.rotation, pose.center + 2.0 * moved / np.linalg.norm(moved))
+            start += late
+        factor = 1.0 + focal * rng.choice([-1.0, 1.0])
+        cameras.append(
+            replace(camera, pose=pose, clock=Clock(start, 1.0), fx=camera.fx * factor, fy=camera.fy * factor)
+        )
+    write_cameras(path, with_quantities(supplied, cameras), "m")
+
+
+def write_log(folder: Path, path: Path, seed: int, wrong: float) -> None:
+    """Write the log, a part of its detections anywhere in the image."""
+    table = pq.read_table(folder / "detections_own_clocks.parquet")
+    u, v = (table[name].to_numpy(zero_copy_only=False).copy() for name in ("u_px", "v_px"))
+    rng, seen = np.random.default_rng(seed), np.flatnonzero(np.isfinite(u))
+    bad = rng.choice(seen, int(wrong * len(seen)), replace=False)
+    u[bad], v[bad] = rng.uniform(0.0, 1919.0, len(bad)), rng.uniform(0.0, 1079.0, len(bad))
+    for name, values in (("u_px", u), ("v_px", v)):
+        column = pa.array(values, mask=~np.isfinite(values))
+        table = table.set_column(table.schema.get_field_index(name), table.schema.field(name), column)
+    pq.write_table(table, path)
+
+
+def tracks_at(out: Path, times: Array) -> Array:
+    """Positions (n, 3) of the tracks at times; NaN where no track has estimates around."""
+    table = pq.read_table(out / "tracks.parquet").to_pandas()
+    points = np.full((len(times), 3), np.nan)
+    for _, track in table.groupby("track_id"):
+        track = track.sort_values("time_s", kind="stable").drop_duplicates("time_s", keep="last")
+        at = track["time_s"].to_numpy()
+        if len(at) < 2:
+            continue
+        right = np.searchsorted(at, times).clip(1, len(at) - 1)
+        near = (times >= at[0]) & (times <= at[-1]) & (at[right] - at[right - 1] <= LONGEST_STEP_S)
+        for axis, name in enumerate("xyz"):
+            points[near, axis] = np.interp(times[near], at, track[name].to_numpy())
+    return points
+
+
+def aligned(points: Array, truth: Array) -> Array:
+    """Points (n, 3) after the rigid motion that brings those that are known nearest to the truth."""
+    known = np.isfinite(points[:, 0])
+    a, b = points[known].mean(axis=0), truth[known].mean(axis=0)
+    u, _, vt = np.linalg.svd((points[known] - a).T @ (truth[known] - b))
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return np.asarray((points - a) @ turn + b)
+
+
+def seen_by_two(folder: Path, times: Array) -> NDArray[np.bool_]:
+    """Whether two cameras have a detection within 0.1 s of each time."""
+    table = pq.read_table(folder / "detections.parquet").to_pandas().dropna(subset=["u_px"])
+    count = np.zeros(len(times), dtype=int)
+    for _, camera in table.groupby("camera"):
+        at = np.sort(camera["time_s"].to_numpy())
+        right = np.searchsorted(at, times).clip(1, len(at) - 1)
+        count += np.minimum(np.abs(at[right] - times), np.abs(at[right - 1] - times)) < NEAR_S
+    return count >= 2
+
+
+def scores(folder: Path, out: Path) -> dict[str, object]:
+    """Distances from RTK, and errors of clocks and focal lengths against the recording's authors."""
+    truth, clocks = (
+        pq.read_table(folder / "truth.parquet").to_pandas(),
+        yaml.safe_load((folder / "clocks.yaml").read_text()),
+    )
+    times, path = truth["time_s"].to_numpy(), truth[["x", "y", "z"]].to_numpy()
+    start, rate = float(clocks["cam0"]["offset_s"]), float(clocks["cam0"]["rate"])
+    two = seen_by_two(folder, times)
+    result: dict[str, object] = {}
+    for name, at in (("times_of_results", times), ("rate_of_cam0_known", start + (times - start) / rate)):
+        distance = np.linalg.norm(aligned(tracks_at(out, at), path) - path, axis=1)
+        for part, rows in (("all", np.isfinite(distance)), ("seen_by_two", np.isfinite(distance) & two)):
+            quantiles = np.quantile(distance[rows], [0.5, 0.9])
+            result[f"{name}.{part}"] = [int(rows.sum()), *np.round(quantiles, 4).tolist()]
+    refined = load_cameras(folder / "cameras.yaml").cameras
+    for name, config in load_cameras(out / "cameras.yaml").cameras.items():
+        camera, other = config.build(name), refined[name].build(name)
+        result[name] = {
+            "clock_offset_ms": round(1e3 * (camera.clock.offset_s - float(clocks[name]["offset_s"])), 1),
+            "clock_rate": round(camera.clock.rate - float(clocks[name]["rate"]), 6),
+            "focal_percent": round(100.0 * (camera.fx / other.fx - 1.0), 2),
+        }
+    return result
+
+
+def draw(folder: Path, out: Path, path: Path) -> None:
+    """Draw the trajectory from above and its height over time, with RTK."""
+    import matplotlib.pyplot as plt
+
+    truth = pq.read_table(folder / "truth.parquet").to_pandas()
+    times, true = truth["time_s"].to_numpy(), truth[["x", "y", "z"]].to_numpy()
+    found = aligned(tracks_at(out, times), true)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.0), layout="constrained")
+    left.plot(true[:, 0], true[:, 1], color="0.7", lw=3.0, label="RTK")
+    left.plot(found[:, 0], found[:, 1], color="C0", lw=1.0, label="tracks of the calibration")
+    left.set(xlabel="east, m", ylabel="north, m", aspect="equal")
+    left.legend()
+    right.plot(times - times[0], np.linalg.norm(found - true, axis=1), ".", ms=3.0)
+    right.set(xlabel="time, s", ylabel="distance from RTK, m", ylim=(0.0, None))
+    figure.savefig(path, dpi=100)
+
+
+def main() -> None:
+    """Run one guess."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--offset", type=float, default=0.3)
+    parser.add_argument("--focal", type=float, default=0.0)
+    parser.add_argument("--wrong", type=float, default=0.0)
+    parser.add_argument("--set", action="append", default=[], dest="changes")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--plot", type=Path)
+    parser.add_argument("--score-only", action="store_true", help="score an earlier run in --out")
+    given = parser.parse_args()
+    folder, out = data_folder(), given.out
+    if not given.score_only:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        guess, log = out.with_name(f"{out.name}_guess.yaml"), out.with_name(f"{out.name}_log.parquet")
+        write_guess(folder, guess, given.seed, given.offset, given.focal)
+        write_log(folder, log, given.seed, given.wrong)
+        refined = load_cameras(folder / "cameras.yaml").cameras
+        ends = [refined[name].build(name).pose.center for name in ("cam0", "cam1")]
+        distance = float(np.linalg.norm(ends[0] - ends[1]))
+        loaded = load_config(CONFIG, [f"calibration.scale.distance={distance}", *given.changes], cameras_path=guess)
+        begin = time.process_time()
+        report = calibrate(loaded, log, out, force=True, plots=False)
+        print(json.dumps({"status": report["status"], "processor_s": round(time.process_time() - begin, 1)}))
+        print(json.dumps(report.get("selection")))
+    print(json.dumps(scores(folder, out), indent=1))
+    if given.plot is not None:
+        draw(folder, out, given.plot)
+
+
+if __name__ == "__main__":
+    main()
