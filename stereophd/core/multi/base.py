@@ -29,10 +29,20 @@ from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_w
 from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.undetected import Undetected, expected_births, view_overlap
 from stereophd.core.multi.visibility import fade_out_of_view
+from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+# A component with its moved forms and what an update makes of it takes up to so much, bytes.
+_COMPONENT_BYTES = 4096
+
+
+def most_components(stated: int | None) -> int:
+    """Return the bound on the components: the one stated, or what an eighth of the memory holds."""
+    return int(machine_memory() / 8 / _COMPONENT_BYTES) if stated is None else int(stated)
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,8 @@ class Info:
         Labels that the event detected (`stereophd.core.multi.attribution.detected_labels`).
     claims : Claims, optional
         Which detections they were.
+    left_out : int
+        Tracks beyond the bound on their number, which left out the least probable ones.
     """
 
     log_likelihood: float
@@ -92,3 +94,4 @@ class Info:
     n_components: int
     detected: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64), compare=False)
     claims: Claims | None = field(default=None, compare=False)
+    left_out: int = field(default=0, compare=False)

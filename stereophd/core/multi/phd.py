@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
-from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
+from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.batch_kernels import update_intensities
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.phd import PhdSettings
@@ -42,7 +42,7 @@ class PhdFilter(DisparityFilter):
         """Settings of the reduction, for compiled code."""
         settings = self.settings
         return PhdReduction(
-            float(settings.prune_weight), float(settings.merge_distance), int(settings.max_components),
+            float(settings.prune_weight), float(settings.merge_distance), most_components(settings.max_components),
             settings.merge_rule == "mutual",
         )  # fmt: skip
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.attribution import Claims, claims_of, detected_labels, likely_claims
-from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
+from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
-from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.multi.undetected import reduction_for_births
@@ -57,7 +57,8 @@ class PmbFilter(DisparityFilter):
     @cached_property
     def reduction(self) -> PmbReduction:
         """Settings of the reduction, for compiled code."""
-        return compiled_settings(PmbReduction, self.settings)
+        settings = replace(self.settings, max_components=most_components(self.settings.max_components))
+        return compiled_settings(PmbReduction, settings)
 
     @cached_property
     def _crosswise(self) -> CrosswiseTest:
@@ -82,11 +83,15 @@ class PmbFilter(DisparityFilter):
             history = (history or History()).add(_sighting(event, *likely))
             reduced, history = self._crosswise.put_right(reduced, history, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
+        left_out, room = 0, self.reduction.max_components - len(event.points)
+        if prediction.mixture.size > room:
+            labels = np.unique(prediction.mixture.labels)
+            left_out = max(int(np.count_nonzero(labels != UNLABELLED)) - room, 0)
         return (
             FilterState(
                 reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
             ),
-            Info(log_likelihood, expected, reduced.size, detected, claims),
+            Info(log_likelihood, expected, reduced.size, detected, claims, left_out),
         )
 
 

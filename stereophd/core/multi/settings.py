@@ -154,8 +154,8 @@ class FilterSettings:
     )
     birth: BirthPrior = parameter("prior of new objects")
     prune_weight: Positive = parameter("components below this weight are dropped: births must be heavier")
-    max_components: Count = parameter(
-        "the heaviest components are kept",
+    max_components: Count | None = parameter(
+        "the heaviest components are kept; null: as many as an eighth of the memory holds",
         default=1000,
         advice="several times the number of objects; it bounds time and memory.",
     )

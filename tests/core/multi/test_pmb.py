@@ -18,7 +18,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
-from stereophd.core.multi.base import FilterState
+from stereophd.core.multi.base import FilterState, most_components
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
@@ -523,6 +523,20 @@ def test_every_state_is_sound(seed: int, method: str, p_detect: float, cap: int)
         assert_sound(step)
         labels = step[0].mixture.labels
         assert len(np.unique(labels[labels != UNLABELLED])) <= cap
+
+
+def test_tracks_beyond_the_bound_are_counted() -> None:
+    """The bound acts only where it is said: by default it follows the memory."""
+    assert most_components(None) > 10_000
+    assert make_pmb().reduction.max_components == most_components(None)
+    multi_filter = make_pmb(samples=32, max_components=2)
+    steps = run(multi_filter, made_up_frames(multi_filter, 6, 1))
+    known = 0
+    for (state, info, _), (_, _, points) in zip(steps, made_up_frames(multi_filter, 6, 1), strict=True):
+        assert info.left_out == max(known + len(points) - 2, 0)
+        labels = state.mixture.labels
+        known = len(np.unique(labels[labels != UNLABELLED]))
+    assert any(info.left_out for _, info, _ in steps)
 
 
 @pytest.mark.parametrize("method", ["qmc", "particle", "unscented", "linear"])

@@ -41,10 +41,11 @@ class PmbSettings(FilterSettings):
     merge_distance: NonNegative = parameter(
         "squared Mahalanobis distance, in both covariances, below which two tracks are one", default=4.0
     )
-    max_components: Count = parameter(
-        "the most probable tracks are kept",
-        default=1000,
-        advice="several times the number of objects; it bounds time and memory.",
+    max_components: Count | None = parameter(
+        "the most probable tracks are kept, and a warning says where this left some out; without it, as many as an "
+        "eighth of the memory holds",
+        default=None,
+        advice="several times the number of objects, where the time of an event must be bounded.",
     )
     hypothesis_distance: Annotated[float, Interval(ge=0), NOT_NAN] = parameter(
         "squared Mahalanobis distance, in both covariances, below which two hypotheses of one track merge; "
