@@ -53,6 +53,9 @@ def test_cameras_are_found_to_the_bound_and_the_scale_is_left_to_the_prior(scene
     assert report["scale"]["determined_by"] == "prior"
     assert report["scale"]["posterior_over_prior_std"] > 0.7
     assert report["fit"]["trajectories"] == 6
+    # the guess is not checked, but the cameras that were found, and the tracks made with them
+    assert {"geometry.rays", "tracking.explained"} <= {one["name"] for one in report["checks"]}
+    assert not [one["message"] for one in report["checks"] if one["status"] == "warning"]
     truth = load_config(CONFIG, QUICK, cameras_path=scene / "cameras.yaml")
     scores = evaluate_calibration(result / "cameras.yaml", scene / "cameras.yaml", loaded=truth)
     errors, bounds = scores["cameras"]["right"], scores["bounds"]["cameras"]["right"]
@@ -224,8 +227,14 @@ def test_cameras_that_share_no_time(scene: Path, tmp_path: Path) -> None:
 
 def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path) -> None:
     log = cut(scene, tmp_path / "log.parquet", lambda c: c["object_id"] < 0)
-    report = calibrate(loaded(scene), log, tmp_path / "out", plots=False)
+    with pytest.raises(InputError, match="`require`: expected determined or partly, found all"):
+        calibrate(loaded(scene), log, tmp_path / "out", plots=False, require="all")  # type: ignore[arg-type]
+    with pytest.raises(GateError, match="the cameras are undetermined") as failure:
+        calibrate(loaded(scene), log, tmp_path / "out", plots=False, require="partly")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert failure.value.report == report
     assert report["status"] == "undetermined"
+    assert {found["name"].partition(".")[0] for found in report["checks"]} <= {"log", "detector", "camera"}
     assert "none of 2 starts" in report["reason"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json"}
 
