@@ -40,7 +40,7 @@ def show_command(
         return
     import yaml
 
-    text = yaml.safe_dump(loaded.resolved, sort_keys=False, default_flow_style=None, width=100)
+    text = yaml.safe_dump(loaded.config.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=100)
     print_data(f"# sha256 {loaded.sha256}\n{text.rstrip()}")
 
 

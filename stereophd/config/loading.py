@@ -204,12 +204,12 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
 
 
 def _as_json(value: Any) -> Any:
-    """Return a resolved configuration with what JSON has no number for, infinity, as YAML writes it."""
+    """Return a resolved configuration with infinity, for which JSON has no number, as text that reads as a number."""
     if isinstance(value, dict):
         return {key: _as_json(inner) for key, inner in value.items()}
     if isinstance(value, list):
         return [_as_json(inner) for inner in value]
-    return ".inf" if isinstance(value, float) and math.isinf(value) else value
+    return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
 def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> LoadedConfig:

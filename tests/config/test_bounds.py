@@ -14,7 +14,12 @@ from stereophd.errors import InputError
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "quickstart.yaml"
 # Numbers that no bound can name: infinity has a meaning there, or they only scale a figure's axis.
-UNBOUNDED = {"PmbSettings.hypothesis_distance", "PhdSettings.out_of_view_s", "PmbSettings.out_of_view_s"}
+UNBOUNDED = {
+    "PmbSettings.hypothesis_distance",
+    "PmbSettings.exchange_above",
+    "PhdSettings.out_of_view_s",
+    "PmbSettings.out_of_view_s",
+}
 
 CAMERA = "cameras.left"
 SINGLE = "filter={kind: single, prior: {depth_range: [1, 9], velocity_std: 1}}"

@@ -6,6 +6,8 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from stereophd.io.logs import LogReader
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding, warnings_of
@@ -78,6 +80,8 @@ def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) ->
     )
 
 
+# Numbers near the largest may overflow: no finding follows from what is not finite.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def check_samples(
     loaded: LoadedConfig, samples: list[CameraSample], thorough: bool, whole: bool
 ) -> tuple[Finding, ...]:

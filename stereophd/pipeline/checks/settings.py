@@ -114,7 +114,7 @@ def _track_motion(samples: list[CameraSample], depth: float) -> tuple[Array, Arr
             span = float(times[-1] - times[0])
             if span <= 0.0:
                 continue
-            line = np.polyfit(times - times[0], pixels, 1)[0]
+            line = _slope(times, pixels)
             speeds.append(scale * float(np.hypot(*line)))
             if len(track) >= ACCELERATION_LENGTH:
                 accelerations.append(scale**2 * _squared_acceleration(times, pixels, noise))
@@ -128,11 +128,17 @@ def _squared_acceleration(times: Array, pixels: Array, noise: float) -> float:
     """
     half = len(times) // 2
     h = 0.5 * float(times[-1] - times[0])
-    first = np.polyfit(times[:half], pixels[:half], 1)[0]
-    second = np.polyfit(times[half:], pixels[half:], 1)[0]
+    first = _slope(times[:half], pixels[:half])
+    second = _slope(times[half:], pixels[half:])
     spread = float(((times[:half] - times[:half].mean()) ** 2).sum())
     by_noise = 2.0 * noise**2 / max(spread, 1e-12)
     return (float(((second - first) ** 2).mean()) - by_noise) / (2.0 / 3.0 * h)
+
+
+def _slope(times: Array, pixels: Array) -> Array:
+    """Return the slope (2,), px/s, of the line of least squares through pixels (n, 2) at times (n,)."""
+    centred = times - times.mean()
+    return np.asarray(centred @ (pixels - pixels.mean(axis=0)) / (centred @ centred))
 
 
 def expected_depths(config: Config, samples: list[CameraSample]) -> tuple[float, float]:
