@@ -21,7 +21,8 @@ from stereophd.core.settings import (
     parameter,
 )
 
-BirthsPerSecond = Annotated[float, Interval(ge=0, le=LARGEST_COUNT), FINITE]
+# A float bound: typing keeps one of two annotations that are equal, and 1e9 is printed unlike 1000000000.
+BirthsPerSecond = Annotated[float, Interval(ge=0, le=float(LARGEST_COUNT)), FINITE]
 
 
 class GivenObject(Model):
