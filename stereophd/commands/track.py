@@ -222,7 +222,7 @@ def _draw(report: dict[str, Any], out: OutputFolder) -> None:
 def _compilation(kind: str) -> Iterator[None]:
     """Say that the kernels are compiled first, where no compiled ones are found, and compile them in two processes."""
     if not is_kept(carry_components):
-        LOGGER.info("first run: compiling the kernels, once, in about half a minute")
+        LOGGER.info("first run: compiling the kernels, once, in up to a minute")
     with compiling_ahead(kind):
         yield
 

@@ -101,7 +101,7 @@ def _note_nothing_kept() -> None:
     """Say, once, that kernels are compiled and cannot be kept; worker processes (without handlers) say nothing."""
     if LOGGER.hasHandlers():
         LOGGER.warning(
-            "compiled kernels cannot be kept, so every run compiles them, for about half a minute: none of these "
+            "compiled kernels cannot be kept, so every run compiles them, for up to a minute: none of these "
             "folders can be written to: %s; set NUMBA_CACHE_DIR to one that can",
             ", ".join(map(str, kernel_folders())),
         )
