@@ -30,7 +30,7 @@ from stereophd.pipeline.finished import finished_report
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream, open_stream
-from stereophd.pipeline.tracking.journal import RecordJournal
+from stereophd.pipeline.tracking.checkpoint import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, track_pieces

@@ -11,7 +11,6 @@ EURASIP Journal on Image and Video Processing, 2008 (identity switches, there "m
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray, IntArray, is_positive_definite
 
@@ -130,26 +129,3 @@ def nees_interval(count: float, dimension: int, probability: float = 0.95) -> tu
     tail = 0.5 * (1.0 - probability)
     freedom = count * dimension
     return float(chdtri(freedom, 1.0 - tail)) / count, float(chdtri(freedom, tail)) / count
-
-
-def identity_switches(scan: IntArray, object_id: IntArray, track_id: IntArray) -> NDArray[np.bool_]:
-    """Mark the matched pairs at which a true object is matched to another track than the time before.
-
-    Parameters
-    ----------
-    scan, object_id, track_id : (n,) arrays
-        Scan (in time order), true object and track of each matched pair. Pairs whose track is unlabelled
-        (negative) neither are nor cause a switch.
-
-    Returns
-    -------
-    (n,) array of bool
-        True at the later pair of each change. Scans at which the object is not matched in between do not
-        matter.
-    """
-    switched = np.zeros(len(scan), dtype=bool)
-    labelled = np.flatnonzero(track_id > UNLABELLED)
-    order = labelled[np.lexsort((scan[labelled], object_id[labelled]))]
-    same_object = object_id[order[1:]] == object_id[order[:-1]]
-    switched[order[1:]] = same_object & (track_id[order[1:]] != track_id[order[:-1]])
-    return switched

@@ -1,4 +1,4 @@
-"""How tracks and true objects belong together over a run: purity of tracks, completeness of objects.
+"""How tracks and true objects belong together over a run: identity switches, purity, completeness.
 
 Both count the matched pairs of all scans. The dominant object of a track is the one it is matched to most
 often (the smallest identity of several), and likewise the dominant track of an object.
@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray, IntArray
 from stereophd.core.metrics.consistency import UNLABELLED
@@ -139,3 +140,26 @@ def _dominant(owner: IntArray, partner: IntArray, owners: int) -> tuple[IntArray
     last = order[np.append(np.diff(who[order]) > 0, True)] if len(order) else order
     dominant[who[last]], most[who[last]] = names[whom[last]], times[last]
     return dominant, most, np.bincount(who, minlength=owners).astype(np.int64)
+
+
+def identity_switches(scan: IntArray, object_id: IntArray, track_id: IntArray) -> NDArray[np.bool_]:
+    """Mark the matched pairs at which a true object is matched to another track than the time before.
+
+    Parameters
+    ----------
+    scan, object_id, track_id : (n,) arrays
+        Scan (in time order), true object and track of each matched pair. Pairs whose track is unlabelled
+        (negative) neither are nor cause a switch.
+
+    Returns
+    -------
+    (n,) array of bool
+        True at the later pair of each change. Scans at which the object is not matched in between do not
+        matter.
+    """
+    switched = np.zeros(len(scan), dtype=bool)
+    labelled = np.flatnonzero(track_id > UNLABELLED)
+    order = labelled[np.lexsort((scan[labelled], object_id[labelled]))]
+    same_object = object_id[order[1:]] == object_id[order[:-1]]
+    switched[order[1:]] = same_object & (track_id[order[1:]] != track_id[order[:-1]])
+    return switched

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray
 from stereophd.core.metrics.confirmation import Waits
-from stereophd.core.metrics.consistency import UNLABELLED, identity_switches, independent_count, nees_interval, whitened
+from stereophd.core.metrics.consistency import UNLABELLED, independent_count, nees_interval, whitened
 from stereophd.core.metrics.hota import hota
-from stereophd.core.metrics.identities import has_identities, identity_figures
+from stereophd.core.metrics.identity import identity_switches
+from stereophd.core.metrics.identity_figures import has_identities, identity_figures
 from stereophd.core.metrics.idf1 import identity_score
 from stereophd.core.metrics.near_pairs import NearPairs
 from stereophd.core.metrics.ospa import Ospa

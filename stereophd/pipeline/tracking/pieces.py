@@ -30,7 +30,7 @@ from stereophd.io.checkpoints import read_checkpoint
 from stereophd.io.logs import Frame, LogReader
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.journal import RecordChunks
+from stereophd.pipeline.tracking.checkpoint import RecordChunks
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.run import tracking_with
 from stereophd.pipeline.tracking.single import SingleTrackerState

@@ -20,7 +20,7 @@ from stereophd.io.tables import ASSOCIATIONS, SCANS, STD, TRACKS, TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.journal import RecordJournal, journaled_records
+from stereophd.pipeline.tracking.checkpoint import RecordJournal, journaled_records
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import Tables, smoothed_records, write_records

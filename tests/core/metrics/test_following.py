@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from stereophd.core.metrics.consistency import identity_switches
 from stereophd.core.metrics.following import follow
 from stereophd.core.metrics.hota import THRESHOLDS, hota
+from stereophd.core.metrics.identity import identity_switches
 from stereophd.core.metrics.idf1 import identity_score
 from stereophd.core.metrics.near_pairs import NearPairs, most_gain, near_pairs
 from stereophd.core.metrics.scans import PointSets, ScanScores, score_scans

@@ -7,7 +7,8 @@ import pytest
 
 from stereophd.core.metrics import scans as scans_module
 from stereophd.core.metrics.assignment import mahalanobis_distances
-from stereophd.core.metrics.consistency import identity_switches, independent_count, nees, nees_interval
+from stereophd.core.metrics.consistency import independent_count, nees, nees_interval
+from stereophd.core.metrics.identity import identity_switches
 from stereophd.core.metrics.ospa import gospa, ospa
 from stereophd.core.metrics.rmse import (
     cardinality_error,
