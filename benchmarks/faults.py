@@ -188,9 +188,9 @@ def resumable_cases(folder: Path) -> dict[str, Callable[[Path, bool], object]]:
     from stereophd.commands.track import track
     from stereophd.commands.track_logs import track_logs
     from stereophd.config.loading import load_config
-    from stereophd.pipeline.tracking import journal
+    from stereophd.pipeline.tracking import checkpoint
 
-    journal.KEEP_EVERY_S, journal.MOST_SHARE = 0.05, 1e9
+    checkpoint.KEEP_EVERY_S, checkpoint.MOST_SHARE = 0.05, 1e9
     loaded = load_config(CONFIG, ["simulate.duration_s=15"])
     simulate(loaded, folder / "scenes", runs=3)
     logs = sorted((folder / "scenes").glob("*/detections.parquet"))

@@ -21,7 +21,7 @@ from stereophd.pipeline.tracking import pieces
 from stereophd.pipeline.tracking.pieces import plan_pieces
 from tests.commands.test_track_logs import SCENE
 
-from .test_journal import Killed, files
+from .test_track_checkpoint import Killed, files
 
 LENGTH, OVERLAP = 10.0, 5.0
 

@@ -1,4 +1,4 @@
-"""A killed `track` goes on from its journal to the bytes of an undisturbed run."""
+"""A killed `track` continues from its checkpoint to the bytes of an undisturbed run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.io.columns import pack, unpack
 from stereophd.io.provenance import sha256_of
-from stereophd.pipeline.tracking import journal
+from stereophd.pipeline.tracking import checkpoint
 from stereophd.pipeline.unfinished import UnfinishedRun
 
 from .test_report_times import SCENE
@@ -45,16 +45,16 @@ class Killed(BaseException):
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep the state after every record, and two records in a chunk at most."""
-    monkeypatch.setattr(journal, "KEEP_EVERY_S", 0.0)
-    monkeypatch.setattr(journal, "MOST_SHARE", 1e9)
+    monkeypatch.setattr(checkpoint, "KEEP_EVERY_S", 0.0)
+    monkeypatch.setattr(checkpoint, "MOST_SHARE", 1e9)
 
 
 def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[], Any]) -> None:
     """Run until so many records were kept."""
-    add = journal.RecordJournal.add
+    add = checkpoint.RecordJournal.add
     count = 0
 
-    def counted(self: journal.RecordJournal, record: Any, state: Any) -> None:
+    def counted(self: checkpoint.RecordJournal, record: Any, state: Any) -> None:
         nonlocal count
         if count == records:
             raise Killed
@@ -62,7 +62,7 @@ def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[]
         add(self, record, state)
 
     with monkeypatch.context() as patch:
-        patch.setattr(journal.RecordJournal, "add", counted)
+        patch.setattr(checkpoint.RecordJournal, "add", counted)
         with pytest.raises(Killed):
             run()
 
