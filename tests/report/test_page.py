@@ -54,7 +54,8 @@ try {
   dispatchEvent(new Event("beforeprint")); await wait(200);
   found.paper = { widths: widths(), theme: document.documentElement.dataset.theme };
   dispatchEvent(new Event("afterprint")); await wait(400);
-  found.restored = JSON.stringify(widths()) === JSON.stringify(screen) && document.documentElement.dataset.theme === theme;
+  const same = JSON.stringify(widths()) === JSON.stringify(screen);
+  found.restored = same && document.documentElement.dataset.theme === theme;
   found.plots = [...document.querySelectorAll(".plot")].filter((plot) => plot.data).map((plot) => plot.id);
   found.uploads = document.querySelectorAll("[data-title*=Share], [data-title*=Cloud]").length;
 } catch (error) { problems.push(String(error.stack)); }
