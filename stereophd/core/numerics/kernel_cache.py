@@ -6,9 +6,9 @@ contains the hash of these contents. A changed kernel therefore has no folder ye
 never read again, and checkouts with the same kernels share one folder. (numba's own cache checks the file of the kernel
 alone, and would reuse a kernel whose callee has changed.)
 
-A kept kernel that cannot be read (damaged, cut off) is compiled anew. Several folders are searched, so that kernels kept
-in a read-only installation of the package are found. A new kernel is kept in the first folder that can be written to;
-if there is none (read-only, full), nothing is kept, and one warning reports it. Importing reads and writes nothing.
+A kept kernel that cannot be read (damaged, cut off) is compiled anew. Several folders are searched, so that the kernels
+of a read-only installation are found. A new kernel is kept in the first folder that can be written to; if there is none
+(read-only, full), nothing is kept, and one warning reports it. Importing reads and writes nothing.
 """
 
 from __future__ import annotations

@@ -89,5 +89,5 @@ MOVE_REFERENCE = Purpose(
 
 
 def run_number(seed: int, run: int) -> int:
-    """Return the first 63 bits of the stream of a run, which identify it: runs on the same data have the same number."""
+    """Return the first 63 bits of the stream of a run, its identity: runs on the same data have the same."""
     return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint64)[0] >> 1)
