@@ -13,27 +13,29 @@ import gc
 from collections.abc import Iterator
 from typing import Any
 
-from numba.core.types.functions import Function
+from numba.core.types import functions
 
 # Types of calls of built-in functions, by function, context and types of arguments.
 _CALL_TYPES: dict[tuple[Any, ...], Any] = {}
 
-_get_call_type = Function.get_call_type
+# numba's class of built-in functions, untyped: one of its methods is exchanged for a while
+_FUNCTION: Any = functions.Function
+_get_call_type = _FUNCTION.get_call_type
 
 
 @contextlib.contextmanager
 def quick_compilation() -> Iterator[None]:
     """Compile kernels in the block; blocks may be nested, and only one thread compiles (numba has one lock)."""
-    if Function.get_call_type is not _get_call_type:
+    if _FUNCTION.get_call_type is not _get_call_type:
         yield
         return
     collects = gc.isenabled()
     gc.disable()
-    Function.get_call_type = _remembered_call_type
+    _FUNCTION.get_call_type = _remembered_call_type
     try:
         yield
     finally:
-        Function.get_call_type = _get_call_type
+        _FUNCTION.get_call_type = _get_call_type
         if collects:
             gc.enable()
 
