@@ -26,6 +26,14 @@ class At(StrEnum):
     EVENTS = "events"
 
 
+class Alignment(StrEnum):
+    """What of the tracks' frame may be changed."""
+
+    NONE = "none"
+    RIGID = "rigid"
+    SIMILARITY = "similarity"
+
+
 Tracks = Annotated[
     Path | None, typer.Argument(metavar="TRACKS", help="tracks.parquet, or a folder of runs.", show_default=False)
 ]
@@ -104,6 +112,20 @@ Ospa2Window = Annotated[
 Tentative = Annotated[
     bool,
     typer.Option("--tentative", help="Score tentative estimates beside the confirmed ones."),
+]
+Align = Annotated[
+    Alignment,
+    typer.Option(
+        "--align",
+        help="Score the tracks after the motion (and the scale) that brings them nearest to the truth: for cameras "
+        "that calibrated themselves.",
+    ),
+]
+AlignClock = Annotated[
+    bool,
+    typer.Option(
+        "--align-clock", help="Score the tracks after a change of their clock's offset and rate, found with --align."
+    ),
 ]
 Cameras = Annotated[
     Path | None,
