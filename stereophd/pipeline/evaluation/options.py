@@ -9,7 +9,6 @@ from typing import Literal
 
 from stereophd.errors import InputError
 
-
 # What may be changed of the tracks before they are scored: nothing, their frame, their frame and scale.
 ALIGNMENTS = ("none", "rigid", "similarity")
 

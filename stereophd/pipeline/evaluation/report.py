@@ -74,7 +74,9 @@ def build_report(
             "seen_by": visible,
             "tentative": options.tentative,
             "alignment": {
-                "frame": options.align, "clock": options.align_clock, "found": registration_report(scored.registration)
+                "frame": options.align,
+                "clock": options.align_clock,
+                "found": registration_report(scored.registration),
             },
             "gates": gates(limits, {**result, "scans": scored.scans}),
             "provenance": record,
