@@ -41,7 +41,7 @@ def evaluate_command(
     seed: options.Seed = None,
     fail_above: of.FailAbove = None,
     fail_below: of.FailBelow = None,
-    plots: of.Plots = None,
+    plots: options.Plots = None,
     jobs: options.Jobs = 1,
     dask: options.Dask = None,
     force: options.Force = False,

@@ -341,10 +341,6 @@ class LogWriter:
             columns["object_id"] = object_id if len(pixels) else [None]
         self._table.append(columns)
 
-    def write_rows(self, columns: Mapping[str, Any]) -> None:
-        """Write many rows at once: the columns of the log as `TableWriter.append` takes them."""
-        self._table.append(columns)
-
     def close(self) -> None:
         """Write what is left and the footer."""
         self._table.close()

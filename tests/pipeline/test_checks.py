@@ -14,7 +14,8 @@ from stereophd.io.logs import Frame
 from stereophd.pipeline.checks.alternatives import OPENGL
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry import check_geometry, measure
+from stereophd.pipeline.checks.geometry import measure
+from stereophd.pipeline.checks.geometry_findings import check_geometry
 from stereophd.pipeline.checks.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.tracking import check_tracking
 

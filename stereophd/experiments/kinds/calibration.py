@@ -30,18 +30,13 @@ from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
-from stereophd.pipeline.calibration.inputs import (
-    CalibrationProblem,
-    build_parameters,
-    build_scale,
-    calibration_section,
-    draw_guess,
-    pmb_filter,
-)
+from stereophd.pipeline.calibration.filters import pmb_filter
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, build_scale
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import HistoryRow
 from stereophd.pipeline.calibration.report import status_of
 from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import frames_in_order

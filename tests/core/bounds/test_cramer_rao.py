@@ -38,7 +38,8 @@ def test_rectified_pair_in_closed_form() -> None:
     baseline = 30.0
     left, right = scenes.camera("left", 0.0, 0.0), scenes.camera("right", -baseline, 0.0)
     space = DisparitySpace(left, baseline)
-    matrices = [space.observation_matrix(), space.observation_matrix(companion=True)]
+    # H_l and H_r of eq. (4)
+    matrices = [np.eye(2, 3), np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])]
     in_disparity = np.linalg.inv(sum(h.T @ h for h in matrices) / 2.0)
     information = [bounds.detection_information(camera, POINT[None])[0] for camera in (left, right)]
     in_world = bounds.localisation_bounds(information)[-1]
