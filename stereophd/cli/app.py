@@ -52,19 +52,23 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
-app.command("simulate")(simulate.simulate_command)
-app.command("track")(track.track_command)
-app.command("calibrate")(calibrate.calibrate_command)
-app.command("evaluate")(evaluate.evaluate_command)
-app.command("experiment")(experiment.experiment_command)
-app.command("check")(check.check_command)
-app.command("compile")(compile.compile_command)
-app.command("import")(importing.import_command)
-app.command("export")(export.export_command)
-app.command("info")(info.info_command)
-app.command("report")(report.report_command)
-app.command("init")(init.init_command)
-app.add_typer(config.app, name="config")
+# In the order of the work; one line for each command, short enough for a terminal of 80 columns.
+for _name, _command, _purpose in (
+    ("import", importing.import_command, "Convert detections and cameras of another program."),
+    ("init", init.init_command, "Write a configuration with values estimated from a log."),
+    ("info", info.info_command, "Describe a log, a table, cameras or an output folder."),
+    ("check", check.check_command, "Check whether a log fits cameras and settings, and why not."),
+    ("simulate", simulate.simulate_command, "Simulate scenes and their detection logs."),
+    ("track", track.track_command, "Estimate 3-D tracks from detection logs."),
+    ("calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects."),
+    ("evaluate", evaluate.evaluate_command, "Score tracks or calibrated cameras against the truth."),
+    ("report", report.report_command, "Write one page (HTML) about runs and their scores."),
+    ("export", export.export_command, "Write tracks or cameras as a file of another program."),
+    ("experiment", experiment.experiment_command, "Compare methods over many runs of a scenario."),
+    ("compile", compile.compile_command, "Compile the kernels ahead, for containers and CI jobs."),
+):
+    app.command(_name, short_help=_purpose)(_command)
+app.add_typer(config.app, name="config", help="Show or check a configuration, or print its JSON schema.")
 
 
 def _show_version(value: bool) -> None:

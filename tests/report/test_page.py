@@ -49,6 +49,13 @@ try {
   found.time = document.getElementById("now").textContent;
   document.getElementById("theme").click(); await wait(400);
   found.theme = document.documentElement.dataset.theme;
+  const widths = () => ["lives", "ospa"].map((id) => document.getElementById(id)._fullLayout.width);
+  const screen = widths(), theme = found.theme;
+  dispatchEvent(new Event("beforeprint")); await wait(200);
+  found.paper = { widths: widths(), theme: document.documentElement.dataset.theme };
+  dispatchEvent(new Event("afterprint")); await wait(400);
+  const same = JSON.stringify(widths()) === JSON.stringify(screen);
+  found.restored = same && document.documentElement.dataset.theme === theme;
   found.plots = [...document.querySelectorAll(".plot")].filter((plot) => plot.data).map((plot) => plot.id);
   found.uploads = document.querySelectorAll("[data-title*=Share], [data-title*=Cloud]").length;
 } catch (error) { problems.push(String(error.stack)); }
@@ -210,6 +217,9 @@ def test_page_works_in_a_browser(folders: Path, tmp_path: Path) -> None:
     assert found["pictures_differ"]
     assert found["time"] == "5.85 s"
     assert found["uploads"] == 0
+    assert found["theme"] == "dark"
+    assert found["paper"] == {"widths": [680, 680], "theme": "light"}
+    assert found["restored"]
     drawn = {"scene0", "frame", "ospa", "gospa", "lives", "values", "residual-cameras", "residual-time", "count"}
     assert drawn <= set(found["plots"])
 

@@ -8,7 +8,8 @@
   const FRAME_MS = 30;
   const TRAILS = [["1 s", 1], ["5 s", 5], ["20 s", 20], ["whole", Infinity], ["none", 0]];
   const by = (id) => document.getElementById(id);
-  const state = { run: 0, beside: -1, time: 0, trail: 5, playing: null, camera: 0 };
+  const PAPER_PX = 680;  // width of a printed plot; A4 and letter leave some more between their margins
+  const state = { run: 0, beside: -1, time: 0, trail: 5, playing: null, camera: 0, screen: null };
 
   // Numbers come as base64 of 32-bit floats.
   const cache = new Map();
@@ -170,10 +171,21 @@
   };
   let snapshot = null;
   const keepImage = () => {
-    // WebGL does not print: the paper shows an image of the scene
+    // WebGL does not print: the paper shows an image of each scene, on white
     clearTimeout(snapshot);
-    snapshot = setTimeout(() => {
-      if (by("scene0").data) Plotly.toImage(by("scene0"), { format: "png", width: 1100, height: 620 }).then((url) => { by("scene-image").src = url; });
+    snapshot = setTimeout(async () => {
+      for (const id of ["scene0", "scene1"]) {
+        const scene = by(id), image = by(`${id}-image`);
+        image.hidden = !scene.data;
+        if (!scene.data) continue;
+        const side = (name) => ({ ...scene.layout.scene[name], color: "#444", gridcolor: "#bbb" });
+        const white = {
+          ...scene.layout, paper_bgcolor: "#fff", plot_bgcolor: "#fff", font: { ...scene.layout.font, color: "#000" },
+          scene: { ...scene.layout.scene, xaxis: side("xaxis"), yaxis: side("yaxis"), zaxis: side("zaxis") },
+        };
+        const data = scene.data.map((trace) => (trace.name === "now" ? { ...trace, textfont: { ...trace.textfont, color: "#000" } } : trace));
+        image.src = await Plotly.toImage({ data, layout: white, config: CONFIG }, { format: "png", width: 1100, height: 620 });
+      }
     }, 700);
   };
 
@@ -240,7 +252,7 @@
       for (let i = p.starts[k]; i < p.starts[k + 1]; i++) { g.x.push(t[i] + r.start); g.y.push(values[i]); g.text.push(`track ${p.ids[k]}`); }
       g.x.push(NaN); g.y.push(NaN); g.text.push("");
     }
-    const many = t.length > 30000;
+    const many = t.length > 30000 && state.screen === null;  // WebGL does not print
     draw("values", [...groups.values()].map((g) => ({
       type: many ? "scattergl" : "scatter", mode: "lines", x: g.x, y: g.y, text: g.text, hoverinfo: "text+x+y", showlegend: false, line: { width: 1.5, color: colour(g.k), dash: dash(g.k) },
     })), layout(QUANTITIES[name][0], "time [s]", `${QUANTITIES[name][0]}${QUANTITIES[name][1](r.unit || "length")}`, { shapes: cursor(), yaxis: axis(`${name.replace("_", " ")}${QUANTITIES[name][1](r.unit || "length")}`, name === "position_std" ? { type: "log" } : {}) }));
@@ -349,11 +361,15 @@
     select.replaceChildren(...pairs.map(([text, value]) => new Option(text, value)));
     select.value = chosen;
   };
-  const show = () => {
-    const r = run(), there = {
+  const present = () => {
+    const r = run();
+    return {
       scene: !!(r.tracks || r.truth || r.cameras.length), frames: !!(r.frames && r.frames.length), tracks: !!(r.tracks && r.tracks.ids.length),
       residuals: !!(r.residuals && r.residuals.some((one) => one.t.length)), scans: !!(r.scans || r.evaluation), calibration: !!r.calibration,
     };
+  };
+  const show = () => {
+    const r = run(), there = present();
     document.querySelectorAll("main > section").forEach((section, n) => {
       const needed = section.dataset.needs;
       section.hidden = section.classList.contains("comparison") ? RUNS.length < 2 : !!needed && !there[needed];
@@ -371,6 +387,10 @@
     }
     sayTime();
     if (there.scene) { drawScene("scene0", r); drawScene("scene1", RUNS[state.beside]); keepImage(); }
+    drawFlat();
+  };
+  const drawFlat = () => {
+    const there = present();
     if (there.frames) drawFrame();
     if (there.tracks) drawLives();
     if (there.residuals) drawResiduals();
@@ -414,6 +434,24 @@
     button.setAttribute("aria-pressed", String(state.playing !== null));
     button.textContent = state.playing === null ? "Play" : "Stop";
   };
+  // On paper the plots are light and as wide as the paper, whatever the screen shows.
+  const resize = (size) => document.querySelectorAll(".plot").forEach((plot) => {
+    if (plot.data && !plot.id.startsWith("scene")) Plotly.relayout(plot, size);
+  });
+  const toPaper = () => {
+    if (state.screen !== null) return;
+    state.screen = document.documentElement.dataset.theme;
+    document.documentElement.dataset.theme = "light";
+    drawFlat();
+    resize({ width: PAPER_PX, autosize: false });
+  };
+  const toScreen = () => {
+    if (state.screen === null) return;
+    document.documentElement.dataset.theme = state.screen;
+    state.screen = null;
+    resize({ width: null, autosize: true });
+    drawFlat();
+  };
   const setTheme = (theme) => { document.documentElement.dataset.theme = theme; show(); };
 
   options(by("run"), RUNS.map((r, k) => [r.name, k]), 0);
@@ -431,6 +469,8 @@
   by("parameter").onchange = drawCalibration;
   by("against").onchange = drawCalibration;
   by("play").onclick = play;
+  addEventListener("beforeprint", toPaper);
+  addEventListener("afterprint", toScreen);
   by("print").onclick = () => window.print();
   by("theme").onclick = () => setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
   document.querySelectorAll("[data-view]").forEach((button) => {
