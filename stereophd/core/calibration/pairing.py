@@ -245,7 +245,7 @@ def pair_gains(pairs: TrackPairs, distances: Array, tolerance: float) -> Array:
         known = np.isfinite(distances)
         enough = np.bincount(pairs.pair, weights=known, minlength=len(pairs.cameras)) >= LEAST_TIMES
         gain = np.where(known & enough[pairs.pair], gain, 0.0)
-    return np.bincount(pairs.pair, weights=gain, minlength=len(pairs.cameras))
+    return np.asarray(np.bincount(pairs.pair, weights=gain, minlength=len(pairs.cameras)), dtype=np.float64)
 
 
 def choose_pairs(pairs: TrackPairs, gains: Array) -> tuple[Integers, float]:
