@@ -67,7 +67,7 @@ def likely_claims(labels: Integers, weights: Array, n_missed: int, detections: I
     detections : array (n - n_missed,) of int
         Detection of each of the others.
     """
-    order = np.argsort(labels, kind="mergesort")
+    order = stable_order(labels)
     chosen, wanted = np.empty(len(detections), dtype=np.int64), np.empty(len(detections), dtype=np.int64)
     found, start = 0, 0
     while start < len(order):
@@ -80,7 +80,8 @@ def likely_claims(labels: Integers, weights: Array, n_missed: int, detections: I
                 continue
             # the rows of one label and detection are alternatives
             j, share = detections[order[i] - n_missed], 0.0
-            for other in order[start:end]:
+            for place in range(start, end):
+                other = order[place]
                 if other >= n_missed and detections[other - n_missed] == j:
                     share += weights[other]
             if share > 0.5 * whole:

@@ -39,6 +39,7 @@ from stereophd.core.multi.history import ClaimedRows, History
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import copy_gaussian, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -87,32 +88,21 @@ def crosswise_pairs(
     heads, places = _reported_places(mixture, homes)
     count = len(heads)
     # angle of the epipolar plane of each, and how far (rad) two planes may be apart
-    base = second[CENTER : CENTER + 3] - first[CENTER : CENTER + 3]
-    length = math.sqrt(base[0] ** 2 + base[1] ** 2 + base[2] ** 2)
-    base = base / length
-    least = np.argmin(np.abs(base))
-    across = -base[least] * base
-    across[least] += 1.0
-    across /= math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
-    up_x, up_y, up_z = (
-        base[1] * across[2] - base[2] * across[1],
-        base[2] * across[0] - base[0] * across[2],
-        base[0] * across[1] - base[1] * across[0],
-    )
-    angles, widths = np.empty(count), np.zeros(count)
+    across, up = _epipolar_axes(first, second)
+    angles, widths, widest = np.empty(count), np.empty(count), 0.0
     for i in range(count):
         x = places[i, 0] - second[CENTER]
         y = places[i, 1] - second[CENTER + 1]
         z = places[i, 2] - second[CENTER + 2]
         along = across[0] * x + across[1] * y + across[2] * z
-        up = up_x * x + up_y * y + up_z * z
+        high = up[0] * x + up[1] * y + up[2] * z
         depth = second[ROTATION + 6] * x + second[ROTATION + 7] * y + second[ROTATION + 8] * z
-        angles[i] = math.atan2(up, along)
-        widths[i] = tolerance * depth / (second[FX] * math.hypot(along, up)) if depth > 0.0 else 0.0
-    order = np.argsort(angles)
-    widest = widths.max() if count > 0 else 0.0
-    found = [(np.int64(0), np.int64(0))]
-    found.clear()
+        angles[i] = math.atan2(high, along)
+        widths[i] = tolerance * depth / (second[FX] * math.hypot(along, high)) if depth > 0.0 else 0.0
+        widest = max(widest, widths[i])
+    order = stable_order(angles)
+    out = np.empty((count, 2), dtype=np.int64)
+    found = 0
     for m in range(count):
         i = order[m]
         for n in range(m + 1, count):
@@ -124,11 +114,44 @@ def crosswise_pairs(
                 _meet(places[i], places[j], views, cameras[0], cameras[1], prior)
                 and _meet(places[j], places[i], views, cameras[0], cameras[1], prior)
             ):
+                if found == len(out):
+                    out = _doubled(out)
                 one, other = labels[heads[i]], labels[heads[j]]
-                found.append((min(one, other), max(one, other)))
-    out = np.empty((len(found), 2), dtype=np.int64)
-    for k in range(len(found)):
-        out[k, 0], out[k, 1] = found[k]
+                out[found, 0], out[found, 1] = min(one, other), max(one, other)
+                found += 1
+    return out[:found]
+
+
+@compiled
+def _epipolar_axes(first: Array, second: Array) -> tuple[Array, Array]:
+    """Two axes (3,) that are orthogonal to the line from one camera to another, and to each other."""
+    base, across, up = np.empty(3), np.empty(3), np.empty(3)
+    for a in range(3):
+        base[a] = second[CENTER + a] - first[CENTER + a]
+    length = math.sqrt(base[0] ** 2 + base[1] ** 2 + base[2] ** 2)
+    least = 0
+    for a in range(3):
+        base[a] = base[a] / length
+        if abs(base[a]) < abs(base[least]):
+            least = a
+    for a in range(3):
+        across[a] = -base[least] * base[a]
+    across[least] += 1.0
+    length = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
+    for a in range(3):
+        across[a] /= length
+    up[0] = base[1] * across[2] - base[2] * across[1]
+    up[1] = base[2] * across[0] - base[0] * across[2]
+    up[2] = base[0] * across[1] - base[1] * across[0]
+    return across, up
+
+
+@compiled
+def _doubled(rows: Integers) -> Integers:
+    """Copy rows (n, 2) into an array with room for twice as many."""
+    out = np.empty((2 * len(rows), 2), dtype=np.int64)
+    for k in range(len(rows)):
+        out[k, 0], out[k, 1] = rows[k, 0], rows[k, 1]
     return out
 
 
@@ -184,30 +207,30 @@ def _meet(one: Array, other: Array, views: Array, a: int, b: int, prior: NewObje
 
 @compiled
 def filter_again(
-    rows: ClaimedRows,
+    points: Array,
+    noises: Array,
+    delays: Array | None,
     spaces: Array,
     motion: MotionArrays,
-    prior: NewObjects,
-    samples: Array,
-    mean: Array,
-    covariance: Array,
+    look: Look,
+    means: Array,
+    covariances: Array,
     fits: NDArray[np.bool_],
 ) -> float:
-    """Log-likelihood of the detections of one track after its first; fills in its Gaussian (d,), (d, d) at the last.
+    """Log-likelihood of the detections (n) of one track after its first, forwards or backwards in time.
 
     Parameters
     ----------
-    rows : ClaimedRows
-        Detections (n) of the track, forwards or backwards in time.
+    points, noises, delays : arrays (n, 2), (n, 2, 2), (n,) or None
+        As in `Event`.
     spaces : array (n, 30)
         Packed space of each.
     motion : MotionArrays
         Over the interval before each (the first is not used).
-    prior : NewObjects
-    samples : array (rows, s)
-        Of the moves.
-    mean, covariance : arrays (d,), (d, d)
-        Filled in.
+    look : Look
+        Samples of the moves.
+    means, covariances : arrays (n, d), (n, d, d)
+        Of the track after each detection; the first is given, the others are filled in.
     fits : array (n,) of bool
         Filled in: whether each detection was taken for one of the track.
 
@@ -216,40 +239,34 @@ def filter_again(
     float
         Minus infinity where the track leaves the view of a camera that detected it.
     """
-    cameras, _, _, points, noises, delays = rows
-    count, size = len(cameras), len(mean)
-    means, covariances = np.empty((count, size)), np.empty((count, size, size))
-    homes = np.empty((count, spaces.shape[1]))
-    homes[1:] = spaces[:-1]
-    first = cameras[0]
-    born, spread = initial_moments(
-        points[:1], noises[:1], spaces[0], prior.means[first], prior.stds[first], prior.velocity_std, size, delays
-    )
-    mean[:], covariance[:] = born[0], spread[0]
-    fits[0] = True
+    count, size = len(points), means.shape[1]
+    # component k: the track after detection k - 1, moved to that of detection k
+    before, spreads, homes = np.empty((count, size)), np.empty((count, size, size)), np.empty_like(spaces)
     moved = allocate_moved(count, size)
-    look = Look(samples, np.ones(samples.shape[1]), 2)
-    seen, one, unit = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.int64), np.ones(1)
-    nowhere = np.empty(0)
+    seen, one, unit = np.empty(1, dtype=np.bool_), np.zeros(1, dtype=np.int64), np.empty(1)
+    seen[0], unit[0] = True, 1.0
+    which, nowhere = np.empty(1, dtype=np.int64), np.empty(0)
     total = 0.0
     for k in range(1, count):
-        means[k], covariances[k] = mean, covariance
-        move_components(
-            np.full(1, k), means, covariances, homes, motion, look, spaces[k], 0.0, nowhere, moved
-        )  # fmt: skip
+        copy_gaussian(means, covariances, k - 1, before, spreads, k)
+        for a in range(spaces.shape[1]):
+            homes[k, a] = spaces[k - 1, a]
+        which[0] = k
+        move_components(which, before, spreads, homes, motion, look, spaces[k], 0.0, nowhere, moved)
         if moved.status[k] == OUT_OF_VIEW:
-            return -np.inf
+            return -math.inf
         after, spread = moved.means[k : k + 1], moved.covariances[k : k + 1]
-        delay = delays[k : k + 1]
-        _, _, density = pair_likelihoods(after, spread, seen, points[k : k + 1], noises[k : k + 1], unit, delay)
+        point, noise = points[k : k + 1], noises[k : k + 1]
+        delay = None if delays is None else delays[k : k + 1]
+        _, _, density = pair_likelihoods(after, spread, seen, point, noise, unit, delay)
         likely = density[0] if len(density) > 0 else 0.0
         area = noises[k, 0, 0] * noises[k, 1, 1] - noises[k, 0, 1] * noises[k, 1, 0]
         least = math.exp(-MOST_SURPRISE) / (2.0 * math.pi * math.sqrt(area))
         total += math.log(likely + least)
         fits[k] = likely > least
         if fits[k]:
-            after, spread = kalman_updates(after, spread, one, one, points[k : k + 1], noises[k : k + 1], delay)
-        mean[:], covariance[:] = after[0], spread[0]
+            after, spread = kalman_updates(after, spread, one, one, point, noise, delay)
+        copy_gaussian(after, spread, 0, means, covariances, k)
     return total
 
 
@@ -353,10 +370,19 @@ class CrosswiseTest:
         """Filter the detections of one track again, in the order of the rows."""
         spaces = self.rig.spaces(rows.cameras, rows.times)
         motion = self.motion.arrays(np.diff(rows.times, prepend=rows.times[0]))
-        size = self.motion.state_size
-        mean, covariance, fits = np.empty(size), np.empty((size, size)), np.zeros(len(rows.times), dtype=bool)
-        value = filter_again(rows, spaces, motion, prior, self.samples, mean, covariance, fits)
-        return Track(value, fits, mean, covariance, int(rows.cameras[-1]), float(rows.times[-1]))
+        count, size = len(rows.times), self.motion.state_size
+        means, covariances, fits = np.empty((count, size)), np.empty((count, size, size)), np.ones(count, dtype=bool)
+        first = rows.cameras[0]
+        born, spread = initial_moments(
+            rows.points[:1], rows.noises[:1], spaces[0], float(prior.means[first]), float(prior.stds[first]),
+            prior.velocity_std, size, rows.delays,
+        )  # fmt: skip
+        means[0], covariances[0] = born[0], spread[0]
+        look = Look(self.samples, np.ones(self.samples.shape[1]), 2)
+        value = filter_again(
+            rows.points, rows.noises, rows.delays, spaces, motion, look, means, covariances, fits
+        )  # fmt: skip
+        return Track(value, fits, means[-1], covariances[-1], int(rows.cameras[-1]), float(rows.times[-1]))
 
 
 class Track(NamedTuple):
