@@ -114,7 +114,16 @@ def test_tracks_of_one_camera_are_reported() -> None:
     def run(right: int) -> list[str | None]:
         tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
         counts = {"detections": 400, "frames": 200}
-        return [found.cause for found in check_tracking({"tracks": tracks}, counts, CAMERAS) if found.cause]
+        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}}
+        return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
+
+
+def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
+    frames = _frames(CAMERAS)
+    burst = replace(frames[20], pixels=np.zeros((5000, 2)))
+    sample = sample_log([*frames[:20], burst, *frames[21:]], CAMERAS)[burst.camera]
+    assert len(sample.times) == FRAMES - 1
+    assert max(np.diff(sample.first)) < 20

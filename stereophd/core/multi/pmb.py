@@ -76,7 +76,7 @@ class PmbFilter(DisparityFilter):
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, detected, expected, claims, likely = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births), reduction,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction,
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):
@@ -91,7 +91,7 @@ class PmbFilter(DisparityFilter):
             FilterState(
                 reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
             ),
-            Info(log_likelihood, expected, reduced.size, detected, claims, left_out),
+            Info(log_likelihood, expected, reduced.size, detected, claims, left_out, prediction.burst),
         )
 
 
