@@ -61,7 +61,8 @@ class PmbFilter(DisparityFilter):
         return compiled_settings(PmbReduction, settings)
 
     @cached_property
-    def _crosswise(self) -> CrosswiseTest:
+    def crosswise_test(self) -> CrosswiseTest:
+        """The test for pairs of tracks that are paired crosswise."""
         samples, settings = self.sets.turn(0), self.settings
         return CrosswiseTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
 
@@ -81,7 +82,7 @@ class PmbFilter(DisparityFilter):
         history = state.history
         if math.isfinite(self.settings.exchange_above):
             history = (history or History()).add(_sighting(event, *likely))
-            reduced, history = self._crosswise.put_right(reduced, history, event.time_s, state.n_events)
+            reduced, history = self.crosswise_test.put_right(reduced, history, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:
