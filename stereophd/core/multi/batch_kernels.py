@@ -168,7 +168,7 @@ def update_intensities(
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
         updated, log_likelihoods[h], _ = update_intensity(before, seen, event, numbers, reduction.prune_weight)
-        after = reduce_intensity(updated, reduction)
+        after, _ = reduce_intensity(updated, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]

@@ -55,23 +55,26 @@ class PhdFilter(DisparityFilter):
         """Update with the detections of an event: eq. (5), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, detected, claims = _update(
+        reduced, log_likelihood, detected, claims, left_out = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births), reduction,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
-            Info(log_likelihood, float(reduced.weights.sum()), reduced.size, detected, claims),
+            Info(
+                log_likelihood, float(reduced.weights.sum()), reduced.size, detected, claims, left_out, prediction.burst
+            ),
         )
 
 
 @compiled
 def _update(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction
-) -> tuple[GaussianMixture, float, Integers, Claims]:
+) -> tuple[GaussianMixture, float, Integers, Claims, int]:
     """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
     updated, log_likelihood, by = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
     detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by)
-    return reduce_intensity(updated, reduction), log_likelihood, detected, claims
+    reduced, left_out = reduce_intensity(updated, reduction)
+    return reduced, log_likelihood, detected, claims, left_out

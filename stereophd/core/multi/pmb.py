@@ -61,7 +61,8 @@ class PmbFilter(DisparityFilter):
         return compiled_settings(PmbReduction, settings)
 
     @cached_property
-    def _crosswise(self) -> CrosswiseTest:
+    def crosswise_test(self) -> CrosswiseTest:
+        """The test for pairs of tracks that are paired crosswise."""
         samples, settings = self.sets.turn(0), self.settings
         return CrosswiseTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
 
@@ -76,12 +77,12 @@ class PmbFilter(DisparityFilter):
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, detected, expected, claims, likely = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births), reduction,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction,
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):
             history = (history or History()).add(_sighting(event, *likely))
-            reduced, history = self._crosswise.put_right(reduced, history, event.time_s, state.n_events)
+            reduced, history = self.crosswise_test.put_right(reduced, history, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:
@@ -91,7 +92,7 @@ class PmbFilter(DisparityFilter):
             FilterState(
                 reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
             ),
-            Info(log_likelihood, expected, reduced.size, detected, claims, left_out),
+            Info(log_likelihood, expected, reduced.size, detected, claims, left_out, prediction.burst),
         )
 
 

@@ -65,6 +65,12 @@ class BirthPrior:
         "cameras; in place of per_s and initial",
         default=None,
     )
+    max_per_frame: Count = parameter(
+        "a frame with more detections than this beyond those of known objects is a burst of clutter: no object is born "
+        "from it, its surplus counts as clutter, and a warning states how many frames were affected",
+        default=20_000,
+        advice="above the number of objects in view of one camera; it bounds the time of a frame.",
+    )
     disparity: DisparityPrior | None = parameter(
         "prior of the disparity, px at the baseline",
         default=None,
