@@ -27,7 +27,7 @@ KINDS = (
 
 @dataclass(frozen=True)
 class Fault:
-    """Bad rows of one kind: a mask over the rows, and the message for row i."""
+    """Bad rows of one kind: a mask over the rows, and what to say of row i."""
 
     kind: str
     bad: Booleans

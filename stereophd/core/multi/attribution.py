@@ -96,17 +96,17 @@ def likely_claims(labels: Integers, weights: Array, n_missed: int, detections: I
 def detected_labels(labels: Integers, weights: Array, n_missed: int) -> Integers:
     """Labels that an event detected: more probably than not, given that the object exists.
 
-    After an update, and before reduction, a label's components are those that the event missed and those that it
-    detected. Their weights are the probabilities of "exists, and was missed" and of "exists, and made a detection" (in
-    a PHD, expected numbers). With the sums M and D of these weights, an object that exists was detected with
-    probability D / (D + M). A newborn was detected for certain.
+    After an update, and before reduction, a label's components are those that the event missed and those
+    that it detected. Their weights are the probabilities of "exists, and was missed" and of "exists, and
+    made a detection" (in a PHD, expected numbers), so given existence the object was detected with
+    probability D / (D + M), where D and M are the sums of these weights. A newborn was detected for certain.
 
     Parameters
     ----------
     labels, weights : arrays (n,)
         Components after an update; negative labels stand for objects never detected, and are left out.
     n_missed : int
-        Number of missed components, which come first; the others were detected.
+        The first so many were missed, the others detected.
 
     Returns
     -------

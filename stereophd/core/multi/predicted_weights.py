@@ -21,8 +21,8 @@ def surviving_weights(
 ) -> Array:
     """Weights (n,) of moved components without what is lost.
 
-    The part outside the region is lost. A light component without an identity is also dropped once it has left the view
-    of the only camera that may have seen it; otherwise clutter would fill the world around the view.
+    What lies outside the region is gone; what was never established (no identity, and light) and has left the view of
+    the only camera that may have seen it is forgotten, or clutter would fill the world around the view.
     """
     out = weights * inside
     for k in range(len(weights)):

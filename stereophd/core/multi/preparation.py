@@ -28,7 +28,7 @@ from stereophd.core.multi.pmb_reduce import reduce_tracks
 from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.samples import draw_sample_sets
 
-# The kernel that ends a filter's update: its kept form shows whether the filter has been compiled.
+# The kernel that ends a filter's update: what is kept of it tells whether the filter has been compiled.
 LAST_KERNELS: Mapping[str, Any] = {"pmb": reduce_tracks, "phd": reduce_intensity}
 
 _SAMPLES = 64
