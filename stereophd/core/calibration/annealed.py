@@ -1,12 +1,12 @@
-"""Annealed calibration: tracking and bundle adjustment in turn, from several starts.
+"""Annealed calibration: tracking alternates with bundle adjustment, from several starts.
 
-A start is a draw of the camera parameters from their prior. Tracking (PMB filter) with the detector's noise
-inflated tells which detections may belong together although the cameras are still wrong; the adjustment of cameras
-and trajectories to those detections improves the cameras; the inflation falls from pass to pass, and in the last
-passes the fitted trajectories choose their detections themselves. See docs/calibration.md.
+A start is a draw of the camera parameters from their prior. Each pass first tracks (PMB filter) with inflated detector
+noise, so that detections of one object are associated although the cameras are still wrong. It then adjusts cameras and
+trajectories to those detections, which improves the cameras. The inflation falls from pass to pass; in the last passes
+the fitted trajectories choose their detections themselves. See docs/calibration.md.
 
-A start succeeds only where the trajectories that two cameras share explain what was detected; the best of those is
-the one of the greatest evidence (PMB filter at the true noise) plus log-prior.
+A start succeeds only if the trajectories that two cameras share explain the detections. The best start has the greatest
+sum of evidence (PMB filter at the true noise) and log-prior.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def disagreement(task: Task, fit: Fit) -> str | None:
 
 
 def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
-    """Whether two starts found the same cameras, to so many standard deviations (root mean square)."""
+    """Whether two starts found the same cameras, within the given number of standard deviations (root mean square)."""
     assert one.fit is not None
     assert other.fit is not None
     difference = one.fit.adjustment.values - other.fit.adjustment.values
@@ -175,7 +175,7 @@ def best_of(starts: list[Start]) -> Start | None:
 
 
 def enough(starts: list[Start], agreeing: int) -> bool:
-    """Whether so many starts agree on the best that no more are needed."""
+    """Whether enough starts agree with the best one."""
     return agreeing_with_best(starts) >= agreeing
 
 

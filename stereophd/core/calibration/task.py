@@ -87,7 +87,7 @@ class Task:
         settings: AnnealedSettings,
         stages: tuple[UnknownSet, ...] = (),
     ) -> Task:
-        """Prepare what all starts share: the tracks that each camera has by itself.
+        """Prepare what all starts share: the one-camera tracks of each camera.
 
         Without `stages` those of `stereophd.core.calibration.unknown_sets.default_stages` are taken.
         """

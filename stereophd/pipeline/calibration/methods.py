@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 LOGGER = logging.getLogger("stereophd")
 
-# Draws that stand for a Laplace posterior, and times at which it is given in the history.
+# Draws that represent a Laplace posterior, and times at which the history holds it.
 LAPLACE_DRAWS = 1000
 HISTORY_TIMES = 25
 
