@@ -20,6 +20,14 @@ class Base(StrEnum):
     MAHALANOBIS = "mahalanobis"
 
 
+class Alignment(StrEnum):
+    """What of the tracks' frame may be changed."""
+
+    NONE = "none"
+    RIGID = "rigid"
+    SIMILARITY = "similarity"
+
+
 class At(StrEnum):
     """What is scored once."""
 
@@ -61,6 +69,20 @@ Ospa2Window = Annotated[
     int, typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2).")
 ]
 Tentative = Annotated[bool, typer.Option("--tentative", help="Score tentative estimates beside the confirmed ones.")]
+Align = Annotated[
+    Alignment,
+    typer.Option(
+        "--align",
+        help="Score the tracks after the motion (and the scale) that brings them nearest to the truth: for cameras "
+        "that calibrated themselves.",
+    ),
+]
+AlignClock = Annotated[
+    bool,
+    typer.Option(
+        "--align-clock", help="Score the tracks after a change of their clock's offset and rate, found with --align."
+    ),
+]
 Cameras = Annotated[
     Path | None,
     option(

@@ -16,7 +16,7 @@ from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
 from stereophd.report.summaries import SummaryTable, number, run_tables, share, tracking_part, verdict
 
-# Tracks that the page lists; a page of thousands of rows is slow, and nobody reads it.
+# Tracks that the page lists; thousands of rows would make it slow.
 TRACKS_LISTED = 200
 
 
@@ -82,7 +82,7 @@ def comparison(runs: Sequence[Run]) -> SummaryTable:
     for name, values in zip(_FIGURES, zip(*(_figures(run) for run in runs), strict=True), strict=True):
         if any(value is not None for value in values):
             rows.append((name, *("-" if value is None else value for value in values)))
-    return SummaryTable("Runs side by side", ("", *(run.name for run in runs)), tuple(rows))
+    return SummaryTable("Summary", ("", *(run.name for run in runs)), tuple(rows))
 
 
 _FIGURES = (
