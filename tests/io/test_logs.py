@@ -360,7 +360,6 @@ def test_writer_and_reader_agree(tmp_path: Path, cameras: list[Camera]) -> None:
         writer.write(0.0, "left", 0, pixels, np.array([3, -1]))
         writer.write(0.0, "right", 0, np.empty((0, 2)), np.empty(0, int))
         writer.write(1.0, "left", 1, np.array([[1.0, 1.0], [2.0, 2.0]]), np.array([5, 5]))
-        assert writer.rows == 5
     reader = LogReader(tmp_path / "log.parquet", cameras)
     frames = list(reader)
     assert [plain(f) for f in frames] == [
