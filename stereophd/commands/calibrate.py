@@ -39,6 +39,7 @@ from stereophd.pipeline.tracking.run import (
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
+    from stereophd.config.calibration import CalibrationConfig
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.pipeline.checks.finding import Finding
@@ -54,7 +55,7 @@ ACCEPTED = {
     "determined": (DETERMINED,),
 }
 
-# Checks that the calibrated cameras make possible; those of the log by itself come first.
+# Checks that need the calibrated cameras; the checks of the log alone come first.
 WITH_CAMERAS = ("geometry.", "settings.")
 
 LOGGER = logging.getLogger("stereophd")
@@ -107,8 +108,7 @@ def calibrate(
     Returns
     -------
     dict
-        The report, as in ``report.json``; its ``status`` is ``undetermined`` where the data do not say where the
-        cameras are.
+        The report, as in ``report.json``; its ``status`` is ``undetermined`` if the data do not determine the cameras.
 
     Raises
     ------
@@ -135,20 +135,10 @@ def calibrate(
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
-    method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
         # Only here, where no other run can be at work on it.
         checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
-        try:
-            outcome = method(loaded, section, problem, checkpoint, jobs, progress)
-        except InputError:
-            raise
-        except BaseException:
-            # whatever it is called: compiled code may turn the exception of a signal into one of its own
-            if checkpoint.holds_anything:
-                checkpoint.save()
-                LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
-            raise
+        outcome = _outcome(loaded, section, problem, checkpoint, jobs, progress)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, problem, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
@@ -169,6 +159,28 @@ def calibrate(
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
     return _accepted(report, require, log_path)
+
+
+def _outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """Run the method of the configuration; where it is interrupted, keep what it has finished."""
+    method = annealed_outcome if section.method == "annealed" else sequential_outcome
+    try:
+        return method(loaded, section, problem, checkpoint, jobs, progress)
+    except InputError:
+        raise
+    except BaseException:
+        # whatever it is called: compiled code may turn the exception of a signal into one of its own
+        if checkpoint.holds_anything:
+            checkpoint.save()
+            LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
+        raise
 
 
 def _accepted(report: dict[str, Any], require: str | None, log_path: Path | str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from stereophd.config.yaml import KeyPath, Tree
+from stereophd.errors import nearest
 
 # What each kind of pydantic error expects; the braces are filled from the error's context.
 _EXPECTED = {
@@ -38,7 +39,7 @@ _EXPECTED = {
 }
 # Of a model, and of a dataclass.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
-# A lower bound below this stands for "above 0", and is named to those only who come below it.
+# A lower bound below this means "above 0"; a message names the bound only if the value is below it.
 TINY = 1e-5
 _MAX_SHOWN = 60
 
@@ -53,15 +54,6 @@ def _part(part: str | int) -> str:
     """Return a part of a key path, shortened."""
     text = str(part)
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
-
-
-def nearest(key: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean KEY?``, or ``; expected one of ...`` where no known key is near."""
-    names = list(known)
-    close = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean {close[0]}?"
-    return f"; expected one of {', '.join(names)}" if names else ""
 
 
 def _branches(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
@@ -215,7 +207,7 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
         if _is_misspelt(error, path, data, schema):
             continue
         by_path.setdefault(path, []).append({**error, "tagged": bool(tags)})
-    # Branches of a union that fail at the union itself say nothing where another branch got deeper.
+    # Branches of a union that fail at the union itself are not reported if another branch got deeper.
     for path in [p for p, found in by_path.items() if all(e["tagged"] for e in found)]:
         if any(len(other) > len(path) and other[: len(path)] == path for other in by_path):
             del by_path[path]

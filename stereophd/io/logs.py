@@ -34,7 +34,6 @@ from stereophd.io.log_checks import (
 )
 from stereophd.io.log_order import is_by_camera
 from stereophd.io.log_rows import OPTIONAL, REQUIRED, Booleans, Floats, Integers, Rows, decode
-from stereophd.io.provenance import file_sha256
 from stereophd.io.tables import (
     DETECTIONS,
     OBJECT_ID,
@@ -152,11 +151,6 @@ class LogReader:
         """Whether only the rows of each camera are in order of time, not those of all: they are merged on reading."""
         return is_by_camera(self.path)
 
-    @cached_property
-    def sha256(self) -> str:
-        """SHA-256 of the file."""
-        return file_sha256(self.path)
-
     def __iter__(self) -> Iterator[Frame]:
         self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
         self.counts["cameras_without_frames"] = len(self._cameras)
@@ -217,7 +211,7 @@ class LogReader:
             if only is not None:
                 counted = (rows.camera == only) | ((rows.camera < 0) & (only == 0))
             self.counts["rows"] += int(counted.sum())
-            faults = list(point_faults(piece, self._sizes, self._margin))
+            faults = list(point_faults(piece, list(self._index), self._sizes, self._margin))
             good = rows.take(self._accept(faults, rows, counted))
             if only is not None and self.is_by_camera:
                 # rows of other cameras in between do not matter for the order of these
@@ -310,11 +304,6 @@ class LogWriter:
     def __init__(self, path: Path | str, metadata: Mapping[Any, Any] | None = None, object_id: bool = False) -> None:
         self._object_id = object_id
         self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
-
-    @property
-    def rows(self) -> int:
-        """Rows written so far."""
-        return self._table.rows
 
     def write(self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None) -> None:
         """Write one frame.

@@ -20,6 +20,15 @@ def test_compile_prepares_every_filter(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert prepared == json.loads(capsys.readouterr().out)["filters"] == sorted(preparation.LAST_KERNELS)
 
 
+def test_two_processes_compile_each_filter_from_both_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared: list[tuple[str, bool]] = []
+    monkeypatch.setattr(compile, "prepare", lambda kind: prepared.append((kind, False)))
+    monkeypatch.setattr(compile, "prepare_last_first", lambda kind: prepared.append((kind, True)))
+    monkeypatch.setattr(compile, "on_processes", lambda function, tasks, jobs: map(function, tasks))
+    assert compile.compile_kernels(2)["filters"] == ["phd", "pmb"]
+    assert prepared == [("phd", False), ("phd", True), ("pmb", False), ("pmb", True)]
+
+
 def test_compile_needs_a_folder(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(compile, "place_to_keep", lambda: None)
     assert run(["compile"]) == 2

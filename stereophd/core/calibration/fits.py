@@ -8,15 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import (
-    Linearisation,
-    Loss,
-    Observations,
-    Problem,
-    adjust,
-    posterior_covariance,
-    true_times,
-)
+from stereophd.core.calibration.adjustment import adjust, posterior_covariance
 from stereophd.core.calibration.association import (
     fitted_detections,
     keep,
@@ -25,11 +17,20 @@ from stereophd.core.calibration.association import (
     with_cameras,
 )
 from stereophd.core.calibration.clock_search import offset_places
+from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.marginal import marginal_optimum
-from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
+from stereophd.core.calibration.pairing_search import (
+    DRAWS,
+    Pairing,
+    distinct_pairings,
+    meeting_points,
+    paired_objects,
+)
+from stereophd.core.calibration.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.shared_errors import shared_errors
 from stereophd.core.calibration.task import Fit, Task
+from stereophd.core.calibration.tracking_scale import enlarged, reduced
 from stereophd.core.calibration.trajectories import (
     Knots,
     fit_states,
@@ -52,6 +53,8 @@ SEARCHED_PART = 0.1
 # Iterations of an adjustment; and where more than poses is unknown, of one that others follow and of one for the
 # history.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
+# Relative change of the cost at which an adjustment ends, and one that others follow where more than poses is unknown.
+TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 # Seed of the errors that are drawn to find what a fit absorbs.
 SHARED_ERRORS_SEED = 0
 # Passes in which fitted trajectories choose their detections.
@@ -60,16 +63,18 @@ FITTED_PASSES = 3
 FIRST_WEIGHTED = 2
 
 
-def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit | None:
-    """Pair one-camera tracks, and adjust to the pairs; None if there are none. See `calibration.pairing`."""
+def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list[Pairing]:
+    """Pair one-camera tracks: at `values` (m,), and at draws from the prior; distinct pairings, the best first."""
     if not len(task.pairs.cameras):
-        return None
+        return []
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
     draws[1:] = with_clocks(task, draws[1:])
-    pairing = best_pairing(task.parameters, task.pairs, draws)
-    if pairing is None:
-        return None
+    return distinct_pairings(task.parameters, task.pairs, draws, task.stages[0].free)
+
+
+def paired_fit(task: Task, pairing: Pairing) -> Fit:
+    """Adjust cameras and trajectories to paired one-camera tracks. See `calibration.pairing`."""
     objects = paired_objects(task.pairs, pairing, len(task.tracks))
     detections = np.concatenate([rows for (_, rows), o in zip(task.tracks, objects, strict=True) if o >= 0])
     of_object = np.concatenate([np.full(len(rows), o) for (_, rows), o in zip(task.tracks, objects, strict=True)])
@@ -84,7 +89,7 @@ def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit |
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
-    return _fit(task, problem, pairing.values, states, detections, _annealed_iterations(task))
+    return _fit(task, problem, pairing.values, states, detections, *_annealed(task))
 
 
 def with_clocks(task: Task, draws: Array) -> Array:
@@ -98,14 +103,16 @@ def with_clocks(task: Task, draws: Array) -> Array:
     return draws
 
 
-def tracked_fit(task: Task, values: Array, inflation: float, held: Booleans | None = None) -> Fit | None:
+def tracked_fit(
+    task: Task, values: Array, inflation: float, held: Booleans | None = None, ratio: float = 1.0
+) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
-    `held` (m,) are values that stay.
+    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`calibration.tracking_scale`).
     """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
-    found = track_detections(with_cameras(task.filter, cameras), scans, inflation)
+    found = track_detections(with_cameras(task.filter, enlarged(cameras, task.reference, ratio)), scans, inflation)
     if not len(found):
         return None
     chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], task.settings.min_detections)
@@ -113,24 +120,26 @@ def tracked_fit(task: Task, values: Array, inflation: float, held: Booleans | No
         return None
     rows, tracks = keep(found.tracks, chosen)
     detections = scans.source[found.detections[rows]]
+    points = reduced(found.positions[rows], cameras, task.reference, ratio)
     observations = task.observations(cameras, tracks, detections, inflation)
-    knots = _knots(task, observations, found.positions[rows], values)
-    precision = 1.0 / np.maximum(found.variances[rows], 1e-12)
-    states = fit_states(knots, *interpolation(knots, tracks, observations.times), found.positions[rows], precision)
+    knots = _knots(task, observations, points, values)
+    precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
+    states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return _fit(task, problem, values, states, detections, _annealed_iterations(task))
+    return _fit(task, problem, values, states, detections, *_annealed(task))
 
 
-def _annealed_iterations(task: Task) -> int:
-    """Most iterations of an adjustment that others follow: with many unknowns its optimum is flat."""
-    return MOST_ITERATIONS if task.parameters.only_moves else ANNEALED_ITERATIONS
+def _annealed(task: Task) -> tuple[int, float]:
+    """Most iterations and tolerance of an adjustment that others follow: with many unknowns its optimum is flat."""
+    only_moves = task.parameters.only_moves
+    return (MOST_ITERATIONS, TOLERANCE) if only_moves else (ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
-def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False) -> Fit | None:
+def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
     `weighted`: detections whose errors are shared count less (`calibration.shared_errors`), as the residuals of the
-    fit show.
+    fit show. `last`: no other adjustment follows.
     """
     counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
     cameras = task.parameters.build(fit.adjustment.values)
@@ -151,7 +160,10 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False
     if weighted and task.settings.shared_error_px > 0.0:
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)
         observations = replace(observations, weights=weights)
-    return adjusted_to(task, fit, observations, trajectories[rows], chosen_detections, task.scale)
+    tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
+    return adjusted_to(
+        task, fit, observations, trajectories[rows], chosen_detections, task.scale, tolerance=tolerance
+    )  # fmt: skip
 
 
 def _weights(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Array | None:
@@ -204,6 +216,7 @@ def adjusted_to(
     detections: Integers,
     scale: ScaleMeasurement | None,
     max_iterations: int = MOST_ITERATIONS,
+    tolerance: float = TOLERANCE,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
@@ -215,7 +228,7 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale, fit.held)
-    return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
+    return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:
@@ -261,9 +274,10 @@ def _fit(
     states: Array,
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
+    tolerance: float = TOLERANCE,
 ) -> Fit:
     """Adjust, and time the detections by the cameras found."""
-    found = adjust(problem, values, states, max_iterations)
+    found = adjust(problem, values, states, max_iterations, tolerance)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.adjustment import Adjustment, Observations
+from stereophd.core.calibration.adjustment import Adjustment
 from stereophd.core.calibration.clock_search import ClockOffsets, search_offsets
-from stereophd.core.calibration.pairing import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.problem import Observations
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.track_rays import RawTracks
 from stereophd.core.calibration.trajectories import Knots
 from stereophd.core.calibration.unknown_sets import UnknownSet, default_stages
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SUCCEEDED = "succeeded"
+# Where the passes of a start began: a pairing of one-camera tracks, or the start's own values at the widest noise.
+PAIRING, WIDE = "pairing", "wide"
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,7 @@ class Task:
         settings: AnnealedSettings,
         stages: tuple[UnknownSet, ...] = (),
     ) -> Task:
-        """Prepare what all starts share: the tracks that each camera has by itself.
+        """Prepare what all starts share: the one-camera tracks of each camera.
 
         Without `stages` those of `stereophd.core.calibration.unknown_sets.default_stages` are taken.
         """
@@ -152,6 +155,8 @@ class Start:
         At the last values; NaN where the start failed.
     explained : float
         Detections of shared trajectories, in parts of those not expected to be false.
+    origin : str
+        Where the passes began: `PAIRING` and its number, or `WIDE`.
     """
 
     number: int
@@ -162,6 +167,7 @@ class Start:
     log_evidence: float
     log_prior: float
     explained: float
+    origin: str
 
     @property
     def succeeded(self) -> bool:

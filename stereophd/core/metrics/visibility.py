@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.alignment import BoolArray
 from stereophd.core.metrics.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.truth_interpolation import BoolArray
 from stereophd.core.numerics.times import SAME_TIME_S
 
 
@@ -23,8 +23,8 @@ class Sightings:
     camera : (n,) array
         Index of its camera.
     object_id : (n,) array or None
-        The true object it comes from; None when the log does not say, and then every detection counts
-        for every object.
+        The true object of each detection; None if the log has no such column: every detection then counts for every
+        object.
     """
 
     time_s: FloatArray

@@ -36,7 +36,7 @@ from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
 from stereophd.core.multi.history import ClaimedRows, History
-from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, stable_order
@@ -309,6 +309,13 @@ class CrosswiseTest:
         """Return the prior of new objects in each camera."""
         means, stds = np.array([self.birth.disparity_moments(view) for view in views]).T
         return NewObjects(means.copy(), stds.copy(), float(self.birth.velocity_std))
+
+    def compile(self) -> None:
+        """Compile the kernels of the test, with no tracks and with one detection."""
+        views, none, one = self.rig.views(0.0), np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
+        prior, homes = self.prior(views), self.rig.spaces(none, np.empty(0))
+        crosswise_pairs(empty_mixture(self.motion.state_size), homes, (0, 0), views, prior, 1.0)
+        self._filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
 
     def put_right(
         self, mixture: GaussianMixture, history: History, time_s: float, event: int

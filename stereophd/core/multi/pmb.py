@@ -1,11 +1,11 @@
 """Poisson multi-Bernoulli filter on disparity space: labelled tracks.
 
-The track-oriented marginal filter (Williams 2015): each track is a Bernoulli component, a probability of
-existence and a mixture of the hypotheses that the data have not decided yet (most often one Gaussian: the
-pairing of detections of two cameras on one epipolar line stays open for a while); association marginals exactly,
-cluster by cluster, and by loopy belief propagation for clusters too large; objects that were never detected are a
-Poisson intensity, uniform over the image (the observation-driven birth of the PHD filter), to which tracks that
-became improbable are recycled. The log-likelihood of an event is the value of its association problem.
+The track-oriented marginal filter (Williams 2015). Each track is a Bernoulli component: a probability of existence and
+a mixture of the hypotheses that the data have not decided yet. Most tracks have one Gaussian; several remain where
+detections of two cameras on one epipolar line can be paired in several ways. Association marginals are exact, cluster
+by cluster; loopy belief propagation replaces them for clusters that are too large. Objects that were never detected
+form a Poisson intensity, uniform over the image (the observation-driven birth of the PHD filter); tracks that became
+improbable are recycled to it. The log-likelihood of an event is the value of its association problem.
 
 Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA and
 association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
@@ -61,7 +61,8 @@ class PmbFilter(DisparityFilter):
         return compiled_settings(PmbReduction, settings)
 
     @cached_property
-    def _crosswise(self) -> CrosswiseTest:
+    def crosswise_test(self) -> CrosswiseTest:
+        """The test for pairs of tracks that are paired crosswise."""
         samples, settings = self.sets.turn(0), self.settings
         return CrosswiseTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
 
@@ -81,7 +82,7 @@ class PmbFilter(DisparityFilter):
         history = state.history
         if math.isfinite(self.settings.exchange_above):
             history = (history or History()).add(_sighting(event, *likely))
-            reduced, history = self._crosswise.put_right(reduced, history, event.time_s, state.n_events)
+            reduced, history = self.crosswise_test.put_right(reduced, history, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:

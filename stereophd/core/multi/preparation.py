@@ -23,6 +23,7 @@ from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.mixture import empty_mixture
 from stereophd.core.multi.phd_update import reduce_intensity
+from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.pmb_reduce import reduce_tracks
 from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.samples import draw_sample_sets
@@ -51,6 +52,7 @@ def prepare(kind: str) -> None:
     for time_s in (0.0, 1.0):
         event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
         state, _, _ = multi_filter.step(state, event)
+    _prepare_tests(multi_filter)
 
 
 def prepare_last_first(kind: str) -> None:
@@ -61,7 +63,14 @@ def prepare_last_first(kind: str) -> None:
         _compile(association_marginals, integers, integers, np.empty(0), 0, 0)
     _compile(LAST_KERNELS[kind], empty_mixture(multi_filter.state_size), multi_filter.reduction)
     multi_filter.extract(multi_filter.init())
+    _prepare_tests(multi_filter)
     prepare(kind)
+
+
+def _prepare_tests(multi_filter: DisparityFilter) -> None:
+    """Compile what a filter needs only from when it reports several objects."""
+    if isinstance(multi_filter, PmbFilter):
+        multi_filter.crosswise_test.compile()
 
 
 def _compile(kernel: Any, *arguments: Any) -> None:

@@ -1,4 +1,4 @@
-"""What many runs say: means with confidence intervals, root mean squares, means over windows of time.
+"""Summary of many runs: means with confidence intervals, root mean squares, means over windows of time.
 
 The interval of a mean is Student's, at 95 %. A root mean square R = sqrt(mean of e^2) takes the interval of
 the mean of e^2, through the root. A bound is that of the case, beside every method.
@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtrit
 
-from stereophd.config.errors import nearest
 from stereophd.core.numerics.times import TIME_DECIMALS
-from stereophd.errors import InputError
+from stereophd.errors import InputError, nearest
 from stereophd.experiments.engine.base import Array, Series
 
 if TYPE_CHECKING:
@@ -159,7 +158,8 @@ def _summary(quantity: str, unit: str, times_s: Array | None, values: Array, bou
 
 
 class QuantityCheck:
-    """Says that a quantity does not exist as soon as every method has one run in every case, not after all runs.
+    """Raises an error for a quantity that does not exist as soon as every method has one run in every case, not after
+    all runs.
 
     Parameters
     ----------

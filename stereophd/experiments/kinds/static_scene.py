@@ -1,8 +1,8 @@
 """Feature correspondence: points that stand still, seen in several views, unlabelled and among clutter (paper VI).
 
-Run k is the scene of run k of several runs of ``simulate``, tracked with ``motion.model: static``. The answers are the
-landmarks after the last view: how many points are found, how accurate they are beside the bound, and which detection of
-which view belongs to which of them (the one-to-one assignment of least squared Mahalanobis distance).
+Run k is the scene of run k of several runs of ``simulate``, tracked with ``motion.model: static``. The landmarks after
+the last view are scored: the number of points found, their accuracy relative to the bound, and the assignment of the
+detections of each view to landmarks (one to one, of least squared Mahalanobis distance).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.kinds.multi_object import filtered_points, scene_truth
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
@@ -60,7 +60,7 @@ class _Views:
 
 
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
-    """Return what was found of the points, how accurately, and how many detections were told apart, in one run."""
+    """Return the scores of one run: points found, their errors, and detections assigned to the right point."""
     views = _views(loaded, number)
     times = np.array([frame.time_s for frame in views.frames])
     with method_clock():
@@ -71,7 +71,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
         start, np.tile(views.positions, (len(times), 1)), np.zeros((count * len(times), 3)),
         np.tile(views.labels, len(times)),
     )  # fmt: skip
-    scenario = _scenario(loaded)
+    scenario = scenario_of(loaded.config, StaticSceneScenario)
     scores = score_scans(found, truth, 2.0, scenario.cutoff)
     unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
     last = scores.pair_scan == len(times) - 1
@@ -107,7 +107,8 @@ def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> 
 
 
 def _correspondence(found: PointSets, views: _Views, pairs: np.ndarray) -> list[Series]:
-    """Return the share of true detections given to the landmark of their point, and of wrong ones among those given."""
+    """Return the share of true detections assigned to the landmark of their point, and of wrong assignments among
+    all."""
     first = int(found.start[-2])
     assert found.covariance is not None
     positions, covariances = found.position[first:], found.covariance[first:]
@@ -171,7 +172,7 @@ def _views(loaded: LoadedConfig, number: int) -> _Views:
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the bound on the root mean square error after the last view, its variances averaged over scenes."""
-    scenes = range(_scenario(loaded).bound_scenes)
+    scenes = range(scenario_of(loaded.config, StaticSceneScenario).bound_scenes)
     variances = []
     for number in scenes:
         information = _views(loaded, number).information
@@ -179,13 +180,6 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
         variances.append(np.trace(np.linalg.inv(information[seen]), axis1=1, axis2=2).mean())
     unit = loaded.config.units.length
     return [Series("position_rmse", unit, np.array([float(np.sqrt(np.mean(variances)))]))]
-
-
-def _scenario(loaded: LoadedConfig) -> StaticSceneScenario:
-    assert loaded.config.experiment is not None
-    scenario = loaded.config.experiment.scenario
-    assert isinstance(scenario, StaticSceneScenario)
-    return scenario
 
 
 def _root(squared: Sequence[float] | Array) -> float:

@@ -16,7 +16,7 @@ from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import Task
 from stereophd.core.calibration.unknown_sets import UnknownSet, default_stages, stages_named
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.stream import covered, open_stream
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CalibrationProblem:
-    """What is to be estimated, from what.
+    """The unknowns of a calibration and the data that constrain them.
 
     Attributes
     ----------
@@ -49,13 +49,13 @@ class CalibrationProblem:
     counts: dict[str, int]
 
     def scans(self, most: int | None = None) -> Scans:
-        """Return the events by the cameras of the prior mean, at most so many."""
+        """Return the events by the cameras of the prior mean, at most about `most`."""
         frames = None if most is None else tracked_frames(self.recording, most)
         return Scans.of(self.recording, self.parameters.cameras, frames)
 
 
 def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
-    """Return a known baseline as a measurement; None for what is known otherwise, or not at all.
+    """Return a known baseline as a measurement; None if another length is known, or none.
 
     Raises
     ------
@@ -67,11 +67,12 @@ def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurem
         return None
     names = [camera.name for camera in parameters.cameras]
     first, second = scale.cameras
-    if first not in names or second not in names or first == second:
-        raise InputError(
-            f"{loaded.path}: calibration.scale.cameras: expected two of the cameras {', '.join(names)}, "
-            f"found {first}, {second}"
-        )
+    where = f"{loaded.path}: calibration.scale.cameras"
+    for name in (first, second):
+        if name not in names:
+            raise InputError(f"{where}: {unknown_camera(name, names)}")
+    if first == second:
+        raise InputError(f"{where}: expected two cameras, found {first} twice")
     return ScaleMeasurement("baseline", scale.distance, scale.std, (names.index(first), names.index(second)))
 
 
@@ -130,7 +131,7 @@ def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | 
 
 
 def tracked_frames(recording: Recording, most: int) -> NDArray[np.int64]:
-    """Return every n-th frame of each camera, so that at most so many are left."""
+    """Return every n-th frame of each camera, so that at most about `most` remain."""
     return recording.every(max(math.ceil(len(recording.cameras) / most), 1))
 
 

@@ -14,7 +14,7 @@ from stereophd.core.calibration.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.quantities.base import IMAGES, Quantity
 from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -49,9 +49,7 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
         raise InputError(f"{loaded.path}: cameras: expected two or more to calibrate, found {len(cameras)}")
     for key, name in [("reference", section.reference), *((f"priors.{n}", n) for n in section.priors)]:
         if name not in names:
-            raise InputError(
-                f"{loaded.path}: calibration.{key}: expected one of the cameras {', '.join(names)}, found {name}"
-            )
+            raise InputError(f"{loaded.path}: calibration.{key}: {unknown_camera(name, names)}")
     for camera in cameras:
         _check_priors(loaded, section, camera)
     parameters = [
@@ -68,7 +66,8 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
 def _shared(
     loaded: LoadedConfig, section: CalibrationConfig, cameras: tuple[Camera, ...], parameters: list[Parameter]
 ) -> tuple[Parameter, ...]:
-    """Tie the intrinsics and lenses of cameras that share one: a parameter of the first stands for all of them."""
+    """Tie the intrinsics and lenses of cameras that share them: a parameter of the first camera applies to all of
+    them."""
     by_name = {camera.name: camera for camera in cameras}
     places = {(p.camera, p.name): p for p in parameters}
     for number, group in enumerate(section.shared):
@@ -114,7 +113,7 @@ def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Came
 
 
 def _unavailable(quantity: Quantity, component: str, camera: Camera) -> str:
-    """Say why a camera does not have a component."""
+    """Return the reason why a camera does not have a component."""
     if quantity.named:
         known = ", ".join(quantity.available(camera)) or "none"
         return f"expected coefficients of its lens model {camera.lens.model} ({known}), found {component}"

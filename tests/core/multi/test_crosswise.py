@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi import crosswise as crosswise_module
 from stereophd.core.multi.crosswise import CrosswiseTest, NewObjects, crosswise_pairs
 from stereophd.core.multi.history import KEPT_EVENTS, ClaimedDetections, ClaimedRows, History
 from stereophd.core.multi.pmb import PmbFilter
@@ -51,7 +54,32 @@ def crosswise(steps: list[Step], multi_filter: PmbFilter) -> tuple[History, tupl
 
 
 def exchange_of(multi_filter: PmbFilter) -> CrosswiseTest:
-    return multi_filter._crosswise
+    return multi_filter.crosswise_test
+
+
+@pytest.mark.parametrize("kernel", ["crosswise_pairs", "filter_again"])
+def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
+    steps: list[Step], kernel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    types: list[tuple[Any, ...]] = []
+    called = getattr(crosswise_module, kernel)
+
+    def noted(*arguments: Any) -> Any:
+        types.append(tuple(map(numba.typeof, arguments)))
+        return called(*arguments)
+
+    monkeypatch.setattr(crosswise_module, kernel, noted)
+    multi_filter = make_pmb()
+    exchange_of(multi_filter).compile()
+    beforehand = set(types)
+    types.clear()
+    history, (first, second) = crosswise(steps, multi_filter)
+    state, test = steps[-1][0], exchange_of(multi_filter)
+    assert state.time_s is not None
+    test.explain(history, first, second, 1, test.prior(multi_filter.rig.views(0.0)))
+    test.put_right(state.mixture, history, state.time_s, state.n_events)
+    assert len(types) > 0
+    assert set(types) == beforehand
 
 
 def test_the_odds_of_an_exchange_are_those_of_its_reverse(steps: list[Step]) -> None:
