@@ -28,7 +28,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 from numpy.typing import NDArray
-from stereophd.core.metrics.alignment import Truth
 
 from stereophd.commands.calibrate import calibrate
 from stereophd.config.loading import load_cameras, load_config
