@@ -25,10 +25,9 @@ from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.history import History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.undetected import Undetected, expected_births, view_overlap
-from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
@@ -105,6 +104,8 @@ class DisparityFilter(ABC):
     settings : FilterSettings
     threads : int
         Threads of the sample trips; results do not depend on it.
+    claims : bool
+        Whether `Info.claims` is filled in.
     """
 
     rig: Rig
@@ -112,6 +113,7 @@ class DisparityFilter(ABC):
     sets: SampleSets
     settings: FilterSettings
     threads: int = 1
+    claims: bool = False
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
@@ -154,6 +156,7 @@ class DisparityFilter(ABC):
         weights = mixture.weights * self.settings.survival_per_s**elapsed
         homes, dts = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
         motion = self.motion.arrays(dts)
+        p_detect = self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0
         moved = move(
             mixture.means,
             mixture.covariances,
@@ -163,17 +166,16 @@ class DisparityFilter(ABC):
             self.motion,
             self.sets,
             state.n_events,
-            self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0,
+            p_detect,
             weights >= IMPORTANT_WEIGHT,
             self.threads,
             self.rig.region,
             motion,
         )
-        views = self.rig.views(event.time_s)
-        fade_out_of_view(
-            weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
-        )
-        weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
+        keep_surviving_weights(
+            weights, mixture, moved, homes, motion, self.rig.views(event.time_s), event.camera, elapsed,
+            self.settings.out_of_view_s,
+        )  # fmt: skip
         births, undetected = self.expected_births(state.undetected, elapsed, event)
         return Prediction(mixture.with_weights(weights), moved, births, undetected)
 

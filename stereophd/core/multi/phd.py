@@ -55,23 +55,24 @@ class PhdFilter(DisparityFilter):
         """Update with the detections of an event: eq. (5), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, detected, claims = _update(
+        reduced, log_likelihood, labels, claims = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births), reduction,
+            self.event_numbers(event, state.next_label, prediction.births), reduction, self.claims,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
-            Info(log_likelihood, float(reduced.weights.sum()), reduced.size, detected, claims),
+            Info(log_likelihood, float(reduced.weights.sum()), reduced.size, labels, claims),
         )
 
 
 @compiled
 def _update(
-    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction
-) -> tuple[GaussianMixture, float, Integers, Claims]:
+    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction,
+    with_claims: bool,
+) -> tuple[GaussianMixture, float, Integers, Claims | None]:
     """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
     updated, log_likelihood, by = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
-    detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
-    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by)
-    return reduce_intensity(updated, reduction), log_likelihood, detected, claims
+    labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
+    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
+    return reduce_intensity(updated, reduction), log_likelihood, labels, claims

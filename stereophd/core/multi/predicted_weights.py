@@ -5,28 +5,50 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.moved import OUT_OF_VIEW
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
+from stereophd.core.motion.arrays import MotionArrays
+from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Components from this weight or existence on get more samples where only a corner of them is in view.
 IMPORTANT_WEIGHT = 0.1
 
 
 @compiled
-def surviving_weights(
-    weights: Array, tracks: Integers, cameras: Integers, status: Integers, inside: Array, camera: int
-) -> Array:
-    """Weights (n,) of moved components without what is lost.
+def keep_surviving_weights(
+    weights: Array,
+    mixture: GaussianMixture,
+    moved: Moved,
+    homes: Array,
+    motion: MotionArrays,
+    views: Array,
+    camera: int,
+    elapsed: float,
+    time_constant: float,
+) -> None:
+    """Lessen the weights of moved components by what is lost, in place.
 
-    What lies outside the region is gone; what was never established (no identity, and light) and has left the view of
-    the only camera that may have seen it is forgotten, or clutter would fill the world around the view.
+    Existence outside every view fades (`fade_out_of_view`). What lies outside the region is gone; what was never
+    established (no identity, and light) and has left the view of the only camera that may have seen it is forgotten,
+    or clutter would fill the world around the view.
+
+    Parameters
+    ----------
+    weights : array (n,)
+        Changed in place.
+    mixture, moved
+        The components before and after the move.
+    homes, motion, views, elapsed, time_constant
+        As of `fade_out_of_view`.
+    camera : int
+        Of the event.
     """
-    out = weights * inside
+    status, inside, tracks, cameras = moved.status, moved.inside, mixture.tracks, mixture.cameras
+    fade_out_of_view(weights, status, mixture.means, homes, motion, views, elapsed, time_constant)
     for k in range(len(weights)):
         unknown = tracks[k] < 0 and weights[k] < IMPORTANT_WEIGHT
-        if unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera:
-            out[k] = 0.0
-    return out
+        forgotten = unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera
+        weights[k] = 0.0 if forgotten else weights[k] * inside[k]

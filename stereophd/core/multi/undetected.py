@@ -96,7 +96,9 @@ def reduction_for_births(reduction: Reduction, births: float, detector: Detector
     values: Any = reduction
     born = detector.p_detect * births
     newborn = born / (born + detector.clutter_per_frame) if born > 0.0 else 0.0
-    weight = min(values.prune_weight, max(NEWBORN_SHARE * newborn, LEAST_PRUNING * values.prune_weight))
+    weight = max(NEWBORN_SHARE * newborn, LEAST_PRUNING * values.prune_weight)
+    if weight >= values.prune_weight:
+        return reduction
     return cast("Reduction", values._replace(prune_weight=weight))
 
 
