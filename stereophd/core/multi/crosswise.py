@@ -29,6 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Rig
+from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.disparity.sample_move import Look
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, due_pairs
 from stereophd.core.multi.explanations import Explained, explain_rows, make_paths, room_for_explained
@@ -45,6 +47,8 @@ MOST_TESTS = 2
 # Events until a pair is tested again: at least the first, and one more for each nat that the exchange is behind, up to
 # the second.
 SOONEST, LATEST = 2, 64.0
+# Fewest samples in view from which a Gaussian is fitted: a detection says that the track is in view.
+FEWEST = 2
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,16 @@ class CrosswiseTest:
         times = rows.times
         motion = self.motion.arrays((times - times.take(paths.before, mode="clip")).ravel())
         out = room_for_explained(*owners.shape, self.motion.state_size)
-        explain_rows(rows, paths, motion, prior, self.samples, LATEST, out)
+        for h, row in np.argwhere(paths.before < 0).tolist():
+            one, camera, track = slice(row, row + 1), rows.cameras[row], owners[h, row]
+            born, spread = initial_moments(
+                rows.points[one], rows.noises[one], paths.spaces[row], float(prior.means[camera]),
+                float(prior.stds[camera]), prior.velocity_std, self.motion.state_size,
+                None if rows.delays is None else rows.delays[one],
+            )  # fmt: skip
+            out.means[h, track], out.covariances[h, track] = born[0], spread[0]
+        look = Look(self.samples, np.ones(self.samples.shape[1]), FEWEST)
+        explain_rows(rows.points, rows.noises, rows.delays, paths, motion, look, LATEST, out)
         return out
 
 

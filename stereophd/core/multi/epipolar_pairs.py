@@ -83,32 +83,21 @@ def crosswise_pairs(
     heads, places = _reported_places(mixture, homes)
     count = len(heads)
     # angle of the epipolar plane of each, and how far (rad) two planes may be apart
-    base = second[CENTER : CENTER + 3] - first[CENTER : CENTER + 3]
-    length = math.sqrt(base[0] ** 2 + base[1] ** 2 + base[2] ** 2)
-    base = base / length
-    least = np.argmin(np.abs(base))
-    across = -base[least] * base
-    across[least] += 1.0
-    across /= math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
-    up_x, up_y, up_z = (
-        base[1] * across[2] - base[2] * across[1],
-        base[2] * across[0] - base[0] * across[2],
-        base[0] * across[1] - base[1] * across[0],
-    )
-    angles, widths = np.empty(count), np.zeros(count)
+    across, up = _epipolar_axes(first, second)
+    angles, widths, widest = np.empty(count), np.empty(count), 0.0
     for i in range(count):
         x = places[i, 0] - second[CENTER]
         y = places[i, 1] - second[CENTER + 1]
         z = places[i, 2] - second[CENTER + 2]
         along = across[0] * x + across[1] * y + across[2] * z
-        up = up_x * x + up_y * y + up_z * z
+        high = up[0] * x + up[1] * y + up[2] * z
         depth = second[ROTATION + 6] * x + second[ROTATION + 7] * y + second[ROTATION + 8] * z
-        angles[i] = math.atan2(up, along)
-        widths[i] = tolerance * depth / (second[FX] * math.hypot(along, up)) if depth > 0.0 else 0.0
+        angles[i] = math.atan2(high, along)
+        widths[i] = tolerance * depth / (second[FX] * math.hypot(along, high)) if depth > 0.0 else 0.0
+        widest = max(widest, widths[i])
     order = stable_order(angles)
-    widest = widths.max() if count > 0 else 0.0
-    found = [(np.int64(0), np.int64(0))]
-    found.clear()
+    out = np.empty((count, 2), dtype=np.int64)
+    found = 0
     for m in range(count):
         i = order[m]
         for n in range(m + 1, count):
@@ -120,11 +109,44 @@ def crosswise_pairs(
                 _meet(places[i], places[j], views, cameras[0], cameras[1], prior)
                 and _meet(places[j], places[i], views, cameras[0], cameras[1], prior)
             ):
+                if found == len(out):
+                    out = _doubled(out)
                 one, other = labels[heads[i]], labels[heads[j]]
-                found.append((min(one, other), max(one, other)))
-    out = np.empty((len(found), 2), dtype=np.int64)
-    for k in range(len(found)):
-        out[k, 0], out[k, 1] = found[k]
+                out[found, 0], out[found, 1] = min(one, other), max(one, other)
+                found += 1
+    return out[:found]
+
+
+@compiled
+def _epipolar_axes(first: Array, second: Array) -> tuple[Array, Array]:
+    """Two axes (3,) that are orthogonal to the line from one camera to another, and to each other."""
+    base, across, up = np.empty(3), np.empty(3), np.empty(3)
+    for a in range(3):
+        base[a] = second[CENTER + a] - first[CENTER + a]
+    length = math.sqrt(base[0] ** 2 + base[1] ** 2 + base[2] ** 2)
+    least = 0
+    for a in range(3):
+        base[a] = base[a] / length
+        if abs(base[a]) < abs(base[least]):
+            least = a
+    for a in range(3):
+        across[a] = -base[least] * base[a]
+    across[least] += 1.0
+    length = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
+    for a in range(3):
+        across[a] /= length
+    up[0] = base[1] * across[2] - base[2] * across[1]
+    up[1] = base[2] * across[0] - base[0] * across[2]
+    up[2] = base[0] * across[1] - base[1] * across[0]
+    return across, up
+
+
+@compiled
+def _doubled(rows: Integers) -> Integers:
+    """Copy rows (n, 2) into an array with room for twice as many."""
+    out = np.empty((2 * len(rows), 2), dtype=np.int64)
+    for k in range(len(rows)):
+        out[k, 0], out[k, 1] = rows[k, 0], rows[k, 1]
     return out
 
 

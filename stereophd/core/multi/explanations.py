@@ -12,13 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
-from stereophd.core.multi.epipolar_pairs import NewObjects
-from stereophd.core.multi.history import ClaimedRows
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.sorting import copy_gaussian
 
@@ -91,11 +88,12 @@ def make_paths(owners: Integers, spaces: Array) -> Paths:
 
 @compiled
 def explain_rows(
-    rows: ClaimedRows,
+    points: Array,
+    noises: Array,
+    delays: Array | None,
     paths: Paths,
     motion: MotionArrays,
-    prior: NewObjects,
-    samples: Array,
+    look: Look,
     most_behind: float,
     out: Explained,
 ) -> None:
@@ -103,42 +101,42 @@ def explain_rows(
 
     Parameters
     ----------
-    rows : ClaimedRows
-        Detections (n) of both tracks, forwards or backwards in time.
+    points, noises, delays : arrays (n, 2), (n, 2, 2), (n,) or None
+        Detections of both tracks, as in `Event`, forwards or backwards in time.
     paths : Paths
     motion : MotionArrays
         Over the h * n intervals since the detection before each (that of the first of a track is not used).
-    prior : NewObjects
-    samples : array (rows, s)
-        Of the moves.
+    look : Look
+        Samples of the moves.
     most_behind : float
         Where the second explanation is further behind the first one after the same rows, nats, the rest is left out.
     out : Explained
-        Filled in: zeros.
+        Filled in: zeros, but for the Gaussians of the tracks at their first detections.
     """
     explanations, count = paths.owners.shape
     size = out.means.shape[2]
     means, covariances = np.empty((explanations * count, size)), np.empty((explanations * count, size, size))
     moved = allocate_moved(explanations * count, size)
     totals = np.zeros(explanations)
+    which, nowhere = np.empty(1, dtype=np.int64), np.empty(0)
     for row in range(count):
         for h in range(explanations):
             track, k = paths.owners[h, row], h * count + row
-            if totals[h] == -np.inf:
+            if totals[h] == -math.inf:
                 continue
             if paths.before[h, row] < 0:
-                _begin(rows, row, paths.spaces[row], prior, out.means[h], out.covariances[h], track)
                 out.fits[h, row] = True
                 continue
             copy_gaussian(out.means[h], out.covariances[h], track, means, covariances, k)
-            look = Look(samples, np.ones(samples.shape[1]), 2)
+            which[0] = k
             move_components(
-                np.full(1, k), means, covariances, paths.homes, motion, look, paths.spaces[row], 0.0, np.empty(0),
-                moved,
+                which, means, covariances, paths.homes, motion, look, paths.spaces[row], 0.0, nowhere, moved
             )  # fmt: skip
-            gain = -np.inf
+            gain = -math.inf
             if moved.status[k] != OUT_OF_VIEW:
-                gain, out.fits[h, row] = _follow(rows, row, moved, k, out.means[h], out.covariances[h], track)
+                gain, out.fits[h, row] = _follow(
+                    points, noises, delays, row, moved, k, out.means[h], out.covariances[h], track
+                )
             out.log_likelihoods[h, track] += gain
             totals[h] += gain
         if explanations > 1 and totals[0] - totals[1] > most_behind:
@@ -146,32 +144,29 @@ def explain_rows(
 
 
 @compiled
-def _begin(
-    rows: ClaimedRows, row: int, space: Array, prior: NewObjects, means: Array, covariances: Array, track: int
-) -> None:
-    """Fill in the Gaussian of a track at its first detection."""
-    first, end, size = rows.cameras[row], row + 1, means.shape[1]
-    born, spread = initial_moments(
-        rows.points[row:end], rows.noises[row:end], space, prior.means[first], prior.stds[first], prior.velocity_std,
-        size, rows.delays[row:end],
-    )  # fmt: skip
-    copy_gaussian(born, spread, 0, means, covariances, track)
-
-
-@compiled
 def _follow(
-    rows: ClaimedRows, row: int, moved: Moved, k: int, means: Array, covariances: Array, track: int
+    points: Array,
+    noises: Array,
+    delays: Array | None,
+    row: int,
+    moved: Moved,
+    k: int,
+    means: Array,
+    covariances: Array,
+    track: int,
 ) -> tuple[float, bool]:
     """Update a moved track with its next detection; return its log-likelihood, and whether the detection fits."""
-    points, noises, delay = rows.points[row : row + 1], rows.noises[row : row + 1], rows.delays[row : row + 1]
+    point, noise = points[row : row + 1], noises[row : row + 1]
+    delay = None if delays is None else delays[row : row + 1]
     after, spread = moved.means[k : k + 1], moved.covariances[k : k + 1]
-    seen, one, unit = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.int64), np.ones(1)
-    _, _, density = pair_likelihoods(after, spread, seen, points, noises, unit, delay)
+    seen, one, unit = np.empty(1, dtype=np.bool_), np.zeros(1, dtype=np.int64), np.empty(1)
+    seen[0], unit[0] = True, 1.0
+    _, _, density = pair_likelihoods(after, spread, seen, point, noise, unit, delay)
     likely = density[0] if len(density) > 0 else 0.0
-    area = noises[0, 0, 0] * noises[0, 1, 1] - noises[0, 0, 1] * noises[0, 1, 0]
+    area = noise[0, 0, 0] * noise[0, 1, 1] - noise[0, 0, 1] * noise[0, 1, 0]
     least = math.exp(-MOST_SURPRISE) / (2.0 * math.pi * math.sqrt(area))
     fits = likely > least
     if fits:
-        after, spread = kalman_updates(after, spread, one, one, points, noises, delay)
+        after, spread = kalman_updates(after, spread, one, one, point, noise, delay)
     copy_gaussian(after, spread, 0, means, covariances, track)
     return math.log(likely + least), fits

@@ -92,14 +92,14 @@ class History:
     def _rows(self) -> ClaimedRows:
         kept = self.sightings
         counts = [len(one.labels) for one in kept]
-        delays = [] if all(one.delays is None for one in kept) else [_delays(one) for one in kept]
+        delayed = any(one.delays is not None for one in kept)
         return ClaimedRows(
             np.repeat([one.camera for one in kept], counts),
             np.repeat([one.time_s for one in kept], counts),
             np.concatenate([one.labels for one in kept]),
             np.concatenate([one.points for one in kept]),
             np.concatenate([one.noises for one in kept]),
-            np.concatenate(delays) if delays else np.zeros(sum(counts)),
+            np.concatenate([_delays(one) for one in kept]) if delayed else None,
         )
 
     def exchanged(self, first: int, second: int, camera: int) -> History:
@@ -132,14 +132,14 @@ def _exchanged(sighting: ClaimedDetections, first: int, second: int) -> ClaimedD
 
 
 class ClaimedRows(NamedTuple):
-    """Detections in order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), delays (n,)."""
+    """In order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), delays (n,) or None."""
 
     cameras: Integers
     times: Array
     labels: Integers
     points: Array
     noises: Array
-    delays: Array
+    delays: Array | None
 
     def backwards(self) -> ClaimedRows:
         """Return the rows in reverse order."""
@@ -149,5 +149,5 @@ class ClaimedRows(NamedTuple):
         """Return some of the rows."""
         return ClaimedRows(
             self.cameras[index], self.times[index], self.labels[index], self.points[index], self.noises[index],
-            self.delays[index],
+            None if self.delays is None else self.delays[index],
         )  # fmt: skip

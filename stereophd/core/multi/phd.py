@@ -68,7 +68,11 @@ class PhdFilter(DisparityFilter):
 
 @compiled
 def _update(
-    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction,
+    mixture: GaussianMixture,
+    moved: Moved,
+    event: EventArrays,
+    numbers: EventNumbers,
+    reduction: PhdReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, Integers, Claims | None]:
     """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""

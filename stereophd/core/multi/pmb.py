@@ -97,7 +97,11 @@ class PmbFilter(DisparityFilter):
 
 @compiled
 def _update(
-    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PmbReduction,
+    mixture: GaussianMixture,
+    moved: Moved,
+    event: EventArrays,
+    numbers: EventNumbers,
+    reduction: PmbReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None]:
     """`update_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""

@@ -1,14 +1,14 @@
 """Where compiled kernels are kept, and when a kept one is still valid.
 
-A kernel is compiled together with every kernel that it calls, so a kept one is valid only while its own source file and
-all files of the package that it imports, directly or not, have the same contents. The folder of a kernel carries the
-hash of these contents in its name: a changed kernel finds no folder and is compiled, an old folder is never read again,
-and checkouts with the same kernels share one folder. (numba's own cache looks at the file of the kernel alone, and
-goes on using a caller of a changed kernel.)
+A kernel is compiled together with every kernel that it calls, so a kept kernel is valid only while its own source file
+and all files of the package that it imports, directly or not, have the same contents. The name of a kernel's folder
+contains the hash of these contents. A changed kernel therefore has no folder yet and is compiled, an outdated folder is
+never read again, and checkouts with the same kernels share one folder. (numba's own cache checks the file of the kernel
+alone, and would reuse a kernel whose callee has changed.)
 
-Kept kernels that cannot be read (damaged, cut off) are compiled anew. They are looked for in several folders, so that
-those of a package that is read-only count too, and a new one is kept in the first folder that takes it; where none does
-(read-only, full), nothing is kept, and a note says so once. Importing reads nothing and writes nothing.
+A kept kernel that cannot be read (damaged, cut off) is compiled anew. Several folders are searched, so that the kernels
+of a read-only installation are found. A new kernel is kept in the first folder that can be written to; if there is none
+(read-only, full), nothing is kept, and one warning reports it. Importing reads and writes nothing.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from stereophd.core.numerics import kernel_units
 from stereophd.core.numerics.kernel_digest import PACKAGE_PARENT, source_digest
 
 FOLDER_NAME = "stereophd-kernels"
-# Kernels of sources that nobody has used for so long are removed, when another one is kept.
+# Kernels that have not been used for this long are removed when a new kernel is kept.
 UNUSED_DAYS = 30
 
 _DAY_S = 86400.0
@@ -61,7 +61,7 @@ def _candidates() -> list[Path]:
 
 
 def _temporary_folder() -> list[Path]:
-    """Return the folder in the temporary folder, or nothing where there is no temporary folder."""
+    """Return this user's folder in the temporary folder, or an empty list if the system has no temporary folder."""
     try:
         return [Path(tempfile.gettempdir()) / f"{FOLDER_NAME}-{os.getuid() if _HAS_USERS else 'user'}"]
     except OSError:
@@ -70,12 +70,12 @@ def _temporary_folder() -> list[Path]:
 
 @cache
 def kernel_folders() -> tuple[Path, ...]:
-    """Return the folders in which kept kernels are looked for, in order; new ones are kept in the first possible."""
+    """Return the folders searched for kept kernels, in order; a new one is kept in the first that can be written to."""
     return tuple(folder for folder in _candidates() if folder not in _temporary_folder() or _is_private(folder))
 
 
 def _is_private(folder: Path) -> bool:
-    """Whether a folder is this user's and nobody else may enter it, or is not there yet."""
+    """Whether a folder belongs to this user and no other user may enter it, or does not exist yet."""
     try:
         found = folder.lstat()
     except OSError:
@@ -84,7 +84,7 @@ def _is_private(folder: Path) -> bool:
 
 
 def place_to_keep() -> Path | None:
-    """Return the folder in which new kernels are probably kept; None: there is none that can be written to."""
+    """Return the folder in which a new kernel would be kept, or None if no folder can be written to."""
     for folder in kernel_folders():
         there = next((path for path in (folder, *folder.parents) if path.exists()), None)
         if there is not None and there.is_dir() and os.access(there, os.W_OK):
@@ -98,7 +98,7 @@ _FAILED: set[Path] = set()
 
 @cache
 def _note_nothing_kept() -> None:
-    """Say, once, that kernels are compiled and cannot be kept; worker processes (without handlers) say nothing."""
+    """Warn once that kernels cannot be kept; worker processes have no handlers and stay silent."""
     if LOGGER.hasHandlers():
         LOGGER.warning(
             "compiled kernels cannot be kept, so every run compiles them, for up to a minute: none of these "
@@ -109,7 +109,7 @@ def _note_nothing_kept() -> None:
 
 @cache
 def _mark_used(folder: Path) -> None:
-    """Give the folder of a kernel the time of its last use, if that is not of today."""
+    """Set the modification time of a kernel's folder to now, if it is more than a day old."""
     with contextlib.suppress(OSError):
         if time.time() - folder.stat().st_mtime > _DAY_S:
             os.utime(folder)
@@ -117,7 +117,7 @@ def _mark_used(folder: Path) -> None:
 
 @cache
 def _prune(folder: Path) -> None:
-    """Remove kernels that nobody has used for `UNUSED_DAYS`; called when a kernel is kept, once a process."""
+    """Remove kernels that have not been used for `UNUSED_DAYS`; runs once a process, when a kernel is kept."""
     oldest = time.time() - UNUSED_DAYS * _DAY_S
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
@@ -175,7 +175,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         return IndexDataCacheFile(str(self.folder_in(folder)), self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a kept form, or None: none is kept, or it cannot be read (whatever is wrong with it)."""
+        """Return a kept form, or None if none is kept or it cannot be read, for whatever reason."""
         target_context.refresh()
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():
@@ -194,7 +194,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a form in the first folder that takes it."""
+        """Keep a form in the first folder that can be written to."""
         units, apart = kernel_units.units_of(data), kernel_units.is_large(data)
         if not self._impl.check_cachable(data):
             kernel_units.set_apart(data, self._py_func, units, apart)

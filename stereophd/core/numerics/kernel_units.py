@@ -10,6 +10,7 @@ of compilation), and a process that finds a compiled caller must load its units 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,12 +19,15 @@ import llvmlite.binding as llvm
 from numba.core.compiler import Compiler
 
 from stereophd.core.numerics.kernel_digest import source_digest
+from stereophd.core.numerics.quick_compilation import quick_compilation
 
 # Instructions (after optimisation) from which on a kernel is a unit of its own. LLVM inlines functions of some 50.
 APART_INSTRUCTIONS = 200
 
 _UNITS_OF = "_stereophd_units"
 _DIGEST_LENGTH = 16
+# The cases of a `switch` have lines of their own, further in.
+_INSTRUCTION = re.compile(r"^  [^ \]]", re.MULTILINE)
 
 
 class Unit(NamedTuple):
@@ -55,7 +59,8 @@ class KernelCompiler(Compiler):  # type: ignore[misc]
         function = self.state.func_id.func
         text = f"{source_digest(Path(function.__code__.co_filename).resolve())} {function.__code__.co_firstlineno}"
         self.state.func_id.unique_id = hashlib.sha256(text.encode()).hexdigest()[:_DIGEST_LENGTH]
-        return super()._compile_bytecode()
+        with quick_compilation():
+            return super()._compile_bytecode()
 
 
 def name_of(function: Any) -> tuple[str, str, int]:
@@ -90,7 +95,8 @@ def set_apart(form: Any, function: Any, units: Iterable[Unit], apart: bool) -> N
 def is_large(form: Any) -> bool:
     """Whether a form, just compiled, is too large to be inlined."""
     function = form.library.get_function(form.fndesc.llvm_func_name)
-    return sum(1 for block in function.blocks for _ in block.instructions) >= APART_INSTRUCTIONS
+    # to walk through the instructions takes far longer than to count the lines that hold one
+    return len(_INSTRUCTION.findall(str(function))) >= APART_INSTRUCTIONS
 
 
 def load_units(units: Iterable[Unit], target_context: Any) -> bool:

@@ -4,7 +4,8 @@ A stream is ``numpy.random.SeedSequence(seed, spawn_key=path)``. No two purposes
 are independent. Numbers below 2**31 at the beginning of a path count the runs of ``simulate`` and ``experiment``;
 purposes of a whole configuration begin at 2**31.
 
-What receives a stream may spawn from it (a camera, a start of a calibration, a step): paths go on there.
+The receiver of a stream may spawn children from it, for example one for each camera, start of a calibration or step;
+their paths begin with the path of the stream.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ FIRST_KEY = 2**31
 
 @dataclass(frozen=True)
 class Purpose:
-    """What random numbers are for.
+    """A purpose of random numbers.
 
     Attributes
     ----------
@@ -41,7 +42,7 @@ class Purpose:
 
 @dataclass(frozen=True)
 class RunPurpose:
-    """What random numbers of one run are for.
+    """A purpose of random numbers within one run.
 
     Attributes
     ----------
@@ -88,5 +89,5 @@ MOVE_REFERENCE = Purpose(
 
 
 def run_number(seed: int, run: int) -> int:
-    """Return the first 63 bits of the stream of a run: they tell runs apart, and show which saw the same data."""
+    """Return the first 63 bits of the stream of a run, its identity: runs on the same data have the same."""
     return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint64)[0] >> 1)

@@ -13,7 +13,7 @@ from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.crosswise import LATEST, CrosswiseTest
+from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.epipolar_pairs import NewObjects, crosswise_pairs
 from stereophd.core.multi.history import KEPT_EVENTS, ClaimedDetections, ClaimedRows, History
 from stereophd.core.multi.pmb import PmbFilter
