@@ -44,7 +44,8 @@ from stereophd.core.multi.batch import CHUNK, BatchState, FilterBatch
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.numerics.linear_algebra import cholesky
 from stereophd.core.numerics.moments import weighted_moments
-from stereophd.pipeline.calibration.inputs import phd_filter, read_problem
+from stereophd.pipeline.calibration.filters import phd_filter
+from stereophd.pipeline.calibration.inputs import read_problem
 
 Array = NDArray[np.float64]
 

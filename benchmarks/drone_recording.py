@@ -30,7 +30,7 @@ from stereophd.config.loading import load_cameras, load_config
 from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.cameras import write_cameras
-from stereophd.pipeline.calibration.inputs import with_quantities
+from stereophd.pipeline.calibration.unknowns import with_quantities
 
 Array = NDArray[np.float64]
 

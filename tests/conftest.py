@@ -6,6 +6,8 @@ import contextlib
 import logging
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -20,6 +22,13 @@ with contextlib.suppress(AttributeError):  # not on Windows
 HANDLED_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGXFSZ") if hasattr(signal, name)
 )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the kernels of the filters before several workers start: each of them would compile them by itself."""
+    several = config.getoption("numprocesses", None) and not config.getoption("collectonly")
+    if several and not hasattr(config, "workerinput"):
+        subprocess.run([sys.executable, "-m", "stereophd.cli.app", "compile", "--jobs", "2", "-q"], check=False)
 
 
 @pytest.fixture(autouse=True)

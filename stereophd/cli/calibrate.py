@@ -27,21 +27,13 @@ def calibrate_command(
     out: options.Out,
     cameras: options.Cameras = None,
     jobs: Annotated[
-        int,
-        typer.Option("--jobs", metavar="N", help="Processes (-1: all cores); the outputs do not depend on it."),
+        int, typer.Option("--jobs", metavar="N", help="Processes (-1: all cores); the outputs do not depend on it.")
     ] = -1,
     dask: options.Dask = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue from the checkpoint (DIR.checkpoint) of an interrupted run.")
     ] = False,
-    plots: Annotated[
-        bool | None,
-        typer.Option(
-            "--plots/--no-plots",
-            help="Make plots (needs the extra 'plot'); default: if it is installed.",
-            show_default=False,
-        ),
-    ] = None,
+    plots: options.Plots = None,
     require: Annotated[
         Require | None,
         typer.Option("--require", help="Exit with 1 if the data determine less of the cameras.", show_default=False),

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, load, print_data, print_report
+from stereophd.cli.terminal import begin, exit_if_strict, load, print_data, print_report
 
 MARKS = {"ok": "ok", "warning": "WARNING", "not checked": "not checked"}
 
@@ -36,8 +36,7 @@ def check_command(
         print_report(session, report)
     elif not session.quiet:
         print_data("\n".join(_lines(report["checks"])))
-    if strict and report["warnings"]:
-        raise typer.Exit(1)
+    exit_if_strict(strict, report)
 
 
 def _lines(checks: list[dict[str, Any]]) -> list[str]:

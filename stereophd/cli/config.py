@@ -52,8 +52,7 @@ def check_command(
     overrides: options.Set = None,
     seed: options.Seed = None,
     command: Annotated[
-        Command | None,
-        typer.Option("--for", help="Check also what this command needs.", show_default=False),
+        Command | None, typer.Option("--for", help="Check also what this command needs.", show_default=False)
     ] = None,
     json: options.Json = False,
     quiet: options.Quiet = False,

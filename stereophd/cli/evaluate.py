@@ -35,13 +35,15 @@ def evaluate_command(
     within: of.Within = None,
     ospa2_window: of.Ospa2Window = 10,
     tentative: of.Tentative = False,
+    align: of.Align = of.Alignment.NONE,
+    align_clock: of.AlignClock = False,
     cameras: of.Cameras = None,
     true_cameras: of.TrueCameras = None,
     config: of.Config = None,
     seed: options.Seed = None,
     fail_above: of.FailAbove = None,
     fail_below: of.FailBelow = None,
-    plots: of.Plots = None,
+    plots: options.Plots = None,
     jobs: options.Jobs = 1,
     dask: options.Dask = None,
     force: options.Force = False,
@@ -75,7 +77,7 @@ def evaluate_command(
         "order": order, "cutoff": cutoff, "base": base.value, "from_s": from_s, "to_s": to_s, "max_gap_s": max_gap,
         "at": at.value, "log_path": log, "seen_by": seen_by, "within_s": within, "ospa2_window": ospa2_window,
         "cameras_path": cameras, "plots": plots, "fail_above": above, "fail_below": below,
-        "tentative": tentative,
+        "tentative": tentative, "align": align.value, "align_clock": align_clock,
     }  # fmt: skip
     if tracks.is_dir():
         if out is None:

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from stereophd.cli.options import option
 from stereophd.errors import InputError
 
 
@@ -17,6 +18,14 @@ class Base(StrEnum):
 
     EUCLIDEAN = "euclidean"
     MAHALANOBIS = "mahalanobis"
+
+
+class Alignment(StrEnum):
+    """What of the tracks' frame may be changed."""
+
+    NONE = "none"
+    RIGID = "rigid"
+    SIMILARITY = "similarity"
 
 
 class At(StrEnum):
@@ -32,130 +41,78 @@ Tracks = Annotated[
 Truth = Annotated[
     Path | None, typer.Argument(metavar="TRUTH", help="truth.parquet, or a folder of truths.", show_default=False)
 ]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        help="Folder of report.json, per_scan.parquet and plots.",
-        show_default=False,
-    ),
-]
+Out = Annotated[Path | None, option("--out", "DIR", "Folder of report.json, per_scan.parquet and plots.")]
 Order = Annotated[float, typer.Option("--order", metavar="P", help="Order of OSPA.")]
 Cutoff = Annotated[
     float | None,
-    typer.Option(
+    option(
         "--cutoff",
-        metavar="C",
-        help="Cutoff of OSPA, in the unit of length; default: evaluation.cutoff of the tracks' configuration, else 20 "
+        "C",
+        "Cutoff of OSPA, in the unit of length; default: evaluation.cutoff of the tracks' configuration, else 20 "
         "for files in centimetres.",
-        show_default=False,
     ),
 ]
 BaseDistance = Annotated[Base, typer.Option("--base", help="Base distance.")]
-From = Annotated[
-    float | None,
-    typer.Option("--from", metavar="T", help="First time, s.", show_default=False),
-]
-To = Annotated[
-    float | None,
-    typer.Option("--to", metavar="T", help="Last time, s.", show_default=False),
-]
+From = Annotated[float | None, option("--from", "T", "First time, s.")]
+To = Annotated[float | None, option("--to", "T", "Last time, s.")]
 MaxGap = Annotated[
     float | None,
-    typer.Option(
-        "--max-gap",
-        metavar="S",
-        help="Never interpolate the truth across a longer gap, s; default 1.5 median steps.",
-        show_default=False,
-    ),
+    option("--max-gap", "S", "Never interpolate the truth across a longer gap, s; default 1.5 median steps."),
 ]
-ScoredAt = Annotated[
-    At,
-    typer.Option("--at", help="Score each time once, after its last event, or every event."),
-]
-Log = Annotated[
-    Path | None,
-    typer.Option(
-        "--log",
-        metavar="FILE",
-        help="Detection log, for --seen-by.",
-        show_default=False,
-    ),
-]
+ScoredAt = Annotated[At, typer.Option("--at", help="Score each time once, after its last event, or every event.")]
+Log = Annotated[Path | None, option("--log", "FILE", "Detection log, for --seen-by.")]
 SeenBy = Annotated[
-    int | None,
+    int | None, option("--seen-by", "N", "Score only objects that N cameras detected within --within seconds.", min=1)
+]
+Within = Annotated[float | None, option("--within", "S", "Seconds of --seen-by.")]
+Ospa2Window = Annotated[
+    int, typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2).")
+]
+Tentative = Annotated[bool, typer.Option("--tentative", help="Score tentative estimates beside the confirmed ones.")]
+Align = Annotated[
+    Alignment,
     typer.Option(
-        "--seen-by",
-        metavar="N",
-        min=1,
-        help="Score only objects that N cameras detected within --within seconds.",
-        show_default=False,
+        "--align",
+        help="Score the tracks after the motion (and the scale) that brings them nearest to the truth: for cameras "
+        "that calibrated themselves.",
     ),
 ]
-Within = Annotated[
-    float | None,
-    typer.Option("--within", metavar="S", help="Seconds of --seen-by.", show_default=False),
-]
-Ospa2Window = Annotated[
-    int,
-    typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2)."),
-]
-Tentative = Annotated[
+AlignClock = Annotated[
     bool,
-    typer.Option("--tentative", help="Score tentative estimates beside the confirmed ones."),
+    typer.Option(
+        "--align-clock", help="Score the tracks after a change of their clock's offset and rate, found with --align."
+    ),
 ]
 Cameras = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--cameras",
-        metavar="FILE",
-        help="Cameras (YAML): the clocks of --log, the cameras in the plots; with --true-cameras, what is scored.",
-        show_default=False,
+        "FILE",
+        "Cameras (YAML): the clocks of --log, the cameras in the plots; with --true-cameras, what is scored.",
     ),
 ]
 TrueCameras = Annotated[
     Path | None,
-    typer.Option(
-        "--true-cameras",
-        metavar="FILE",
-        help="True cameras (YAML): score the calibration in --cameras instead of tracks.",
-        show_default=False,
-    ),
+    option("--true-cameras", "FILE", "True cameras (YAML): score the calibration in --cameras instead of tracks."),
 ]
 Config = Annotated[
     Path | None,
-    typer.Option(
-        "--config",
-        metavar="CONFIG",
-        help="With --true-cameras: simulated scenario and priors whose Cramer-Rao bound is reported.",
-        show_default=False,
+    option(
+        "--config", "CONFIG", "With --true-cameras: simulated scenario and priors whose Cramer-Rao bound is reported."
     ),
 ]
 FailAbove = Annotated[
     list[str] | None,
-    typer.Option(
-        "--fail-above",
-        metavar="KEY=VALUE",
-        help="Exit with 1 if a figure is above a limit, such as ospa.mean=0.8 (repeatable).",
-        show_default=False,
+    option(
+        "--fail-above", "KEY=VALUE", "Exit with 1 if a figure is above a limit, such as ospa.mean=0.8 (repeatable)."
     ),
 ]
 FailBelow = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--fail-below",
-        metavar="KEY=VALUE",
-        help="Exit with 1 if a figure is below a limit, such as completeness.mean=0.9 (repeatable).",
-        show_default=False,
-    ),
-]
-Plots = Annotated[
-    bool | None,
-    typer.Option(
-        "--plots/--no-plots",
-        help="Make plots (needs the extra 'plot'); default: if it is installed.",
-        show_default=False,
+        "KEY=VALUE",
+        "Exit with 1 if a figure is below a limit, such as completeness.mean=0.9 (repeatable).",
     ),
 ]
 

@@ -22,15 +22,9 @@ def export_command(
         Path,
         typer.Argument(metavar="SOURCE", help="Tracks (Parquet), cameras, or a folder of them.", show_default=False),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.", show_default=False)],
-    track: Annotated[
-        list[int] | None,
-        typer.Option("--track", metavar="ID", help="Write this track only (repeatable).", show_default=False),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option("--rate", metavar="HZ", help="Resample the tracks to this rate.", show_default=False, min=1e-9),
-    ] = None,
+    out: Annotated[Path, options.option("--out", "FILE", "File to write.")],
+    track: Annotated[list[int] | None, options.option("--track", "ID", "Write this track only (repeatable).")] = None,
+    rate: Annotated[float | None, options.option("--rate", "HZ", "Resample the tracks to this rate.", min=1e-9)] = None,
     tentative: Annotated[
         bool, typer.Option("--tentative", help="Write tentative estimates beside the confirmed ones.")
     ] = False,

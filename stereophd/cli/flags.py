@@ -10,6 +10,7 @@ import re
 
 # Parameter -> option; other words in backquotes, such as sections of a configuration, stay.
 FLAGS = {
+    "align": "--align",
     "at": "--at",
     "base": "--base",
     "box_point": "--box-point",

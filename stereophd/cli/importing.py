@@ -15,10 +15,6 @@ from stereophd.cli.terminal import begin, print_data, print_report
 Value = TypeVar("Value")
 
 
-def _option(name: str, metavar: str, text: str) -> Any:
-    return typer.Option(name, metavar=metavar, help=text, show_default=False)
-
-
 def import_command(
     context: typer.Context,
     form: Annotated[
@@ -30,39 +26,45 @@ def import_command(
     ],
     out: options.Out,
     cameras: Annotated[
-        Path | None, _option("--cameras", "FILE", "Cameras, native or foreign, for detections without any.")
+        Path | None, options.option("--cameras", "FILE", "Cameras, native or foreign, for detections without any.")
     ] = None,
     columns: Annotated[
-        list[str] | None, _option("--column", "NAME=COLUMN", "Column of a table for a native one: u_px=x (repeatable).")
+        list[str] | None,
+        options.option("--column", "NAME=COLUMN", "Column of a table for a native one: u_px=x (repeatable)."),
     ] = None,
-    fps: Annotated[list[str] | None, _option("--fps", "[CAM=]HZ", "Frame rate: times are frame / rate.")] = None,
+    fps: Annotated[list[str] | None, options.option("--fps", "[CAM=]HZ", "Frame rate: times are frame / rate.")] = None,
     offset: Annotated[
-        list[str] | None, _option("--offset", "[CAM=]S", "Seconds to add to the times of a camera.")
+        list[str] | None, options.option("--offset", "[CAM=]S", "Seconds to add to the times of a camera.")
     ] = None,
     frames: Annotated[
-        list[str] | None, _option("--frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty.")
+        list[str] | None,
+        options.option("--frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty."),
     ] = None,
     image_size: Annotated[
-        list[str] | None, _option("--image-size", "[CAM=]WxH", "Width and height of the images.")
+        list[str] | None, options.option("--image-size", "[CAM=]WxH", "Width and height of the images.")
     ] = None,
-    rename: Annotated[list[str] | None, _option("--rename", "OLD=NEW", "Another name for a camera.")] = None,
-    length_unit: Annotated[str | None, _option("--length-unit", "UNIT", "Unit of the cameras: mm, cm, m, km.")] = None,
-    time_unit: Annotated[str, _option("--time-unit", "UNIT", "Unit of the times: s, ms, us, ns.")] = "s",
+    rename: Annotated[list[str] | None, options.option("--rename", "OLD=NEW", "Another name for a camera.")] = None,
+    length_unit: Annotated[
+        str | None, options.option("--length-unit", "UNIT", "Unit of the cameras: mm, cm, m, km.")
+    ] = None,
+    time_unit: Annotated[str, options.option("--time-unit", "UNIT", "Unit of the times: s, ms, us, ns.")] = "s",
     pixel_origin: Annotated[
         str | None,
-        _option(
+        options.option(
             "--pixel-origin", "WHERE", "Pixel (0, 0) is the center or corner of the top-left pixel; one: (1, 1) is."
         ),
     ] = None,
-    rows_from: Annotated[str | None, _option("--rows-from", "SIDE", "Rows count from the top or bottom.")] = None,
+    rows_from: Annotated[
+        str | None, options.option("--rows-from", "SIDE", "Rows count from the top or bottom.")
+    ] = None,
     fill: Annotated[bool, typer.Option("--fill/--no-fill", help="Missing frame numbers become empty frames.")] = True,
-    box_point: Annotated[str, _option("--box-point", "POINT", "Point of a box: center or bottom.")] = "center",
+    box_point: Annotated[str, options.option("--box-point", "POINT", "Point of a box: center or bottom.")] = "center",
     least_score: Annotated[
-        float | None, _option("--least-score", "S", "Leave out detections of a lower score.")
+        float | None, options.option("--least-score", "S", "Leave out detections of a lower score.")
     ] = None,
     undistorted: Annotated[bool, typer.Option("--undistorted", help="The pixels are undistorted already.")] = False,
     sigma_px: Annotated[
-        float | None, _option("--sigma-px", "PX", "Noise of the detections; default: estimated.")
+        float | None, options.option("--sigma-px", "PX", "Noise of the detections; default: estimated.")
     ] = None,
     p_detect: Annotated[float, typer.Option("--p-detect", metavar="P", help="With --sigma-px.")] = 0.9,
     clutter: Annotated[

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, print_data, print_report
+from stereophd.cli.terminal import begin, exit_if_strict, print_data, print_report
 
 
 class ObjectKind(StrEnum):
@@ -35,17 +35,11 @@ def init_command(
         Path,
         typer.Argument(metavar="DIR", help="Folder of the new config.yaml; created if missing.", show_default=False),
     ],
-    log: Annotated[
-        Path | None,
-        typer.Option("--log", metavar="FILE", help="Detection log to estimate values from.", show_default=False),
-    ] = None,
+    log: Annotated[Path | None, options.option("--log", "FILE", "Detection log to estimate values from.")] = None,
     cameras: Annotated[
         Path | None,
-        typer.Option(
-            "--cameras",
-            metavar="FILE",
-            help="Cameras, native or of another program; default: cameras.yaml beside the log.",
-            show_default=False,
+        options.option(
+            "--cameras", "FILE", "Cameras, native or of another program; default: cameras.yaml beside the log."
         ),
     ] = None,
     length_unit: Annotated[
@@ -79,8 +73,7 @@ def init_command(
         print_report(session, report)
     elif not session.quiet:
         print_data("\n".join(_lines(report, log)))
-    if strict and any(found["status"] == "warning" for found in report["checks"]):
-        raise typer.Exit(1)
+    exit_if_strict(strict, report)
 
 
 def _lines(report: dict[str, Any], log: Path | None) -> list[str]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -20,31 +21,23 @@ class Session:
     printed: bool = False  # whether the one document of `json` is on stdout
 
 
-def _set_json(context: typer.Context, value: bool) -> bool:
-    context.ensure_object(Session).json = value
-    return value
+def option(name: str, metavar: str, text: str, **more: Any) -> Any:
+    """Return an option with a value, whose help does not show the default."""
+    return typer.Option(name, metavar=metavar, help=text, show_default=False, **more)
 
 
-def _set_quiet(context: typer.Context, value: bool) -> bool:
-    context.ensure_object(Session).quiet = value
-    return value
+def _to_session(name: str) -> Callable[[typer.Context, Any], Any]:
+    """Return a callback that puts the value of an option into the session."""
 
+    def keep(context: typer.Context, value: Any) -> Any:
+        setattr(context.ensure_object(Session), name, value)
+        return value
 
-def _set_verbosity(context: typer.Context, value: int) -> int:
-    context.ensure_object(Session).verbosity = value
-    return value
-
-
-def _set_debug(context: typer.Context, value: bool) -> bool:
-    context.ensure_object(Session).debug = value
-    return value
+    return keep
 
 
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration (YAML).", show_default=False)]
-Out = Annotated[
-    Path,
-    typer.Option("--out", metavar="DIR", help="Output folder; created if missing.", show_default=False),
-]
+Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.")]
 Logs = Annotated[
     list[Path],
     typer.Argument(
@@ -53,23 +46,9 @@ Logs = Annotated[
 ]
 Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
 Dask = Annotated[
-    str | None,
-    typer.Option(
-        "--dask",
-        metavar="ADDRESS",
-        help="Run on the workers of a Dask cluster, such as tcp://host:8786.",
-        show_default=False,
-    ),
+    str | None, option("--dask", "ADDRESS", "Run on the workers of a Dask cluster, such as tcp://host:8786.")
 ]
-Cameras = Annotated[
-    Path | None,
-    typer.Option(
-        "--cameras",
-        metavar="FILE",
-        help="Cameras (YAML) in place of the configuration's.",
-        show_default=False,
-    ),
-]
+Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]
 
 
 def _complete_set(incomplete: str) -> list[str]:
@@ -80,25 +59,28 @@ def _complete_set(incomplete: str) -> list[str]:
 
 Set = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--set",
+        "KEY=VALUE",
+        "Change a value of the configuration, such as --set filter.birth.per_s=0.2 (repeatable).",
         autocompletion=_complete_set,
-        metavar="KEY=VALUE",
-        help="Change a value of the configuration, such as --set filter.birth.per_s=0.2 (repeatable).",
-        show_default=False,
     ),
 ]
-Seed = Annotated[
-    int | None,
-    typer.Option("--seed", metavar="N", help="Seed of the run.", show_default=False),
+Seed = Annotated[int | None, option("--seed", "N", "Seed of the run.")]
+Plots = Annotated[
+    bool | None,
+    typer.Option(
+        "--plots/--no-plots",
+        help="Make plots (needs the extra 'plot'); default: if it is installed.",
+        show_default=False,
+    ),
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
 ForceSize = Annotated[bool, typer.Option("--force-size", help="Run even if that takes very long or much room.")]
-# The values of the following four reach the session by their callbacks, and the commands through it.
+# Callbacks put the values of the following four into the session, where the commands read them.
 Json = Annotated[
-    bool,
-    typer.Option("--json", help="Print one JSON document.", callback=_set_json, is_eager=True),
+    bool, typer.Option("--json", help="Print one JSON document.", callback=_to_session("json"), is_eager=True)
 ]
 Quiet = Annotated[
     bool,
@@ -106,7 +88,7 @@ Quiet = Annotated[
         "--quiet",
         "-q",
         help="No progress or messages, and no summary: only errors, and what --json prints.",
-        callback=_set_quiet,
+        callback=_to_session("quiet"),
         is_eager=True,
     ),
 ]
@@ -118,7 +100,7 @@ Verbose = Annotated[
         count=True,
         metavar="",
         help="More messages (-vv: still more).",
-        callback=_set_verbosity,
+        callback=_to_session("verbosity"),
         is_eager=True,
         show_default=False,
     ),
@@ -128,7 +110,7 @@ Debug = Annotated[
     typer.Option(
         "--debug",
         help="Show the traceback of an error.",
-        callback=_set_debug,
+        callback=_to_session("debug"),
         is_eager=True,
     ),
 ]

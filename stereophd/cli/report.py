@@ -19,15 +19,9 @@ def report_command(
             metavar="DIR...", help="Output folders of track, calibrate, evaluate and simulate.", show_default=False
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The page (HTML).", show_default=False)],
-    logs: Annotated[
-        list[Path] | None,
-        typer.Option("--log", metavar="FILE", help="Detection log elsewhere (repeatable).", show_default=False),
-    ] = None,
-    truths: Annotated[
-        list[Path] | None,
-        typer.Option("--truth", metavar="FILE", help="Truth elsewhere (repeatable).", show_default=False),
-    ] = None,
+    out: Annotated[Path, options.option("--out", "FILE", "The page (HTML).")],
+    logs: Annotated[list[Path] | None, options.option("--log", "FILE", "Detection log elsewhere (repeatable).")] = None,
+    truths: Annotated[list[Path] | None, options.option("--truth", "FILE", "Truth elsewhere (repeatable).")] = None,
     title: Annotated[str, typer.Option("--title", metavar="TEXT", help="Title of the page.")] = "stereophd report",
     force: options.Force = False,
     json: options.Json = False,

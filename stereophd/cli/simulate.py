@@ -15,10 +15,7 @@ def simulate_command(
     config: options.Config,
     out: options.Out,
     cameras: options.Cameras = None,
-    runs: Annotated[
-        int | None,
-        typer.Option("--runs", metavar="N", min=1, help="Make N runs, in folders run-0000, ...", show_default=False),
-    ] = None,
+    runs: Annotated[int | None, options.option("--runs", "N", "Make N runs, in folders run-0000, ...", min=1)] = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes for --runs.")] = 1,
     overrides: options.Set = None,
     seed: options.Seed = None,

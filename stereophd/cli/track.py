@@ -20,16 +20,14 @@ def track_command(
     jobs: options.Jobs = 1,
     dask: options.Dask = None,
     threads: Annotated[
-        int,
-        typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it."),
+        int, typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it.")
     ] = 1,
     pieces: Annotated[
         float | None,
-        typer.Option(
+        options.option(
             "--pieces",
-            metavar="S",
-            help="Cut the log into pieces of at most S seconds, track them independently, and join their tracks.",
-            show_default=False,
+            "S",
+            "Cut the log into pieces of at most S seconds, track them independently, and join their tracks.",
         ),
     ] = None,
     overlap: Annotated[
@@ -42,8 +40,7 @@ def track_command(
         bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
     ] = False,
     associations: Annotated[
-        bool,
-        typer.Option("--associations", help="Write which detection belongs to which track (report.associations)."),
+        bool, typer.Option("--associations", help="Write which detection belongs to which track (report.associations).")
     ] = False,
     plots: Annotated[
         bool,

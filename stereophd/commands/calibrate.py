@@ -19,17 +19,13 @@ from stereophd.io.json_text import write_json
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
 from stereophd.io.tables import TableWriter, history_schema, posterior_schema
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
-from stereophd.pipeline.calibration.inputs import (
-    CalibrationProblem,
-    calibration_section,
-    pmb_filter,
-    read_problem,
-    with_quantities,
-)
+from stereophd.pipeline.calibration.filters import pmb_filter
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.finished import finished_report

@@ -42,11 +42,13 @@ def _check_track(loaded: LoadedConfig) -> None:
 
 
 def _check_calibrate(loaded: LoadedConfig) -> None:
-    from stereophd.pipeline.calibration import inputs
+    from stereophd.pipeline.calibration.filters import pmb_filter
+    from stereophd.pipeline.calibration.inputs import build_scale
+    from stereophd.pipeline.calibration.unknowns import build_parameters
 
-    parameters, _ = inputs.build_parameters(loaded)
-    inputs.build_scale(loaded, parameters)
-    inputs.pmb_filter(loaded, parameters.cameras)
+    parameters, _ = build_parameters(loaded)
+    build_scale(loaded, parameters)
+    pmb_filter(loaded, parameters.cameras)
 
 
 def _check_simulate(loaded: LoadedConfig) -> None:

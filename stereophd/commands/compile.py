@@ -6,7 +6,7 @@ import logging
 from typing import Any
 
 from stereophd.core.multi.filter_settings import filters
-from stereophd.core.multi.preparation import prepare
+from stereophd.core.multi.preparation import prepare, prepare_last_first
 from stereophd.core.numerics.kernel_cache import place_to_keep
 from stereophd.errors import InputError
 from stereophd.pipeline.processes import on_processes
@@ -40,7 +40,13 @@ def compile_kernels(jobs: int = 1) -> dict[str, Any]:
         for kind in kinds:
             prepare(kind)
     else:
-        for _ in on_processes(prepare, kinds, jobs):
+        # of each filter, two processes compile from both ends
+        for _ in on_processes(_prepare, [(kind, backwards) for kind in kinds for backwards in (False, True)], jobs):
             pass
     LOGGER.info("kernels of %s: kept in %s", ", ".join(kinds), place)
     return {"folder": str(place), "filters": kinds}
+
+
+def _prepare(task: tuple[str, bool]) -> None:
+    kind, backwards = task
+    (prepare_last_first if backwards else prepare)(kind)

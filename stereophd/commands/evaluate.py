@@ -54,6 +54,8 @@ def evaluate(
     within_s: float | None = None,
     ospa2_window: int = 10,
     tentative: bool = False,
+    align: Literal["none", "rigid", "similarity"] = "none",
+    align_clock: bool = False,
     fail_above: Mapping[str, float] | None = None,
     fail_below: Mapping[str, float] | None = None,
     cameras_path: Path | str | None = None,
@@ -91,6 +93,11 @@ def evaluate(
         Number of scored scans in a window of OSPA(2).
     tentative : bool
         Score tentative estimates beside the confirmed ones.
+    align : str
+        ``rigid``: score the tracks after the rotation and translation that bring them nearest to the truth, as those
+        of cameras that calibrated themselves; ``similarity``: and after a change of scale.
+    align_clock : bool
+        Score the tracks after a change of the offset and rate of their clock, estimated with the frame.
     fail_above, fail_below : mapping, optional
         Limits of figures, such as ``{"ospa.mean": 0.8}``.
     cameras_path : path, optional
@@ -116,7 +123,9 @@ def evaluate(
         report as `report`.
     """
     chosen = PAPER_CUTOFF if cutoff is None else cutoff
-    options = Options(order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window, tentative)
+    options = Options(
+        order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window, tentative, align, align_clock
+    )  # fmt: skip
     check_options(options, log_path)
     run = partial(
         _run, _input_paths(tracks_path, truth_path, log_path, cameras_path), options, cutoff is not None,

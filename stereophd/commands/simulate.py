@@ -120,7 +120,7 @@ def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
         raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
     loaded.build_cameras()
     if loaded.config.calibration is not None:
-        from stereophd.pipeline.calibration.inputs import build_parameters  # only here, as in `_simulate_run`
+        from stereophd.pipeline.calibration.unknowns import build_parameters  # only here, as in `_simulate_run`
 
         build_parameters(loaded)
     return settings
@@ -159,7 +159,7 @@ def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progre
     }
     write_cameras(paths[CAMERAS_FILE], described, config.units.length, record)
     if config.calibration is not None:
-        from stereophd.pipeline.calibration.inputs import draw_guess  # only here: most scenarios have no calibration
+        from stereophd.pipeline.calibration.unknowns import draw_guess  # only here: most scenarios have no calibration
 
         guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, run))
         write_cameras(paths[GUESS_FILE], {n: guess[n] for n in described}, config.units.length, record)

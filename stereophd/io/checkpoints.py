@@ -28,12 +28,6 @@ FORMAT = 1
 # Kinds of NumPy types that hold plain data: truth values, integers, floats.
 _PLAIN_KINDS = "biuf"
 
-# What reading a damaged or forged file raises.
-_DAMAGE = (
-    *(OSError, ValueError, LookupError, TypeError, AttributeError, EOFError, MemoryError, RecursionError),
-    zipfile.BadZipFile,
-)
-
 # Keys of the JSON document that stand for something else; no dataclass has a field of such a name.
 _ARRAY, _SCALAR, _CLASS, _TUPLE, _MAPPING = "$array", "$scalar", "$class", "$tuple", "$mapping"
 

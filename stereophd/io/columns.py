@@ -55,6 +55,16 @@ def unpack(packed: Mapping[str, Any], classes: Mapping[str, type]) -> list[Any]:
     return [kind(**dict(zip(names, row, strict=True))) for row in zip(*values, strict=True)]
 
 
+def pack_counts(counts: Mapping[int, Mapping[str, int]]) -> dict[str, Any]:
+    """Return counts (number -> text -> count) as columns; `unpack_counts` returns them."""
+    return _counts([counts])
+
+
+def unpack_counts(packed: Mapping[str, Any]) -> dict[int, dict[str, int]]:
+    """Return the counts of columns."""
+    return dict(_values(packed, 1, {})[0])
+
+
 def _field_names(kind: type) -> tuple[str, ...] | None:
     """Return the names of the fields of a dataclass or named tuple, None of anything else."""
     if is_dataclass(kind):

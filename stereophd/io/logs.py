@@ -34,7 +34,6 @@ from stereophd.io.log_checks import (
 )
 from stereophd.io.log_order import is_by_camera
 from stereophd.io.log_rows import OPTIONAL, REQUIRED, Booleans, Floats, Integers, Rows, decode
-from stereophd.io.provenance import file_sha256
 from stereophd.io.tables import (
     DETECTIONS,
     OBJECT_ID,
@@ -151,11 +150,6 @@ class LogReader:
     def is_by_camera(self) -> bool:
         """Whether only the rows of each camera are in order of time, not those of all: they are merged on reading."""
         return is_by_camera(self.path)
-
-    @cached_property
-    def sha256(self) -> str:
-        """SHA-256 of the file."""
-        return file_sha256(self.path)
 
     def __iter__(self) -> Iterator[Frame]:
         self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
@@ -311,11 +305,6 @@ class LogWriter:
         self._object_id = object_id
         self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
 
-    @property
-    def rows(self) -> int:
-        """Rows written so far."""
-        return self._table.rows
-
     def write(self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None) -> None:
         """Write one frame.
 
@@ -339,10 +328,6 @@ class LogWriter:
             if object_id is None:
                 raise ValueError("this log has the column object_id: expected an object_id for each detection")
             columns["object_id"] = object_id if len(pixels) else [None]
-        self._table.append(columns)
-
-    def write_rows(self, columns: Mapping[str, Any]) -> None:
-        """Write many rows at once: the columns of the log as `TableWriter.append` takes them."""
         self._table.append(columns)
 
     def close(self) -> None:

@@ -38,7 +38,7 @@ def write_track_plots(run: Run, paths: Mapping[str, Path]) -> None:
     makers: dict[str, Callable[[], Figure]] = {
         "top": lambda: _draw_view(run, tracks, "top"),
         "side": lambda: _draw_view(run, tracks, "side"),
-        "timelines": lambda: _draw_timelines(run, tracks),
+        "timelines": lambda: _draw_timelines(tracks),
         "residuals": lambda: _draw_residuals(run, tracks),
     }
     with mpl.rc_context(STYLE):
@@ -81,7 +81,7 @@ def _draw_view(run: Run, tracks: Paths, name: str) -> Figure:
     return figure
 
 
-def _draw_timelines(run: Run, tracks: Paths) -> Figure:
+def _draw_timelines(tracks: Paths) -> Figure:
     """Draw when each track was reported, and below it which camera detected how many of all detections of tracks."""
     count = len(tracks.ids)
     figure = Figure(figsize=(9.0, 1.4 + min(0.22 * count, 8.0)), layout="constrained")

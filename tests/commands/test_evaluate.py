@@ -636,3 +636,28 @@ def test_real_truth_and_log(tmp_path):
     )
     assert report["position_error"]["median"] == pytest.approx(0.01, abs=1e-9)
     assert report["position_error"]["n"] == report["scans"]["scored"] == expected
+
+
+def test_tracks_are_aligned_when_asked_for(tmp_path):
+    # The truth runs along x at 1/s; the tracks lag by 0.5 and their clock is 0.25 s late at the middle, and slow.
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t**2 / 20) for t in range(20)])
+    times = np.linspace(3.0, 16.0, 40)
+    real = 9.5 + 0.25 + 1.01 * (times - 9.5)
+    rows = [
+        (float(t), "a", k, 8, 0.5 + float(np.interp(r, np.arange(20), np.arange(20) ** 2 / 20)))
+        for k, (t, r) in enumerate(zip(times, real, strict=True))
+    ]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows)
+    plain = evaluate(tracks, truth)
+    assert plain["alignment"] == {"frame": "none", "clock": False, "found": None}
+    aligned = evaluate(tracks, truth, align="rigid", align_clock=True)
+    found = aligned["alignment"]["found"]
+    assert found["clock"]["shift_s"] == pytest.approx(0.25, abs=1e-3)
+    assert found["clock"]["rate"] == pytest.approx(1.01, abs=1e-4)
+    assert found["translation"][0] == pytest.approx(-0.5, abs=1e-3)
+    assert aligned["position_error"]["p90"] < 1e-3 < 0.5 < plain["position_error"]["p90"]
+    assert evaluate(tracks, truth, align="rigid")["position_error"]["p90"] > 0.05
+    with pytest.raises(InputError, match="`align`: expected none or rigid or similarity, found affine"):
+        evaluate(tracks, truth, align="affine")
+    with pytest.raises(InputError, match="`align`: expected 6 or more estimates"):
+        evaluate(tracks, truth, align="rigid", from_s=15.5)

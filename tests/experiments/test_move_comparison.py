@@ -11,7 +11,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
-    compare_moves,
+    compare_move,
     gaussian_divergence,
     gaussian_of_object,
     reference_moments,
@@ -52,8 +52,8 @@ def test_where_the_map_is_linear_all_methods_agree() -> None:
     )
     case = MoveCase(space, space, mean, covariance, 0.5, ConstantVelocity([1e-4] * 3))
     reference = reference_moments(case, np.random.default_rng(4), 400_000)
-    methods = [("linear", 64), ("unscented", 64), ("qmc", 64)]
-    for moved in compare_moves(case, methods, reference, np.random.default_rng(5)):  # type: ignore[arg-type]
+    rng, methods = np.random.default_rng(5), ("linear", "unscented", "qmc")
+    for moved in [compare_move(case, method, 64, reference, rng) for method in methods]:  # type: ignore[arg-type]
         # 27 moments of a sample, each known to 1 / sqrt(n): the divergence is about 27 / (2 n)
         assert moved.divergence < 5.0 * 27 / (2 * 400_000)
 
@@ -65,11 +65,12 @@ def test_ranking_where_it_is_not() -> None:
     again = reference_moments(case, np.random.default_rng(5), 400_000)
     own = gaussian_divergence(reference.mean, reference.covariance, again.mean, again.covariance)
     methods = [("qmc", 1024), ("qmc", 64), ("unscented", 64), ("linear", 64)]
-    moved = compare_moves(case, methods, reference, np.random.default_rng(6))  # type: ignore[arg-type]
+    rng = np.random.default_rng(6)
+    moved = [compare_move(case, *method, reference, rng) for method in methods]  # type: ignore[arg-type]
     large, small, unscented, linear = (m.divergence for m in moved)
     assert own < large < small < unscented < linear
     rng = np.random.default_rng(7)
-    draws = [compare_moves(case, [("particle", 64)], reference, rng)[0].divergence for _ in range(20)]
+    draws = [compare_move(case, "particle", 64, reference, rng).divergence for _ in range(20)]
     assert small < min(draws)
 
 
@@ -81,7 +82,7 @@ def test_part_in_view_only() -> None:
     )
     case = MoveCase(left, right, mean, covariance, 0.0, ConstantVelocity([0.0] * 3))
     reference = reference_moments(case, np.random.default_rng(2), 200_000)
-    (moved,) = compare_moves(case, [("qmc", 1024)], reference, np.random.default_rng(3))
+    moved = compare_move(case, "qmc", 1024, reference, np.random.default_rng(3))
     assert 0.2 < reference.fraction < 0.95
     assert moved.fraction == pytest.approx(reference.fraction, abs=0.02)
     assert moved.divergence < 0.05

@@ -359,17 +359,7 @@ def test_writer_and_reader_agree(tmp_path: Path, cameras: list[Camera]) -> None:
     with LogWriter(tmp_path / "log.parquet", {b"length_unit": b"cm"}, object_id=True) as writer:
         writer.write(0.0, "left", 0, pixels, np.array([3, -1]))
         writer.write(0.0, "right", 0, np.empty((0, 2)), np.empty(0, int))
-        writer.write_rows(
-            {
-                "time_s": 1.0,
-                "camera": "left",
-                "frame": [1, 1],
-                "u_px": [1.0, 2.0],
-                "v_px": [1.0, 2.0],
-                "object_id": 5,
-            }
-        )
-        assert writer.rows == 5
+        writer.write(1.0, "left", 1, np.array([[1.0, 1.0], [2.0, 2.0]]), np.array([5, 5]))
     reader = LogReader(tmp_path / "log.parquet", cameras)
     frames = list(reader)
     assert [plain(f) for f in frames] == [

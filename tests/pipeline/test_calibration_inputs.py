@@ -10,7 +10,7 @@ import pytest
 
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
-from stereophd.pipeline.calibration.inputs import build_parameters, draw_guess
+from stereophd.pipeline.calibration.unknowns import build_parameters, draw_guess
 
 CONFIG = Path(__file__).parents[2] / "configs" / "paper" / "calibration.yaml"
 LENS = "cameras.right.distortion={model: radial, k1: -0.1}"

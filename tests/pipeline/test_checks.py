@@ -14,7 +14,8 @@ from stereophd.io.logs import Frame
 from stereophd.pipeline.checks.alternatives import OPENGL
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry import check_geometry, measure
+from stereophd.pipeline.checks.geometry import measure
+from stereophd.pipeline.checks.geometry_findings import check_geometry
 from stereophd.pipeline.checks.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.tracking import check_tracking
 
@@ -113,7 +114,16 @@ def test_tracks_of_one_camera_are_reported() -> None:
     def run(right: int) -> list[str | None]:
         tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
         counts = {"detections": 400, "frames": 200}
-        return [found.cause for found in check_tracking({"tracks": tracks}, counts, CAMERAS) if found.cause]
+        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}}
+        return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
+
+
+def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
+    frames = _frames(CAMERAS)
+    burst = replace(frames[20], pixels=np.zeros((5000, 2)))
+    sample = sample_log([*frames[:20], burst, *frames[21:]], CAMERAS)[burst.camera]
+    assert len(sample.times) == FRAMES - 1
+    assert max(np.diff(sample.first)) < 20

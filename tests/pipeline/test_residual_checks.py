@@ -12,8 +12,10 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs import Frame
 from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.partners import Partners
 from stereophd.pipeline.checks.rays import Candidates, Reading, distances, signed_distances
-from stereophd.pipeline.checks.residuals import Partners, _fit, check_residuals
+from stereophd.pipeline.checks.residual_causes import _fit
+from stereophd.pipeline.checks.residuals import check_residuals
 from stereophd.pipeline.checks.sample import sample_log
 
 FRAMES, RATE, OBJECTS = 90, 12.0, 4

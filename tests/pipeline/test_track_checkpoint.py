@@ -19,6 +19,8 @@ from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.io.columns import pack, unpack
 from stereophd.io.provenance import sha256_of
 from stereophd.pipeline.tracking import checkpoint
+from stereophd.pipeline.tracking.associations import Associated, Associations
+from stereophd.pipeline.tracking.loop import RunState
 from stereophd.pipeline.unfinished import UnfinishedRun
 
 from .test_report_times import SCENE
@@ -145,6 +147,19 @@ class Thing:
     counts: dict[int, dict[str, int]]
     scalar: Any
     many: tuple[Inner, ...] = ()
+
+
+def test_claims_to_one_event_are_kept_once() -> None:
+    """A frame of very many detections: the state grows with their number, not with its square."""
+    count = 2000
+    rows = np.arange(count)
+    event = Associated(1.0, "left", 7, np.zeros((count, 2)), rows, np.ones(count))
+    run = RunState(None, associations=Associations({-1: 5}, {int(label): [(event, int(label))] for label in rows}))
+    saved = checkpoint.SavedRun.of(run, [])
+    assert len(saved.claimed) == 1
+    restored = saved.run_state(None).associations
+    assert restored.known == {-1: 5}
+    assert restored.pending == run.associations.pending
 
 
 def test_columns_give_equal_objects() -> None:

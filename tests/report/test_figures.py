@@ -184,6 +184,7 @@ def report(**changes) -> dict:
             "objects": 6,
             "never": 1,
         },
+        "alignment": {"frame": "none", "clock": False, "found": None},
         "tentative": False,
         "scans": {"scored": 8, "not_scored": 2, "outside_truth": 0, "truth_gap": 2, "unseen": 0},
         "window": {"from_s": 50.0, "to_s": None, "at": "times"},

@@ -135,12 +135,6 @@ def to_disparity(covariance: Array, space: DisparitySpace, point: Array) -> Arra
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
-def to_world(covariance: Array, space: DisparitySpace, point: Array) -> Array:
-    """Carry a bound (3, 3) on (u, v, d) at a point of the world over to the world, length^2."""
-    jacobian = world_jacobian(space, point)
-    return np.asarray(jacobian @ covariance @ jacobian.T)
-
-
 def posterior_bounds(first: Array, transitions: Array, noises: Array, information: Array) -> Array:
     """Posterior bounds on the covariance of a state over time (Tichavsky, Muravchik and Nehorai 1998).
 
@@ -180,11 +174,6 @@ def posterior_bounds(first: Array, transitions: Array, noises: Array, informatio
         current = (predicted + np.swapaxes(predicted, -1, -2)) / 2.0 + gained
         out.append(inverse_information(current))
     return np.array(out)
-
-
-def root_mean_square(covariances: Array) -> Array:
-    """Root of the trace of covariances (..., d, d): the RMSE at the bound."""
-    return np.asarray(np.sqrt(np.trace(covariances, axis1=-2, axis2=-1)))
 
 
 def mean_error_norm(covariance: Array) -> float:

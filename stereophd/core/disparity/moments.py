@@ -16,10 +16,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.linear_move import linear_components, world_components
+from stereophd.core.disparity.linear_move import linear_components
 from stereophd.core.disparity.moved import Moved, room_for_moved
 from stereophd.core.disparity.rule_move import rule_components
 from stereophd.core.disparity.sample_move import Look, carry_components, noise_axes
+from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets, cubature_points

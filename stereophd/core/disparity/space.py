@@ -83,14 +83,6 @@ class DisparitySpace:
         to_world[:3, 3] = camera.pose.center
         return np.asarray(to_world @ to_camera)
 
-    def observation_matrix(self, companion: bool = False, velocity: bool = False) -> Array:
-        """``H_l`` or, of the companion, ``H_r`` of eq. (4): (2, 3), or (2, 6) with velocity."""
-        matrix = np.zeros((2, 6 if velocity else 3))
-        matrix[0, 0] = matrix[1, 1] = 1.0
-        if companion:
-            matrix[0 if self.rectification == "horizontal" else 1, 2] = 1.0
-        return matrix
-
     def from_world(self, states: Array) -> Array:
         """Map world states (n, 3) or (n, 6) to this space (eq. 2).
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.metrics.assignment import FloatArray
-from stereophd.core.metrics.near_pairs import NearPairs, most_gain, numbered_tracks
+from stereophd.core.metrics.near_pairs import NearPairs, couples, most_gain
 from stereophd.core.metrics.scans import PointSets
 
 THRESHOLDS = np.arange(1, 20) / 20.0
@@ -56,27 +56,23 @@ def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
     near : NearPairs
         All pairs nearer than the cutoff.
     """
-    track, tracks = numbered_tracks(estimates.label)
-    labels, target = np.unique(truth.label, return_inverse=True)
-    track_scans = np.bincount(track, minlength=max(tracks, 1))
-    target_scans = np.bincount(target, minlength=max(len(labels), 1))
-    similarity = 1.0 - near.ratio
-    couple, number = np.unique(target[near.truth] * max(tracks, 1) + track[near.estimate], return_inverse=True)
-    one, other = np.divmod(couple, max(tracks, 1))
-    either = (target_scans[one] + track_scans[other]).astype(np.float64)
-    overlap = np.bincount(number, _overlap(near, similarity), len(couple))
+    pairs = couples(estimates, truth, near)
+    object_scans, track_scans = np.bincount(pairs.object_of), np.bincount(pairs.track_of)
+    similarity, number, count = 1.0 - near.ratio, pairs.number, len(pairs.objects)
+    either = (object_scans[pairs.objects] + track_scans[pairs.tracks]).astype(np.float64)
+    overlap = np.bincount(number, _overlap(near, similarity), count)
     chosen = most_gain(near, (overlap / (either - overlap))[number] * similarity)
     similarity, number = similarity[chosen], number[chosen]
     parts = np.empty((len(THRESHOLDS), 3))
     for row, threshold in enumerate(THRESHOLDS):
         matched = similarity >= threshold - ROUNDING
-        pairs = np.bincount(number[matched], minlength=len(couple)).astype(np.float64)
-        count = int(np.count_nonzero(matched))
+        together = np.bincount(number[matched], minlength=count).astype(np.float64)
+        found = int(np.count_nonzero(matched))
         points = len(truth.label) + len(estimates.label)
         parts[row] = (
-            count / max(points - count, 1),
-            float((pairs * pairs / np.maximum(either - pairs, 1.0)).sum()) / max(count, 1),
-            float(similarity[matched].mean()) if count else 1.0,
+            found / max(points - found, 1),
+            float((together * together / np.maximum(either - together, 1.0)).sum()) / max(found, 1),
+            float(similarity[matched].mean()) if found else 1.0,
         )
     detection, association, localisation = parts.T
     return Hota(np.sqrt(detection * association), detection, association, localisation)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.assignment import IntArray, optimal_assignment
-from stereophd.core.metrics.near_pairs import NearPairs, numbered_tracks
+from stereophd.core.metrics.assignment import optimal_assignment
+from stereophd.core.metrics.near_pairs import Couples, NearPairs, couples
 from stereophd.core.metrics.scans import PointSets
 
 
@@ -36,9 +36,7 @@ def identity_score(estimates: PointSets, truth: PointSets, near: NearPairs) -> I
     near : NearPairs
         All pairs nearer than the cutoff.
     """
-    track, _ = numbered_tracks(estimates.label)
-    target = np.unique(truth.label, return_inverse=True)[1]
-    right = _most_common_scans(target[near.truth].astype(np.int64), track[near.estimate])
+    right = _most_common_scans(couples(estimates, truth, near))
     n_truth, n_estimates = len(truth.label), len(estimates.label)
     return IdentityScore(_share(2.0 * right, n_truth + n_estimates), _share(right, n_estimates), _share(right, n_truth))
 
@@ -47,22 +45,21 @@ def _share(part: float, whole: int) -> float:
     return part / whole if whole else float("nan")
 
 
-def _most_common_scans(target: IntArray, track: IntArray) -> int:
-    """Return the greatest total number of pairs (q,) when each object is given at most one track.
+def _most_common_scans(pairs: Couples) -> int:
+    """Return the greatest total number of near pairs when each object is given at most one track.
 
     Objects and tracks that no chain of pairs connects are assigned apart, so that the work does not grow with the
     number of all objects times that of all tracks.
     """
-    if len(target) == 0:
+    one, other, count = pairs.objects, pairs.tracks, np.bincount(pairs.number)
+    if len(one) == 0:
         return 0
     from scipy.sparse import coo_array  # costly to import
     from scipy.sparse.csgraph import connected_components
 
-    tracks = int(track.max()) + 1
-    couple, count = np.unique(target * tracks + track, return_counts=True)
-    one, other = np.divmod(couple, tracks)
+    tracks = int(other.max()) + 1
     nodes = int(one.max()) + 1 + tracks
-    ones = np.ones(len(couple), dtype=np.int8)
+    ones = np.ones(len(one), dtype=np.int8)
     graph = coo_array((ones, (one, other + nodes - tracks)), shape=(nodes, nodes))
     part = connected_components(graph, directed=False)[1][one]
     order = np.argsort(part, kind="stable")

@@ -54,15 +54,38 @@ def near_pairs(estimates: PointSets, truth: PointSets, cutoff: float, *, mahalan
     return NearPairs(scan, estimate, true_point, ratio).take(np.lexsort((true_point, estimate)))
 
 
-def numbered_tracks(label: IntArray) -> tuple[IntArray, int]:
-    """Number the tracks of estimates (n,) from zero; one without an identity is a track of its own.
+@dataclass(frozen=True)
+class Couples:
+    """True objects and tracks that are near each other at some scan.
 
-    Returns
-    -------
-    number : (n,) array
-    count : int
-        Number of tracks.
+    Attributes
+    ----------
+    object_of, track_of : (n,), (m,) arrays
+        Number, from zero, of the object of each true point and of the track of each estimate.
+    objects, tracks : (c,) arrays
+        Object and track of each couple.
+    number : (q,) array
+        Couple of each near pair.
     """
+
+    object_of: IntArray
+    track_of: IntArray
+    objects: IntArray
+    tracks: IntArray
+    number: IntArray
+
+
+def couples(estimates: PointSets, truth: PointSets, near: NearPairs) -> Couples:
+    """Return the couples of the near pairs; an estimate without an identity is a track of its own."""
+    track_of, count = _numbered_tracks(estimates.label)
+    object_of = np.unique(truth.label, return_inverse=True)[1].astype(np.int64)
+    names, number = np.unique(object_of[near.truth] * count + track_of[near.estimate], return_inverse=True)
+    objects, tracks = np.divmod(names, max(count, 1))
+    return Couples(object_of, track_of, objects, tracks, number)
+
+
+def _numbered_tracks(label: IntArray) -> tuple[IntArray, int]:
+    """Number the tracks of estimates (n,) from zero; return the numbers and how many tracks there are."""
     known = label > UNLABELLED
     names, number = np.unique(label[known], return_inverse=True)
     out = np.empty(len(label), dtype=np.int64)

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.settings import FilterSettings
-from stereophd.core.multi.undetected import Undetected, expected_births, view_overlap
+from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, view_overlap
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
@@ -82,13 +82,15 @@ class FilterState:
 class Prediction:
     """The surviving components, at home and carried into the event's disparity space.
 
-    With them the expected number of undetected objects in view (`births`), and what the event leaves of them.
+    With them the expected number of undetected objects in view (`births`), what the event leaves of them, and how many
+    of the event's detections are a `burst` of clutter.
     """
 
     mixture: GaussianMixture
     moved: Moved
     births: float
     undetected: Undetected
+    burst: int = 0
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,17 @@ class DisparityFilter(ABC):
         """The compiled update and reduction of many camera hypotheses (`stereophd.core.multi.batch_kernels`)."""
 
     @property
+    @abstractmethod
+    def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+        """Large kernels that an event needs late, the last one at the end, each with such arguments as it is called with.
+
+        They are what a second process compiles first (`stereophd.core.multi.preparation`).
+        """
+
+    def compile_tests(self) -> None:
+        """Compile what the filter needs only from when it reports several objects; by default there is nothing."""
+
+    @property
     def split_missed(self) -> bool:
         """Whether a component that is partly in view loses the part in view when it is missed (paper VI-C).
 
@@ -172,21 +185,28 @@ class DisparityFilter(ABC):
             self.rig.region,
             motion,
         )
-        keep_surviving_weights(
-            weights, mixture, moved, homes, motion, self.rig.views(event.time_s), event.camera, elapsed,
-            self.settings.out_of_view_s,
+        total = keep_surviving_weights(
+            weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
+            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s,
         )  # fmt: skip
-        births, undetected = self.expected_births(state.undetected, elapsed, event)
-        return Prediction(mixture.with_weights(weights), moved, births, undetected)
+        known = self.rig.cameras[event.camera].detector.p_detect * total
+        births, undetected, burst = self.expected_births(state.undetected, elapsed, event, known)
+        return Prediction(mixture.with_weights(weights), moved, births, undetected, burst)
 
     @cached_property
     def _overlap(self) -> Array:
         return view_overlap(self.rig, self.settings.birth)
 
-    def expected_births(self, undetected: Undetected | None, elapsed: float, event: Event) -> tuple[float, Undetected]:
-        """Expected number of undetected objects in view of an event, and what it leaves of them."""
-        detector = self.rig.cameras[event.camera].detector
-        return expected_births(undetected, self.settings.birth, self._overlap, elapsed, event, detector)
+    def expected_births(
+        self, undetected: Undetected | None, elapsed: float, event: Event, known: float = 0.0
+    ) -> tuple[float, Undetected, int]:
+        """Expected number of undetected objects in view of an event, what it leaves of them, and its burst of clutter.
+
+        `known` is the expected number of detections of known objects.
+        """
+        detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
+        burst = burst_of(event, known, prior)
+        return *expected_births(undetected, prior, self._overlap, elapsed, event, detector, burst), burst
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
@@ -256,15 +276,18 @@ class DisparityFilter(ABC):
         means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
         return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
 
-    def event_numbers(self, event: Event, next_label: int, births: float) -> EventNumbers:
-        """Return the place of an event, its rates, and the first unused label, for compiled code."""
+    def event_numbers(self, event: Event, next_label: int, births: float, burst: int = 0) -> EventNumbers:
+        """Return the place of an event, its rates, and the first unused label, for compiled code.
+
+        A `burst` of detections is clutter, whatever the rate of the detector is.
+        """
         camera = self.rig.cameras[event.camera]
         return EventNumbers(
             camera=int(event.camera),
             time_s=float(event.time_s),
             next_label=next_label,
             p_detect=float(camera.detector.p_detect),
-            clutter=float(camera.detector.clutter_per_frame),
+            clutter=max(float(camera.detector.clutter_per_frame), float(burst)),
             births=births,
             area=float(camera.width * camera.height),
         )

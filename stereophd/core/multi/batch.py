@@ -132,8 +132,8 @@ class FilterBatch:
             Of the event's detections.
         """
         template, mixture = self.template, state.mixture
-        births, undetected = template.expected_births(state.undetected, _elapsed(state, event), event)
-        arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label, births)
+        births, undetected, burst = template.expected_births(state.undetected, _elapsed(state, event), event)
+        arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label, births, burst)
         reduction = reduction_for_births(template.reduction, births, template.rig.cameras[event.camera].detector)
         looks, prediction = self._looks(state), self._prediction_numbers(state, event)
         motion = template.motion.arrays(event.time_s - mixture.times)

@@ -124,8 +124,8 @@ def predict(
             numbers.shape_p_detect, region, moved,
         )  # fmt: skip
         keep_surviving_weights(
-            weights, components, moved, homes, travel, spaces[h], numbers.camera, numbers.elapsed,
-            numbers.out_of_view_s,
+            weights, moved.status, moved.inside, means, components.tracks, cameras, homes, travel.reach, travel.drift,
+            spaces[h], numbers.camera, numbers.elapsed, numbers.out_of_view_s,
         )  # fmt: skip
         all_weights[first:last] = weights
         first = last
@@ -169,7 +169,7 @@ def update_intensities(
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
         updated, log_likelihoods[h], _ = update_intensity(before, seen, event, numbers, reduction.prune_weight)
-        after = reduce_intensity(updated, reduction)
+        after, _ = reduce_intensity(updated, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]

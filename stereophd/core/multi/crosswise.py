@@ -32,10 +32,10 @@ from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.sample_move import Look
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, due_pairs
+from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, crosswise_pairs
 from stereophd.core.multi.explanations import Explained, explain_rows, make_paths, room_for_explained
-from stereophd.core.multi.history import ClaimedRows, History
-from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.history import ClaimedRows, History, no_deferred_pairs
+from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
@@ -47,6 +47,8 @@ MOST_TESTS = 2
 # Events until a pair is tested again: at least the first, and one more for each nat that the exchange is behind, up to
 # the second.
 SOONEST, LATEST = 2, 64.0
+# The last events are looked at first: most often they decide against an exchange.
+RECENT = 20
 # Fewest samples in view from which a Gaussian is fitted: a detection says that the track is in view.
 FEWEST = 2
 
@@ -91,6 +93,14 @@ class CrosswiseTest:
         means, stds = np.array([self.birth.disparity_moments(view) for view in views]).T
         return NewObjects(means.copy(), stds.copy(), float(self.birth.velocity_std))
 
+    def compile(self) -> None:
+        """Compile the kernels of the test, with no tracks and with one detection."""
+        views, none, one = self.rig.views(0.0), np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
+        prior, homes = self.prior(views), self.rig.spaces(none, np.empty(0))
+        empty, nothing = empty_mixture(self.motion.state_size), no_deferred_pairs()
+        crosswise_pairs(empty, homes, (0, 0), views, prior, 1.0, nothing, 0, MOST_TESTS)
+        self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
+
     def put_right(
         self, mixture: GaussianMixture, history: History, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
@@ -101,11 +111,13 @@ class CrosswiseTest:
         views, camera = self.rig.views(time_s), cameras[1]
         homes = self.rig.spaces(mixture.cameras, mixture.times)
         prior = self.prior(views) if self.rig.moving else self._prior_at_rest
-        pairs = due_pairs(mixture, homes, cameras, views, prior, self.tolerances[camera], history.deferred, event)
+        pairs = crosswise_pairs(
+            mixture, homes, cameras, views, prior, self.tolerances[camera], history.deferred, event, MOST_TESTS
+        )
         if not len(pairs):
             return mixture, history
         deferred = history.deferred.after(event)
-        for first, second in pairs[:MOST_TESTS].tolist():
+        for first, second in pairs.tolist():
             odds, exchanged = self.explain(history, first, second, camera, prior)
             if exchanged is not None:
                 mixture = _replaced(mixture, first, second, exchanged)
@@ -122,22 +134,31 @@ class CrosswiseTest:
         With it both tracks after an exchange that is ahead by more than the threshold; 0 where too little is known, and
         some number below ``-LATEST`` for all exchanges that are further behind.
         """
-        rows = history.rows_of(first, second)
-        there, own = rows.cameras == camera, rows.labels == second
-        for mine in (~own, own):
+        if len(history.sightings) > RECENT:
+            odds, _ = self._compare(history.rows_of(first, second, RECENT), first, camera, prior)
+            if odds < -LATEST:
+                return odds, None
+        return self._compare(history.rows_of(first, second), first, camera, prior)
+
+    def _compare(
+        self, rows: ClaimedRows, first: int, camera: int, prior: NewObjects
+    ) -> tuple[float, tuple[Track, Track] | None]:
+        """`explain` for all detections of two labels, of which one is the `first`."""
+        there, other = rows.cameras == camera, rows.labels != first
+        for mine in (~other, other):
             if min(np.count_nonzero(mine & there), np.count_nonzero(mine & ~there)) < LEAST_DETECTIONS:
                 return 0.0, None
         # backwards: what a label claimed last is most probably its own
-        rows, own, there = rows.backwards(), own[::-1], there[::-1]
-        owners = np.stack([own, own ^ there]).astype(np.int64)
+        rows, other, there = rows.backwards(), other[::-1], there[::-1]
+        owners = np.stack([other, other ^ there]).astype(np.int64)
         found = self._explain(rows, owners, prior)
         as_is, exchanged = found.log_likelihoods
         odds = float(-as_is[0] + exchanged[0] - as_is[1] + exchanged[1])
         if not odds > self.threshold:
             return (0.0 if math.isnan(odds) else odds), None
         forwards = [np.flatnonzero(found.fits[1] & (owners[1] == track))[::-1] for track in (0, 1)]
-        one, other = (self.filter_again(rows.take(index), prior) for index in forwards)
-        return odds, (one, other)
+        one, two = (self.filter_again(rows.take(index), prior) for index in forwards)
+        return odds, (one, two)
 
     def filter_again(self, rows: ClaimedRows, prior: NewObjects) -> Track:
         """Filter the detections of one track again, in the order of the rows."""

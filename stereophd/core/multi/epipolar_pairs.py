@@ -37,7 +37,7 @@ class NewObjects(NamedTuple):
 
 
 @compiled
-def due_pairs(
+def crosswise_pairs(
     mixture: GaussianMixture,
     homes: Array,
     cameras: tuple[int, int],
@@ -46,26 +46,9 @@ def due_pairs(
     tolerance: float,
     deferred: DeferredPairs,
     event: int,
+    most: int,
 ) -> Integers:
-    """`crosswise_pairs` without those whose test with the second camera is deferred beyond this event."""
-    found = crosswise_pairs(mixture, homes, cameras, views, prior, tolerance)
-    count = 0
-    for k in range(len(found)):
-        waits = False
-        for i in range(len(deferred.due)):
-            same = deferred.pairs[i, 0] == found[k, 0] and deferred.pairs[i, 1] == found[k, 1]
-            waits = waits or (same and deferred.pairs[i, 2] == cameras[1] and deferred.due[i] > event)
-        if not waits:
-            found[count, 0], found[count, 1] = found[k, 0], found[k, 1]
-            count += 1
-    return found[:count]
-
-
-@compiled
-def crosswise_pairs(
-    mixture: GaussianMixture, homes: Array, cameras: tuple[int, int], views: Array, prior: NewObjects, tolerance: float
-) -> Integers:
-    """Labels (n, 2) of pairs of reported tracks that two cameras may have paired crosswise.
+    """Labels (n, 2) of the first pairs of reported tracks that two cameras may have paired crosswise.
 
     Parameters
     ----------
@@ -78,6 +61,12 @@ def crosswise_pairs(
     prior : NewObjects
     tolerance : float
         Distance of two epipolar lines, px, up to which they may be one.
+    deferred : DeferredPairs
+        Pairs of tracks and the second camera that are left out, until an event.
+    event : int
+        Number of the event.
+    most : int
+        So many pairs at most.
     """
     labels, first, second = mixture.labels, views[cameras[0]], views[cameras[1]]
     heads, places = _reported_places(mixture, homes)
@@ -96,7 +85,7 @@ def crosswise_pairs(
         widths[i] = tolerance * depth / (second[FX] * math.hypot(along, high)) if depth > 0.0 else 0.0
         widest = max(widest, widths[i])
     order = stable_order(angles)
-    out = np.empty((count, 2), dtype=np.int64)
+    out = np.empty((most, 2), dtype=np.int64)
     found = 0
     for m in range(count):
         i = order[m]
@@ -109,11 +98,14 @@ def crosswise_pairs(
                 _meet(places[i], places[j], views, cameras[0], cameras[1], prior)
                 and _meet(places[j], places[i], views, cameras[0], cameras[1], prior)
             ):
-                if found == len(out):
-                    out = _doubled(out)
                 one, other = labels[heads[i]], labels[heads[j]]
-                out[found, 0], out[found, 1] = min(one, other), max(one, other)
+                one, other = min(one, other), max(one, other)
+                if _waits(one, other, cameras[1], deferred, event):
+                    continue
+                out[found, 0], out[found, 1] = one, other
                 found += 1
+                if found == most:
+                    return out
     return out[:found]
 
 
@@ -142,12 +134,13 @@ def _epipolar_axes(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def _doubled(rows: Integers) -> Integers:
-    """Copy rows (n, 2) into an array with room for twice as many."""
-    out = np.empty((2 * len(rows), 2), dtype=np.int64)
-    for k in range(len(rows)):
-        out[k, 0], out[k, 1] = rows[k, 0], rows[k, 1]
-    return out
+def _waits(one: int, other: int, camera: int, deferred: DeferredPairs, event: int) -> bool:
+    """Whether the test of a pair with a camera is deferred beyond an event."""
+    for k in range(len(deferred.due)):
+        pair = deferred.pairs[k]
+        if pair[0] == one and pair[1] == other and pair[2] == camera and deferred.due[k] > event:
+            return True
+    return False
 
 
 @compiled

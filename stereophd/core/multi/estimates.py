@@ -86,7 +86,9 @@ class Info:
     claims : Claims, optional
         Which detections they were; None unless the filter is asked for them (`DisparityFilter.claims`).
     left_out : int
-        Tracks beyond the bound on their number, which left out the least probable ones.
+        Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
+    burst : int
+        Detections that were taken as a burst of clutter (`stereophd.core.multi.undetected.burst_of`).
     """
 
     log_likelihood: float
@@ -95,3 +97,4 @@ class Info:
     detected: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64), compare=False)
     claims: Claims | None = field(default=None, compare=False)
     left_out: int = field(default=0, compare=False)
+    burst: int = field(default=0, compare=False)

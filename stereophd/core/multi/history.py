@@ -84,22 +84,25 @@ class History:
             sightings = _thinned(sightings[:KEPT_EVENTS]) + sightings[KEPT_EVENTS:]
         return History((*sightings, sighting), self.deferred)
 
-    def rows_of(self, first: int, second: int) -> ClaimedRows:
-        """Return the kept detections of two labels, one row each, in order of time."""
-        rows = self._rows()
-        return rows.take(np.flatnonzero((rows.labels == first) | (rows.labels == second)))
-
-    def _rows(self) -> ClaimedRows:
-        kept = self.sightings
-        counts = [len(one.labels) for one in kept]
+    def rows_of(self, first: int, second: int, recent: int | None = None) -> ClaimedRows:
+        """Return the kept detections of two labels, one row each, in order of time; of the last events only."""
+        kept = self.sightings if recent is None else self.sightings[-recent:]
+        counts = np.array([len(one.labels) for one in kept])
+        labels = np.concatenate([one.labels for one in kept])
+        found = np.flatnonzero((labels == first) | (labels == second))
+        ends = np.cumsum(counts)
+        events = np.searchsorted(ends, found, side="right")
+        rows = (found - (ends - counts)[events]).tolist()
+        own = [kept[event] for event in events.tolist()]
         delayed = any(one.delays is not None for one in kept)
+        delays = [0.0 if one.delays is None else one.delays[row] for one, row in zip(own, rows, strict=True)]
         return ClaimedRows(
-            np.repeat([one.camera for one in kept], counts),
-            np.repeat([one.time_s for one in kept], counts),
-            np.concatenate([one.labels for one in kept]),
-            np.concatenate([one.points for one in kept]),
-            np.concatenate([one.noises for one in kept]),
-            np.concatenate([_delays(one) for one in kept]) if delayed else None,
+            np.array([one.camera for one in own], dtype=np.int64),
+            np.array([one.time_s for one in own], dtype=np.float64),
+            labels[found],
+            np.array([one.points[row] for one, row in zip(own, rows, strict=True)]).reshape(-1, 2),
+            np.array([one.noises[row] for one, row in zip(own, rows, strict=True)]).reshape(-1, 2, 2),
+            np.array(delays) if delayed else None,
         )
 
     def exchanged(self, first: int, second: int, camera: int) -> History:
@@ -108,10 +111,6 @@ class History:
             tuple(_exchanged(one, first, second) if one.camera == camera else one for one in self.sightings),
             self.deferred,
         )
-
-
-def _delays(sighting: ClaimedDetections) -> Array:
-    return np.zeros(len(sighting.labels)) if sighting.delays is None else sighting.delays
 
 
 def _thinned(sightings: tuple[ClaimedDetections, ...]) -> tuple[ClaimedDetections, ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from stereophd.core.multi.batch_kernels import update_intensities
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.undetected import reduction_for_births
 from stereophd.core.numerics.compilation import compiled
@@ -51,18 +52,25 @@ class PhdFilter(DisparityFilter):
         """See `DisparityFilter`."""
         return update_intensities
 
+    @property
+    def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+        """See `DisparityFilter`."""
+        return ((reduce_intensity, (empty_mixture(self.state_size), self.reduction)),)
+
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event: eq. (5), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, labels, claims = _update(
+        reduced, log_likelihood, labels, claims, left_out = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births), reduction, self.claims,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
-            Info(log_likelihood, float(reduced.weights.sum()), reduced.size, labels, claims),
+            Info(
+                log_likelihood, float(reduced.weights.sum()), reduced.size, labels, claims, left_out, prediction.burst
+            ),
         )
 
 
@@ -74,9 +82,10 @@ def _update(
     numbers: EventNumbers,
     reduction: PhdReduction,
     with_claims: bool,
-) -> tuple[GaussianMixture, float, Integers, Claims | None]:
+) -> tuple[GaussianMixture, float, Integers, Claims | None, int]:
     """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
     updated, log_likelihood, by = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
     labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
-    return reduce_intensity(updated, reduction), log_likelihood, labels, claims
+    reduced, left_out = reduce_intensity(updated, reduction)
+    return reduced, log_likelihood, labels, claims, left_out

@@ -82,7 +82,7 @@ def update_intensity(
 
 
 @compiled
-def reduce_intensity(mixture: GaussianMixture, settings: PhdReduction) -> GaussianMixture:
+def reduce_intensity(mixture: GaussianMixture, settings: PhdReduction) -> tuple[GaussianMixture, int]:
     """`reduce_mixture` with these settings."""
     return reduce_mixture(
         mixture, settings.prune_weight, settings.merge_distance, settings.max_components, settings.mutual

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,11 @@ from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, 
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.estimates import Info
+from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
-from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.multi.undetected import reduction_for_births
@@ -61,7 +62,8 @@ class PmbFilter(DisparityFilter):
         return compiled_settings(PmbReduction, settings)
 
     @cached_property
-    def _crosswise(self) -> CrosswiseTest:
+    def crosswise_test(self) -> CrosswiseTest:
+        """The test for pairs of tracks that are paired crosswise."""
         samples, settings = self.sets.turn(0), self.settings
         return CrosswiseTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
 
@@ -70,18 +72,31 @@ class PmbFilter(DisparityFilter):
         """See `DisparityFilter`."""
         return update_track_sets
 
+    @property
+    def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+        """See `DisparityFilter`."""
+        integers = np.empty(0, dtype=np.int64)
+        return (
+            (association_marginals, (integers, integers, np.empty(0), 0, 0)),
+            (reduce_tracks, (empty_mixture(self.state_size), self.reduction)),
+        )
+
+    def compile_tests(self) -> None:
+        """Compile the test for pairs of tracks that are paired crosswise."""
+        self.crosswise_test.compile()
+
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, expected, labels, detections, claims = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births), reduction, self.claims,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):
             history = (history or History()).add(_sighting(event, labels, detections))
-            reduced, history = self._crosswise.put_right(reduced, history, event.time_s, state.n_events)
+            reduced, history = self.crosswise_test.put_right(reduced, history, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:
@@ -91,7 +106,7 @@ class PmbFilter(DisparityFilter):
             FilterState(
                 reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
             ),
-            Info(log_likelihood, expected, reduced.size, labels, claims, left_out),
+            Info(log_likelihood, expected, reduced.size, labels, claims, left_out, prediction.burst),
         )
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
-from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # Components from this weight or existence on get more samples where only a corner of them is in view.
 IMPORTANT_WEIGHT = 0.1
@@ -20,15 +19,19 @@ IMPORTANT_WEIGHT = 0.1
 @compiled
 def keep_surviving_weights(
     weights: Array,
-    mixture: GaussianMixture,
-    moved: Moved,
+    status: Integers,
+    inside: Array,
+    means: Array,
+    tracks: Integers,
+    cameras: Integers,
     homes: Array,
-    motion: MotionArrays,
+    reach: Array,
+    drift: Array,
     views: Array,
     camera: int,
     elapsed: float,
     time_constant: float,
-) -> None:
+) -> float:
     """Lessen the weights of moved components by what is lost, in place.
 
     Existence outside every view fades (`fade_out_of_view`). What lies outside the region is gone; what was never
@@ -39,16 +42,23 @@ def keep_surviving_weights(
     ----------
     weights : array (n,)
         Changed in place.
-    mixture, moved
-        The components before and after the move.
-    homes, motion, views, elapsed, time_constant
+    status, inside, means, tracks, cameras : arrays
+        Of `Moved`, and of the components before the move.
+    homes, reach, drift, views, elapsed, time_constant
         As of `fade_out_of_view`.
     camera : int
         Of the event.
+
+    Returns
+    -------
+    float
+        Sum of the weights.
     """
-    status, inside, tracks, cameras = moved.status, moved.inside, mixture.tracks, mixture.cameras
-    fade_out_of_view(weights, status, mixture.means, homes, motion, views, elapsed, time_constant)
+    fade_out_of_view(weights, status, means, homes, reach, drift, views, elapsed, time_constant)
+    total = 0.0
     for k in range(len(weights)):
         unknown = tracks[k] < 0 and weights[k] < IMPORTANT_WEIGHT
         forgotten = unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera
         weights[k] = 0.0 if forgotten else weights[k] * inside[k]
+        total += weights[k]
+    return total

@@ -106,7 +106,7 @@ def reduce_mixture(
     merge_distance: float,
     max_components: int,
     mutual: bool = True,
-) -> GaussianMixture:
+) -> tuple[GaussianMixture, int]:
     """Drop light components, merge near ones, and keep the heaviest.
 
     Parameters
@@ -127,9 +127,11 @@ def reduce_mixture(
 
     Returns
     -------
-    GaussianMixture
+    mixture : GaussianMixture
         In order of falling weight of the heaviest part; a merged component keeps the identity of its
         heaviest part.
+    left_out : int
+        Number of components that `max_components` left out.
     """
     heavy = places(mixture.weights >= prune_weight)
     found = take_components(mixture, picked(heavy, stable_order(-picked(mixture.weights, heavy))))
@@ -141,9 +143,10 @@ def reduce_mixture(
             weights, means, covariances, found.cameras[leaders], found.times[leaders], found.labels[leaders],
             found.tracks[leaders], found.reported[leaders],
         )  # fmt: skip
-    if len(found.weights) > max_components:
+    left_out = max(len(found.weights) - max_components, 0)
+    if left_out > 0:
         kept = np.zeros(len(found.weights), dtype=np.bool_)
         for k in stable_order(-found.weights)[:max_components]:
             kept[k] = True
         found = take_components(found, places(kept))
-    return found
+    return found, left_out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -64,6 +65,12 @@ class BirthPrior:
         "old form of per_s: expected number of new objects in each frame, whatever the frame rate and the number of "
         "cameras; in place of per_s and initial",
         default=None,
+    )
+    max_per_frame: Count = parameter(
+        "a frame with more detections than this beyond those of known objects is a burst of clutter: no object is born "
+        "from it, its surplus counts as clutter, and a warning states how many frames were affected",
+        default=20_000,
+        advice="above the number of objects in view of one camera; it bounds the time of a frame.",
     )
     disparity: DisparityPrior | None = parameter(
         "prior of the disparity, px at the baseline",
@@ -136,7 +143,7 @@ class ExistenceHysteresis(Hysteresis):
 
 
 @settings
-class FilterSettings:
+class FilterSettings(ABC):
     """What the settings of every kind of filter hold, and how they become the filter."""
 
     kind: str = parameter("the word that names the filter: the name of its module in `filter_settings`")
@@ -162,6 +169,6 @@ class FilterSettings:
     missed: Missed = parameter(MISSED)
     extraction: Hysteresis = parameter("what is reported as an object", default_factory=Hysteresis)
 
+    @abstractmethod
     def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> DisparityFilter:
         """Return the filter. Compiled code is imported here, so that settings are read without it."""
-        raise NotImplementedError

@@ -9,10 +9,13 @@ where o_kc is the share of the objects in view of k that are in view of c as wel
 the elapsed time. So an object is born once, whatever the frame rates are and however many cameras look: a single camera
 with p_D near 1 has b objects times the time since its last frame to expect, and cameras that look at one place share
 them.
+
+A frame with far more detections than objects can make (`burst_of`) says nothing of new objects: its surplus is clutter.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -56,8 +59,29 @@ class Undetected:
     initial_share: Array
 
 
+def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
+    """Return the detections of a frame beyond those of known objects where they are a burst of clutter, else 0.
+
+    Parameters
+    ----------
+    event : Event
+    known : float
+        Expected number of detections of known objects.
+    prior : BirthPrior
+        Its `max_per_frame` is the most that is no burst.
+    """
+    surplus = len(event.points) - known
+    return math.ceil(surplus) if surplus > prior.max_per_frame else 0
+
+
 def expected_births(
-    before: Undetected | None, prior: BirthPrior, overlap: Array, elapsed: float, event: Event, detector: Detector
+    before: Undetected | None,
+    prior: BirthPrior,
+    overlap: Array,
+    elapsed: float,
+    event: Event,
+    detector: Detector,
+    burst: int = 0,
 ) -> tuple[float, Undetected]:
     """Expected number of undetected objects in view of an event, and what the event leaves of them.
 
@@ -73,12 +97,16 @@ def expected_births(
     event : Event
     detector : Detector
         Of the event's camera.
+    burst : int
+        `burst_of` the event: nothing is born from a burst of clutter, and the objects remain undetected.
     """
     cameras = len(overlap)
     before = before or Undetected(np.zeros(cameras), np.ones(cameras))
     if prior.per_frame is not None:
-        return float(prior.per_frame), before
+        return 0.0 if burst else float(prior.per_frame), before
     counts, share = before.counts + prior.per_s * elapsed, before.initial_share
+    if burst:
+        return 0.0, Undetected(counts, share)
     if share[event.camera] > 0.0:
         initial = prior.initial
         if initial is None:
@@ -95,7 +123,9 @@ def reduction_for_births(reduction: Reduction, births: float, detector: Detector
     """Return settings of a reduction whose `prune_weight` is the stated one, or less where newborns are light."""
     values: Any = reduction
     born = detector.p_detect * births
-    newborn = born / (born + detector.clutter_per_frame) if born > 0.0 else 0.0
+    if born <= 0.0:
+        return reduction
+    newborn = born / (born + detector.clutter_per_frame)
     weight = max(NEWBORN_SHARE * newborn, LEAST_PRUNING * values.prune_weight)
     if weight >= values.prune_weight:
         return reduction

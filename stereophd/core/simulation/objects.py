@@ -100,11 +100,6 @@ class StateWindow:
     object_id: NDArray[np.int64]
     states: FloatArray
 
-    @property
-    def alive(self) -> BoolArray:
-        """Whether an object exists at an instant, (m, n)."""
-        return ~np.isnan(self.states[:, :, 0])
-
 
 def state_windows(objects: Sequence[MovingObject], grid: TimeGrid, motion: Motion) -> Iterator[StateWindow]:
     """Yield the states of all objects, window by window, in memory that does not grow with the run.

@@ -74,13 +74,9 @@ class SingleInfo:
     log_likelihood : float
         Logarithm of the density of the detection given all earlier ones, over distorted pixels: of the
         first detection uniform over the image, of an event without one 0.
-    effective : float
-        Effective number of samples after the event: of a particle filter 1 / sum of squared weights, of
-        the others that of the samples behind their Gaussian.
     """
 
     log_likelihood: float
-    effective: float
 
 
 class SingleEstimator(ABC, Generic[State]):

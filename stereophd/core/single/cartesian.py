@@ -59,13 +59,13 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
         """Predict, and update by the rule of the settings."""
         seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
-            return seen, SingleInfo(0.0, 1.0)
+            return seen, SingleInfo(0.0)
         time_s = detection_time(event)
         camera = self.rig.space(event.camera, time_s)
         now = replace(seen, camera=event.camera, home_s=time_s)
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
-            return replace(now, mean=mean, covariance=covariance), SingleInfo(first_density(self.rig, event), 1.0)
+            return replace(now, mean=mean, covariance=covariance), SingleInfo(first_density(self.rig, event))
         mean, covariance = self._predicted(state, time_s)
         point, noise = event.points[0], event.covariances[0]
         if self.settings.rule == "extended":
@@ -76,9 +76,9 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
             pixel, matrix, spread = _regression(lambda states: _pixels(camera, states), mean, covariance)
             noise = noise + spread
         if not np.isfinite(matrix).all():
-            return seen, SingleInfo(0.0, 1.0)
+            return seen, SingleInfo(0.0)
         mean, covariance, log_density = linear_update(mean, covariance, matrix, pixel, point, noise)
-        info = SingleInfo(log_density + float(np.log(event.areas[0])), 1.0)
+        info = SingleInfo(log_density + float(np.log(event.areas[0])))
         return replace(now, mean=mean, covariance=covariance), info
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:

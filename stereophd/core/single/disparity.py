@@ -72,7 +72,7 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
         """
         if only_detection(event) is None:
             after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
-            return after, SingleInfo(0.0, self.sets.size)
+            return after, SingleInfo(0.0)
         time_s = detection_time(event)
         space = self.rig.space(event.camera, time_s)
         moved = None if state.camera == UNSEEN else self._moved(state, space, event.camera, time_s)
@@ -85,7 +85,7 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
             )
             log_likelihood = log_density + math.log(event.areas[0])
         updated = GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, event.camera)
-        return updated, SingleInfo(log_likelihood, self.sets.size)
+        return updated, SingleInfo(log_likelihood)
 
     def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
         """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
@@ -169,7 +169,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
         """Predict the state in the shared space, and update it (Algorithm 1)."""
         after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
-            return after, SingleInfo(0.0, self.sets.size)
+            return after, SingleInfo(0.0)
         time_s = detection_time(event)
         seen = replace(after, home_s=time_s, camera=0)
         size = self.state_size
@@ -179,7 +179,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
             back = np.linalg.inv(self.matrices[event.camera])
             whole = np.kron(np.eye(size // 3), back)
             means[0, :3] -= self.offsets[event.camera]
-            info = SingleInfo(first_density(self.rig, event), self.sets.size)
+            info = SingleInfo(first_density(self.rig, event))
             return replace(seen, mean=whole @ means[0], covariance=whole @ covariances[0] @ whole.T), info
         mean, covariance = self._predicted(state, time_s)
         matrix = np.zeros((2, size))
@@ -188,7 +188,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, predicted, event.points[0], event.covariances[0]
         )
-        info = SingleInfo(log_density + math.log(event.areas[0]), self.sets.size)
+        info = SingleInfo(log_density + math.log(event.areas[0]))
         return replace(seen, mean=mean, covariance=covariance), info
 
     def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:

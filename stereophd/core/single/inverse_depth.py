@@ -67,13 +67,13 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         """Predict and update to first order."""
         seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
         if only_detection(event) is None:
-            return seen, SingleInfo(0.0, 1.0)
+            return seen, SingleInfo(0.0)
         time_s = detection_time(event)
         camera = self.rig.space(event.camera, time_s)
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
             first = replace(seen, mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
-            return first, SingleInfo(first_density(self.rig, event), 1.0)
+            return first, SingleInfo(first_density(self.rig, event))
         mean, covariance = self._predicted(state, time_s)
         # d (rho times the point in the camera's axes) / d (a, b, rho)
         in_world = np.column_stack([rotation(state.anchor).T[:, :2], center(state.anchor) - center(camera)])
@@ -82,12 +82,12 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         matrix = np.zeros((2, len(mean)))
         matrix[:, :3] = jacobian @ rotation(camera) @ in_world
         if not np.isfinite(pixel).all():
-            return seen, SingleInfo(0.0, 1.0)
+            return seen, SingleInfo(0.0)
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
         )
         updated = replace(seen, mean=mean, covariance=covariance, home_s=time_s)
-        return updated, SingleInfo(log_density + float(np.log(event.areas[0])), 1.0)
+        return updated, SingleInfo(log_density + float(np.log(event.areas[0])))
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
         size = self.state_size

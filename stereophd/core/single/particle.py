@@ -154,7 +154,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         """Resample, if due, move the particles to the event's time, and weigh them by its detection."""
         if only_detection(event) is None:
             after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
-            return after, SingleInfo(0.0, _effective(state.weights) if len(state.weights) else 0.0)
+            return after, SingleInfo(0.0)
         rng = np.random.default_rng((self.seed, state.n_events))
         time_s = detection_time(event)
         space = self.rig.space(event.camera, time_s)
@@ -168,7 +168,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             weights, log_weights, evidence = self._update(weights, log_weights, likelihood)
             log_likelihood = evidence + math.log(event.areas[0])
         updated = ParticleState(event.time_s, time_s, state.n_events + 1, particles, weights, log_weights)
-        return updated, SingleInfo(log_likelihood, _effective(weights))
+        return updated, SingleInfo(log_likelihood)
 
     def _first(self, event: Event, space: Array, rng: np.random.Generator) -> Array:
         """Particles (d, n) on the ray of the first detection."""

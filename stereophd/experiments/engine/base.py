@@ -8,15 +8,17 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+    from stereophd.config.model import Config
 
 Array = NDArray[np.float64]
+Scenario = TypeVar("Scenario")
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,14 @@ class Kind:
     run: Callable[[LoadedConfig, int], Sequence[Series]]
     bounds: Callable[[LoadedConfig], Sequence[Series]]
     check: Callable[[LoadedConfig], None]
+
+
+def scenario_of(config: Config, expected: type[Scenario]) -> Scenario:
+    """Return the scenario of an experiment, which is of the expected kind."""
+    assert config.experiment is not None
+    scenario = config.experiment.scenario
+    assert isinstance(scenario, expected)
+    return scenario
 
 
 # Processor times of the blocks under `method_clock` in the run that is being done, s.

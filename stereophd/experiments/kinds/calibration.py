@@ -27,21 +27,16 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_ME
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
-from stereophd.pipeline.calibration.inputs import (
-    CalibrationProblem,
-    build_parameters,
-    build_scale,
-    calibration_section,
-    draw_guess,
-    pmb_filter,
-)
+from stereophd.pipeline.calibration.filters import pmb_filter
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, build_scale
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import HistoryRow
 from stereophd.pipeline.calibration.report import status_of
 from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import frames_in_order
@@ -80,7 +75,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the Cramer-Rao bound over time, its variances averaged over scenes."""
     _, _, parameters, reference, true = _setting(loaded, 0)
-    scenes = range(_scenario(loaded).bound_scenes)
+    scenes = range(scenario_of(loaded.config, CalibrationScenario).bound_scenes)
     covariances = np.mean([_scene_bounds(loaded, number) for number in scenes], axis=0)
     return _bound_series(loaded, parameters, reference, true, covariances)
 
@@ -101,17 +96,10 @@ def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
     return np.array(bounds)
 
 
-def _scenario(loaded: LoadedConfig) -> CalibrationScenario:
-    assert loaded.config.experiment is not None
-    scenario = loaded.config.experiment.scenario
-    assert isinstance(scenario, CalibrationScenario)
-    return scenario
-
-
 def _times(loaded: LoadedConfig) -> Array:
     """Times at which the estimate is looked at: multiples of the interval, in the run."""
     assert loaded.config.simulate is not None
-    every_s, duration_s = _scenario(loaded).every_s, loaded.config.simulate.duration_s
+    every_s, duration_s = scenario_of(loaded.config, CalibrationScenario).every_s, loaded.config.simulate.duration_s
     count = math.ceil(duration_s / every_s - SAME_TIME_S) - 1
     return loaded.config.simulate.start_s + every_s * np.arange(1.0, count + 1.0)
 

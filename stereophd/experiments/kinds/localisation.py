@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.config import experiment as config_experiment
+from stereophd.config.experiment import LocalisationScenario
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.single_object.runs import LocalisationProblem, localisation_bound, localisation_run
 from stereophd.experiments.single_object.series import (
     bounds_of,
@@ -29,7 +29,7 @@ def check(loaded: LoadedConfig) -> None:
     single_config(loaded)
     scenario = _scenario(loaded)
     rig = scenario.rig
-    for name, index in zip(_settings(loaded).sequence, scenario.sequence, strict=False):
+    for name, index in zip(scenario_of(loaded.config, LocalisationScenario).sequence, scenario.sequence, strict=False):
         if not rig.cameras[index].in_view(scenario.position[None])[0]:
             raise InputError(
                 f"{loaded.path}: experiment.scenario.position: expected an object in view of {name}, found it out of "
@@ -50,25 +50,19 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the Cramer-Rao bound after each observation."""
-    covariances = localisation_bound(_scenario(loaded), _settings(loaded).bound_with_prior)
+    settings = scenario_of(loaded.config, LocalisationScenario)
+    covariances = localisation_bound(_scenario(loaded), settings.bound_with_prior)
     series = bounds_of("position", loaded.config.units.length, _times(loaded), covariances)
     return [*series, *(last_of(one, f"final_{one.quantity}") for one in series)]
 
 
-def _settings(loaded: LoadedConfig) -> config_experiment.LocalisationScenario:
-    assert loaded.config.experiment is not None
-    scenario = loaded.config.experiment.scenario
-    assert isinstance(scenario, config_experiment.LocalisationScenario)
-    return scenario
-
-
 def _times(loaded: LoadedConfig) -> Array:
-    settings = _settings(loaded)
+    settings = scenario_of(loaded.config, LocalisationScenario)
     return settings.interval_s * np.arange(len(settings.sequence) * settings.rounds, dtype=np.float64)
 
 
 def _scenario(loaded: LoadedConfig) -> LocalisationProblem:
-    settings = _settings(loaded)
+    settings = scenario_of(loaded.config, LocalisationScenario)
     rig = rig_of(loaded)
     names = [camera.name for camera in rig.cameras]
     for name in settings.sequence:

@@ -15,7 +15,7 @@ from stereophd.config.model import Config
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series
+from stereophd.experiments.engine.base import Kind, Series, scenario_of
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
     MoveMoments,
@@ -40,7 +40,7 @@ def check(loaded: LoadedConfig) -> None:
     build_motion(loaded.config, loaded.path)
     names = [camera.name for camera in loaded.build_cameras()]
     for key in ("home", "destination"):
-        name = getattr(_settings(loaded), key)
+        name = getattr(scenario_of(loaded.config, MoveScenario), key)
         if name not in names:
             raise InputError(
                 f"{loaded.path}: experiment.scenario.{key}: expected a camera ({', '.join(names)}), found {name}"
@@ -61,13 +61,6 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
     return _moments(_case(loaded)[1])
 
 
-def _settings(loaded: LoadedConfig) -> MoveScenario:
-    assert loaded.config.experiment is not None
-    scenario = loaded.config.experiment.scenario
-    assert isinstance(scenario, MoveScenario)
-    return scenario
-
-
 def _case(loaded: LoadedConfig) -> tuple[MoveCase, MoveMoments]:
     """Return what is carried over, and the reference: the same for all methods and runs, and made once a process."""
     own = {key: value for key, value in loaded.resolved.items() if key not in NOT_IN_REFERENCE}
@@ -77,9 +70,7 @@ def _case(loaded: LoadedConfig) -> tuple[MoveCase, MoveMoments]:
 @lru_cache(maxsize=8)
 def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
     config = Config.model_validate_json(text)
-    assert config.experiment is not None
-    settings = config.experiment.scenario
-    assert isinstance(settings, MoveScenario)
+    settings = scenario_of(config, MoveScenario)
     assert isinstance(config.cameras, dict)
     cameras = {name: camera.build(name) for name, camera in config.cameras.items()}
     home, destination = (

@@ -20,7 +20,7 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene, scene_motion
 from stereophd.pipeline.stream import EventStream, frames_in_order
@@ -40,7 +40,7 @@ def check(loaded: LoadedConfig) -> None:
     if config.simulate is None:
         raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
     build_filter(config, cameras, loaded.path)
-    if _scenario(loaded).tracker == "known_association" and scene_motion(config).noisy:
+    if scenario_of(loaded.config, MultiObjectScenario).tracker == "known_association" and scene_motion(config).noisy:
         raise InputError(
             f"{loaded.path}: simulate.acceleration_std: expected 0 with the tracker known_association, which fits "
             "paths without noise, found another value"
@@ -57,20 +57,14 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     event_times = np.array([frame.time_s for frame in frames])
     last = last_event_of_each_time(event_times)
     aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
+    scenario = scenario_of(config, MultiObjectScenario)
     with method_clock():
-        if _scenario(loaded).tracker == "filter":
-            estimates = filtered_points(loaded, cameras, frames, last, _scenario(loaded).tentative)
+        if scenario.tracker == "filter":
+            estimates = filtered_points(loaded, cameras, frames, last, scenario.tentative)
         else:
             estimates = _known(loaded, cameras, frames, event_times[last], aligned.points, scene.motion)
     usable = ~(aligned.outside | aligned.gap)
     return _scores(loaded, event_times[last][usable], estimates.keep_scans(usable), aligned.points.keep_scans(usable))
-
-
-def _scenario(loaded: LoadedConfig) -> MultiObjectScenario:
-    assert loaded.config.experiment is not None
-    scenario = loaded.config.experiment.scenario
-    assert isinstance(scenario, MultiObjectScenario)
-    return scenario
 
 
 def scene_truth(scene: Scene) -> Truth:
@@ -146,7 +140,7 @@ def _known(
 def _scores(loaded: LoadedConfig, times_s: Array, estimates: PointSets, truth: PointSets) -> list[Series]:
     unit = loaded.config.units.length
     series = []
-    for settings in _scenario(loaded).ospa:
+    for settings in scenario_of(loaded.config, MultiObjectScenario).ospa:
         mahalanobis = settings.base == "mahalanobis"
         scores = score_scans(estimates, truth, settings.order, settings.cutoff, mahalanobis=mahalanobis)
         series.append(Series(settings.quantity, "1" if mahalanobis else unit, scores.ospa, times_s))

@@ -23,7 +23,7 @@ from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock
+from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.kinds.multi_object import filtered_points, scene_truth
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
@@ -71,7 +71,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
         start, np.tile(views.positions, (len(times), 1)), np.zeros((count * len(times), 3)),
         np.tile(views.labels, len(times)),
     )  # fmt: skip
-    scenario = _scenario(loaded)
+    scenario = scenario_of(loaded.config, StaticSceneScenario)
     scores = score_scans(found, truth, 2.0, scenario.cutoff)
     unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
     last = scores.pair_scan == len(times) - 1
@@ -171,7 +171,7 @@ def _views(loaded: LoadedConfig, number: int) -> _Views:
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the bound on the root mean square error after the last view, its variances averaged over scenes."""
-    scenes = range(_scenario(loaded).bound_scenes)
+    scenes = range(scenario_of(loaded.config, StaticSceneScenario).bound_scenes)
     variances = []
     for number in scenes:
         information = _views(loaded, number).information
@@ -179,13 +179,6 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
         variances.append(np.trace(np.linalg.inv(information[seen]), axis1=1, axis2=2).mean())
     unit = loaded.config.units.length
     return [Series("position_rmse", unit, np.array([float(np.sqrt(np.mean(variances)))]))]
-
-
-def _scenario(loaded: LoadedConfig) -> StaticSceneScenario:
-    assert loaded.config.experiment is not None
-    scenario = loaded.config.experiment.scenario
-    assert isinstance(scenario, StaticSceneScenario)
-    return scenario
 
 
 def _root(squared: Sequence[float] | Array) -> float:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.config import experiment as config_experiment
+from stereophd.config.experiment import TrackingScenario
 from stereophd.core.numerics.random_streams import BOUND_TRAJECTORIES, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock
+from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
 from stereophd.experiments.single_object.runs import TrackingProblem, tracking_bound, tracking_run
 from stereophd.experiments.single_object.series import (
     bounds_of,
@@ -50,7 +50,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the posterior Cramer-Rao bound of position and velocity over time."""
-    settings, scenario = _settings(loaded), _scenario(loaded)
+    settings, scenario = scenario_of(loaded.config, TrackingScenario), _scenario(loaded)
     seed = BOUND_TRAJECTORIES.seed(loaded.config.seed)
     covariances = tracking_bound(scenario, np.random.default_rng(seed), settings.bound_trajectories)
     times = np.unique(scenario.times)
@@ -64,15 +64,8 @@ def _parts(loaded: LoadedConfig) -> list[tuple[str, str, slice]]:
     return [("position", unit, slice(0, 3)), ("velocity", f"{unit}/s", slice(3, 6))]
 
 
-def _settings(loaded: LoadedConfig) -> config_experiment.TrackingScenario:
-    assert loaded.config.experiment is not None
-    scenario = loaded.config.experiment.scenario
-    assert isinstance(scenario, config_experiment.TrackingScenario)
-    return scenario
-
-
 def _scenario(loaded: LoadedConfig) -> TrackingProblem:
-    settings = _settings(loaded)
+    settings = scenario_of(loaded.config, TrackingScenario)
     rig = rig_of(loaded)
     count = len(rig.cameras)
     times = np.repeat(settings.interval_s * np.arange(settings.steps), count)

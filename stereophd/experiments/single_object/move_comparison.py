@@ -6,7 +6,6 @@ textbook. What a method loses is the Kullback-Leibler divergence of that Gaussia
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -162,13 +161,6 @@ def compare_move(
         mean[:2] -= WIDE
     divergence = gaussian_divergence(reference.mean, reference.covariance, mean, covariance)
     return MoveMoments(method, samples, mean, covariance, float(moved.fraction[0]), divergence)
-
-
-def compare_moves(
-    case: MoveCase, methods: Sequence[tuple[Method, int]], reference: MoveMoments, rng: np.random.Generator
-) -> tuple[MoveMoments, ...]:
-    """`compare_move` for several methods, each with its number of samples."""
-    return tuple(compare_move(case, method, samples, reference, rng) for method, samples in methods)
 
 
 def gaussian_divergence(mean: Array, covariance: Array, other_mean: Array, other_covariance: Array) -> float:

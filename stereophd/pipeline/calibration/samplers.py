@@ -23,7 +23,8 @@ from stereophd.core.multi.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task, phd_filter, pmb_filter
+from stereophd.pipeline.calibration.filters import phd_filter, pmb_filter
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
 from stereophd.pipeline.calibration.outcome import (
     Array,
     HistoryRow,

@@ -11,7 +11,8 @@ import numpy as np
 from stereophd.io.logs import LogReader
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding, warnings_of
-from stereophd.pipeline.checks.geometry import check_geometry, measure
+from stereophd.pipeline.checks.geometry import measure
+from stereophd.pipeline.checks.geometry_findings import check_geometry
 from stereophd.pipeline.checks.residuals import check_residuals
 from stereophd.pipeline.checks.sample import MOST_FRAMES, CameraSample, sample_log
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene

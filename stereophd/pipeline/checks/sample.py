@@ -22,6 +22,9 @@ Integers = NDArray[np.int64]
 
 # Frames of each camera that are kept.
 MOST_FRAMES = 3000
+# A frame with more than this many times the median number of detections, and more than as many as this, is a burst of
+# clutter, which says nothing of the cameras.
+BURST_SHARE, BURST_LEAST = 20, 1000
 # Candidate gates of a link, px.
 GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 # Frames of the shortest track that counts.
@@ -172,6 +175,8 @@ def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...], most: int =
 
 def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
     counts = np.array([len(frame.pixels) for frame in frames], dtype=np.int64)
+    most = max(BURST_LEAST, BURST_SHARE * float(np.median(counts))) if frames else 0.0
+    frames, counts = [frame for frame in frames if len(frame.pixels) <= most], counts[counts <= most]
     return CameraSample(
         camera,
         np.array([frame.time_s for frame in frames], dtype=np.float64),

@@ -24,14 +24,14 @@ def check_tracking(
     Parameters
     ----------
     summary : mapping
-        Figures of the run, as in ``report.json``; ``tracks.n_detections`` by camera is used.
+        Figures of the run, as in ``report.json``; ``tracks.n_detections`` by camera, and ``left_out``, are used.
     counts : mapping
         Counts of the log: ``detections``, ``frames``.
     cameras : tuple of Camera
     """
     detections, frames = counts["detections"], counts["frames"]
     clutter = frames * float(np.mean([camera.detector.clutter_per_frame for camera in cameras]))
-    objects = detections - clutter
+    objects = detections - clutter - summary["left_out"]["burst_detections"]
     tracks = summary["tracks"]
     count = len(tracks)
     if count == 0 and objects >= LEAST_DETECTIONS:

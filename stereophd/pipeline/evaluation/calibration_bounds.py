@@ -17,7 +17,8 @@ from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
 from stereophd.io.json_text import finite_or_none
-from stereophd.pipeline.calibration.inputs import build_parameters, build_scale
+from stereophd.pipeline.calibration.inputs import build_scale
+from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
     parameters, reference = build_parameters(loaded)
     by_name = {camera.name: camera for camera in true}
     truth = ParameterSet(tuple(by_name[c.name] for c in parameters.cameras), parameters.parameters)
-    covariance = scenario_bound(loaded, truth, reference, 0)
+    covariance = scenario_bound(loaded, truth, reference)
     names = posed_cameras(parameters)
     values = np.zeros(parameters.size)
     spreads = {name: pose_spread(truth, reference, values, covariance, name) for name in names}
@@ -49,8 +50,8 @@ def spread_figures(spread: PoseSpread) -> dict[str, Any]:
     }
 
 
-def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, run: int) -> Array:
-    """Bound on the covariance (m, m) of a calibration of the simulated run of a configuration.
+def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int) -> Array:
+    """Bound on the covariance (m, m) of a calibration of the first simulated run of a configuration.
 
     Parameters
     ----------
@@ -59,13 +60,11 @@ def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int, ru
     truth : ParameterSet
         With the true cameras: their values are zero.
     reference : int
-    run : int
-        Whose objects, as `stereophd.commands.simulate.simulate` draws them.
     """
     settings = loaded.config.simulate
     if settings is None:
         raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
-    scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, run))
+    scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, 0))
     objects, cameras, times, positions = scene_positions(scene)
     return calibration_bound(
         truth, np.zeros(truth.size), reference, scene.motion, objects, cameras, times, positions,

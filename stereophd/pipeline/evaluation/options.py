@@ -9,6 +9,9 @@ from typing import Literal
 
 from stereophd.errors import InputError
 
+# What may be changed of the tracks before they are scored: nothing, their frame, their frame and scale.
+ALIGNMENTS = ("none", "rigid", "similarity")
+
 
 @dataclass(frozen=True)
 class Options:
@@ -25,6 +28,8 @@ class Options:
     within_s: float | None
     ospa2_window: int
     tentative: bool
+    align: Literal["none", "rigid", "similarity"] = "none"
+    align_clock: bool = False
 
 
 def check_options(options: Options, log_path: Path | str | None) -> None:
@@ -35,7 +40,7 @@ def check_options(options: Options, log_path: Path | str | None) -> None:
         value = getattr(options, name)
         if value is not None and not (math.isfinite(value) and value >= low):
             raise InputError(f"`{name}`: expected a finite number of at least {low:g}, found {value}")
-    for name, choices in (("base", ("euclidean", "mahalanobis")), ("at", ("times", "events"))):
+    for name, choices in (("base", ("euclidean", "mahalanobis")), ("at", ("times", "events")), ("align", ALIGNMENTS)):
         if getattr(options, name) not in choices:
             raise InputError(f"`{name}`: expected {' or '.join(choices)}, found {getattr(options, name)}")
     for name in ("from_s", "to_s"):

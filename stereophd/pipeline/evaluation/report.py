@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
+from stereophd.core.metrics.registration import Registration
 from stereophd.core.metrics.scans import PointSets
 from stereophd.io.json_text import plain
 from stereophd.io.tables import FLOAT, INTEGER, TableWriter
 from stereophd.pipeline.evaluation.gates import Limits, gates
 from stereophd.pipeline.evaluation.options import Options
+from stereophd.pipeline.evaluation.registering import registration_report
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,12 +39,15 @@ class Scored:
         Columns of ``per_scan.parquet``.
     estimates : PointSets
         The estimates of the scored scans.
+    registration : Registration, optional
+        How the tracks were brought to the frame and clock of the truth before.
     """
 
     figures: dict[str, Any]
     scans: dict[str, int]
     columns: dict[str, NDArray[Any]]
     estimates: PointSets
+    registration: Registration | None = None
 
 
 def build_report(
@@ -68,6 +73,11 @@ def build_report(
             "max_gap_s": max_gap_s,
             "seen_by": visible,
             "tentative": options.tentative,
+            "alignment": {
+                "frame": options.align,
+                "clock": options.align_clock,
+                "found": registration_report(scored.registration),
+            },
             "gates": gates(limits, {**result, "scans": scored.scans}),
             "provenance": record,
         }

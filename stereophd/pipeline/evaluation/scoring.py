@@ -26,6 +26,7 @@ from stereophd.core.metrics.visibility import Sightings, cameras_that_saw, leave
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
 from stereophd.pipeline.evaluation.options import Options
+from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
 from stereophd.pipeline.evaluation.report import Scored
 
 
@@ -55,6 +56,9 @@ def score_tracks(
     InputError
         Nothing can be scored, or a covariance is not positive definite where the base needs it.
     """
+    found = registration_of(tracks, truth, options, max_gap_s, tracks_path)
+    if found is not None:
+        tracks, sightings = registered_tracks(tracks, found), registered_sightings(sightings, found)
     events = tracks.events if tracks.all_events else add_truth_times(tracks.events, truth.time_s)
     if options.at == "times":
         events = events.take(last_event_of_each_time(events.time_s))
@@ -95,6 +99,7 @@ def score_tracks(
         scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
         columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,
+        registration=found,
     )
 
 

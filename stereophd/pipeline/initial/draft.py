@@ -163,7 +163,7 @@ def _with_filter(draft: Draft, usual: Draft, log_path: Path | str) -> Draft:
         parts = stretches(stream)
         draft = _with_acceleration(draft, stream.cameras, parts, str(log_path))
     figures = measure_with_filter(loaded_draft(draft, str(log_path)), stream.cameras, parts)
-    return draft if figures is None else draft.with_choices(_final(figures, usual, draft.unit, parts))
+    return draft if figures is None else draft.with_choices(_final(figures, usual, draft.unit))
 
 
 def _with_acceleration(draft: Draft, cameras: tuple[Camera, ...], parts: list[list[Event]], name: str) -> Draft:
@@ -211,7 +211,7 @@ def _detector(begun: DetectorConfig, entry: Mapping[str, Any]) -> tuple[Detector
     return DetectorConfig(sigma_px=sigma, p_detect=p_detect, clutter_per_frame=clutter), text
 
 
-def _final(figures: SceneFigures, usual: Draft, unit: str, parts: list[list[Event]]) -> dict[str, Choice]:
+def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
     """Return the settings that the tracks of the filter give."""
     near, far = figures.depths.tolist()
     middle = float(np.sqrt(near * far))

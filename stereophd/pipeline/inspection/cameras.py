@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from itertools import pairwise
+from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ Floats = NDArray[np.float64]
 
 # Optical axes whose directions all lie this close together have no point that they look at, condition number.
 PARALLEL = 1e4
+# Columns and rows of the sketch of a layout.
+WIDTH, HEIGHT = 60, 18
 
 
 def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> dict[str, Any]:
@@ -99,7 +102,7 @@ def _distance_rms(centers: Floats, axes: Floats, point: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((offset - along) ** 2, axis=1))))
 
 
-def sketch(summary: Mapping[str, Any], width: int = 60, height: int = 18) -> list[str]:
+def sketch(summary: Mapping[str, Any]) -> list[str]:
     """Draw the layout of cameras in text: each as a letter, with dots along the direction in which it looks.
 
     The two world axes along which the cameras (and what they look at) spread most are drawn; ``+`` is where the optical
@@ -115,13 +118,13 @@ def sketch(summary: Mapping[str, Any], width: int = 60, height: int = 18) -> lis
     across, up = sorted(np.argsort(spread)[-2:].tolist())
     low, extent = points.min(axis=0), np.maximum(spread, 1e-9)
     # a letter is about twice as high as it is wide: one scale for both directions
-    scale = max(extent[across] / (width - 1), extent[up] / (height - 1) / 2)
-    lines = [[" "] * width for _ in range(height)]
+    scale = max(extent[across] / (WIDTH - 1), extent[up] / (HEIGHT - 1) / 2)
+    lines = [[" "] * WIDTH for _ in range(HEIGHT)]
 
     def put(point: Floats, letter: str) -> None:
         column = round((point[across] - low[across]) / scale)
-        row = height - 1 - round((point[up] - low[up]) / scale / 2)
-        if 0 <= column < width and 0 <= row < height and (letter.isalnum() or lines[row][column] == " "):
+        row = HEIGHT - 1 - round((point[up] - low[up]) / scale / 2)
+        if 0 <= column < WIDTH and 0 <= row < HEIGHT and (letter.isalnum() or lines[row][column] == " "):
             lines[row][column] = letter
 
     for center, axis in zip(centers, axes, strict=True):
@@ -130,8 +133,8 @@ def sketch(summary: Mapping[str, Any], width: int = 60, height: int = 18) -> lis
     if target is not None:
         put(np.array(target), "+")
     for index, center in enumerate(centers):
-        put(center, "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[index % 26])
-    names = ", ".join(f"{'ABCDEFGHIJKLMNOPQRSTUVWXYZ'[k % 26]} {name}" for k, name in enumerate(summary["cameras"]))
+        put(center, ascii_uppercase[index % 26])
+    names = ", ".join(f"{ascii_uppercase[k % 26]} {name}" for k, name in enumerate(summary["cameras"]))
     drawn = ["".join(line).rstrip() for line in lines]
     used = [k for k, line in enumerate(drawn) if line]
     direction = "xyz"[across], "xyz"[up]

@@ -15,12 +15,15 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stereophd.core.disparity.events import Event
 from stereophd.errors import InputError
 from stereophd.io.atomic import atomic_write
 from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
-from stereophd.io.columns import pack, unpack
-from stereophd.pipeline.tracking.associations import Associations
+from stereophd.io.columns import pack, pack_counts, unpack, unpack_counts
+from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, run_estimator
 
 STATE_FILE = "state.npz"
@@ -46,10 +49,14 @@ class SavedRun:
         State of the estimator.
     events : int
     forecast_from_s : float
-    pending : list
+    attribution : mapping
         Labels not reported yet, and their detections by camera.
-    tracks, claims : list
-        Labels reported so far with their tracks, and labels not reported yet with what they claim.
+    tracks : array (n, 2)
+        Labels reported so far, and their tracks.
+    claims : array (n, 3)
+        Labels not reported yet, the event of a claim (its place in `claimed`), and its row there.
+    claimed : list of Associated
+        Each event once: thousands of labels may wait with claims to the same event.
     chunks : list
         Spans of the chunks that lead up to this state (`RecordChunks`).
     """
@@ -57,33 +64,44 @@ class SavedRun:
     estimator: Any
     events: int
     forecast_from_s: float
-    pending: list[Any]
-    tracks: list[Any]
-    claims: list[Any]
+    attribution: dict[str, Any]
+    tracks: NDArray[np.int64]
+    claims: NDArray[np.int64]
+    claimed: list[Associated]
     chunks: list[tuple[float, float]]
 
     @classmethod
     def of(cls, run: RunState[Any], chunks: Sequence[tuple[float, float]]) -> SavedRun:
         """Return what is to be kept of a run."""
+        claims: list[tuple[int, int, int]] = []
+        claimed: dict[int, tuple[int, Associated]] = {}
+        for label, waiting in run.associations.pending.items():
+            for event, row in waiting:
+                place, _ = claimed.setdefault(id(event), (len(claimed), event))
+                claims.append((label, place, row))
         return cls(
             run.estimator,
             run.events,
             run.forecast_from_s,
-            [[label, dict(counts)] for label, counts in run.attribution.pending.items()],
-            [list(pair) for pair in run.associations.known.items()],
-            [[label, list(rows)] for label, rows in run.associations.pending.items()],
+            pack_counts(run.attribution.pending),
+            np.array(list(run.associations.known.items()), dtype=np.int64).reshape(-1, 2),
+            np.array(claims, dtype=np.int64).reshape(-1, 3),
+            [event for _, event in claimed.values()],
             list(chunks),
         )
 
     def run_state(self, last: Record | None) -> RunState[Any]:
         """Return the state of the run, `last` being the record of its last event."""
+        pending: dict[int, list[tuple[Associated, int]]] = {}
+        for label, place, row in self.claims.tolist():
+            pending.setdefault(label, []).append((self.claimed[place], row))
         return RunState(
             self.estimator,
             self.events,
             last,
             self.forecast_from_s,
-            Attribution(dict(self.pending)),
-            Associations(dict(self.tracks), dict(self.claims)),
+            Attribution(unpack_counts(self.attribution)),
+            Associations(dict(self.tracks.tolist()), pending),
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -24,14 +23,13 @@ from stereophd.io.tables import CONFIRMED, STD, TENTATIVE, TableWriter
 from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.explained import Explained
 from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.losses import Losses
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.
 SEEN_EXISTENCE = 0.5
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass
@@ -77,10 +75,9 @@ def write_records(
     first_s, last_s = math.nan, math.nan
     # since the last row: what happened between two reports belongs to the second
     new_detections, new_log_likelihood = 0, 0.0
-    cut, most_left_out = 0, 0
+    losses = Losses()
     for record in records:
-        cut += record.info.left_out > 0
-        most_left_out = max(most_left_out, record.info.left_out)
+        losses.add(record)
         if record.is_event:
             events += 1
             first_s, last_s = (record.time_s if events == 1 else first_s), record.time_s
@@ -115,7 +112,7 @@ def write_records(
                 tracks.append({**key, **_columns(level, report.std_columns), "status": status})
         confirmed += len(estimates.track_ids)
         _summarise(identities, estimates, record.time_s)
-    _warn_of_left_out(cut, events, most_left_out)
+    losses.warn(events)
     return {
         "events": events,
         "duration_s": last_s - first_s,
@@ -123,6 +120,7 @@ def write_records(
         "estimates": confirmed,
         "tentative_estimates": tracks.rows - confirmed,
         "log_likelihood": log_likelihood,
+        "left_out": losses.report(),
         "cameras": explained.report(),
         "tracks": [
             {
@@ -138,18 +136,6 @@ def write_records(
             for track_id, identity in sorted(identities.items())
         ],
     }
-
-
-def _warn_of_left_out(cut: int, events: int, most: int) -> None:
-    """Warn of tracks that the bound on their number left out: after `cut` events, up to `most` of them at once."""
-    if cut:
-        LOGGER.warning(
-            "filter.max_components: after %d of %d events the least probable tracks were left out, up to %d at once: "
-            "raise it, or leave it to the memory (null)",
-            cut,
-            events,
-            most,
-        )
 
 
 def _columns(estimates: Estimates, std_columns: bool) -> dict[str, Any]:

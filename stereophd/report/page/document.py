@@ -82,7 +82,7 @@ def comparison(runs: Sequence[Run]) -> SummaryTable:
     for name, values in zip(_FIGURES, zip(*(_figures(run) for run in runs), strict=True), strict=True):
         if any(value is not None for value in values):
             rows.append((name, *("-" if value is None else value for value in values)))
-    return SummaryTable("Runs side by side", ("", *(run.name for run in runs)), tuple(rows))
+    return SummaryTable("Summary", ("", *(run.name for run in runs)), tuple(rows))
 
 
 _FIGURES = (

@@ -134,6 +134,12 @@
       scene: { aspectmode: "data", xaxis: side(0), yaxis: side(1), zaxis: side(2), camera: viewpoint("free", r), dragmode: "orbit" },
     }));
   };
+  // The second scene takes half of the width, so the first one is measured after it has appeared or gone.
+  const drawScenes = () => {
+    drawScene("scene1", RUNS[state.beside]);
+    drawScene("scene0", run());
+    for (const [id] of shownScenes()) Plotly.Plots.resize(by(id));
+  };
   // Where the viewer is: obliquely from behind the cameras, above them or beside them.
   const viewpoint = (kind, r) => {
     const up = r.up, others = [0, 1, 2].filter((k) => up[k] === 0), [a, b] = others, eye = [0, 0, 0];
@@ -348,7 +354,7 @@
     if (RUNS.length < 2) return;
     const counts = [], scores = [];
     RUNS.forEach((r, k) => {
-      const style = { dash: dash(k) };
+      const style = { dash: DASHES[k % DASHES.length] };  // lines that coincide stay visible
       if (r.scans) counts.push(line(r, numbers(r.scans.t), numbers(r.scans.cardinality_estimate), r.name, colour(k), { shape: "hv", ...style }));
       if (r.evaluation) scores.push(line(r, numbers(r.evaluation.t), numbers(r.evaluation.ospa), r.name, colour(k), style));
     });
@@ -386,7 +392,7 @@
       options(by("against"), r.calibration.parameters.map((q, k) => [q.name, k]), by("against").value || Math.min(1, r.calibration.parameters.length - 1));
     }
     sayTime();
-    if (there.scene) { drawScene("scene0", r); drawScene("scene1", RUNS[state.beside]); keepImage(); }
+    if (there.scene) { drawScenes(); keepImage(); }
     drawFlat();
   };
   const drawFlat = () => {
@@ -461,7 +467,7 @@
   by("choice").hidden = RUNS.length < 2;
   state.beside = RUNS.length === 2 ? 1 : -1;
   by("run").onchange = (event) => { state.run = +event.target.value; state.time = run().end - run().start; show(); };
-  by("beside").onchange = (event) => { state.beside = +event.target.value; if (state.beside < 0) clear("scene1"); show(); };
+  by("beside").onchange = (event) => { state.beside = +event.target.value; show(); };
   by("time").oninput = (event) => setTime((event.target.value / 1000) * (run().end - run().start));
   by("trail").onchange = (event) => { state.trail = Number(event.target.value); setTime(state.time); };
   by("camera").onchange = (event) => { state.camera = +event.target.value; drawFrame(); };

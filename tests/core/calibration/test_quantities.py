@@ -163,7 +163,7 @@ def test_every_quantity_has_a_prior_and_unique_names(quantity: Quantity) -> None
 def test_the_entry_leads_back_to_the_camera(quantity: Quantity) -> None:
     from stereophd.config.cameras import CameraConfig
     from stereophd.config.from_camera import camera_config
-    from stereophd.pipeline.calibration.inputs import with_quantities
+    from stereophd.pipeline.calibration.unknowns import with_quantities
 
     camera = camera_for(quantity, moving=quantity.name != "readout")
     camera = replace(camera, readout_s=0.0) if quantity.name != "readout" else camera

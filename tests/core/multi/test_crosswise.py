@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -13,9 +15,17 @@ from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi import crosswise as crosswise_module
 from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.epipolar_pairs import NewObjects, crosswise_pairs
-from stereophd.core.multi.history import KEPT_EVENTS, ClaimedDetections, ClaimedRows, History
+from stereophd.core.multi.history import (
+    KEPT_EVENTS,
+    ClaimedDetections,
+    ClaimedRows,
+    DeferredPairs,
+    History,
+    no_deferred_pairs,
+)
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.io.checkpoints import read_checkpoint, write_checkpoint
 from tests.core.multi.scenes import make_mixture
@@ -52,7 +62,32 @@ def crosswise(steps: list[Step], multi_filter: PmbFilter) -> tuple[History, tupl
 
 
 def exchange_of(multi_filter: PmbFilter) -> CrosswiseTest:
-    return multi_filter._crosswise
+    return multi_filter.crosswise_test
+
+
+@pytest.mark.parametrize("kernel", ["crosswise_pairs", "explain_rows"])
+def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
+    steps: list[Step], kernel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    types: list[tuple[Any, ...]] = []
+    called = getattr(crosswise_module, kernel)
+
+    def noted(*arguments: Any) -> Any:
+        types.append(tuple(map(numba.typeof, arguments)))
+        return called(*arguments)
+
+    monkeypatch.setattr(crosswise_module, kernel, noted)
+    multi_filter = make_pmb()
+    exchange_of(multi_filter).compile()
+    beforehand = set(types)
+    types.clear()
+    history, (first, second) = crosswise(steps, multi_filter)
+    state, test = steps[-1][0], exchange_of(multi_filter)
+    assert state.time_s is not None
+    test.explain(history, first, second, 1, test.prior(multi_filter.rig.views(0.0)))
+    test.put_right(state.mixture, history, state.time_s, state.n_events)
+    assert len(types) > 0
+    assert set(types) == beforehand
 
 
 def test_the_odds_of_an_exchange_are_those_of_its_reverse(steps: list[Step]) -> None:
@@ -164,7 +199,13 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     means = space.from_world(np.concatenate([places, np.zeros_like(places)], axis=1))
     mixture = make_mixture(np.ones(40), means, reported=np.ones(40, dtype=bool))
     prior = NewObjects(np.full(2, 7.0), np.full(2, 1e3), 1.5)
-    found = crosswise_pairs(mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), np.stack(spaces), prior, 8.0)
+    homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
+
+    def pairs(deferred: DeferredPairs, most: int) -> list[tuple[int, int]]:
+        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, deferred, 5, most)
+        return [(first, second) for first, second in found.tolist()]
+
+    found = pairs(nothing, 1000)
     expected = set()
     for i in range(40):
         for j in range(i + 1, 40):
@@ -172,7 +213,11 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
             if near and _ghost(rig.cameras, places, i, j) and _ghost(rig.cameras, places, j, i):
                 expected.add((i, j))
     assert len(expected) > 5
-    assert {tuple(pair) for pair in found.tolist()} == expected
+    assert len(found) == len(expected)
+    assert set(found) == expected
+    assert pairs(nothing, 2) == found[:2]
+    # until an event, and with the second camera
+    assert pairs(nothing.add((*found[0], 1), 6).add((*found[1], 0), 6).add((*found[2], 1), 5), 2) == found[1:3]
 
 
 def _off_plane(cameras: Sequence[Camera], places: np.ndarray, i: int, j: int) -> float:

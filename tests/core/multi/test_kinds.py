@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,3 +51,35 @@ class TestEveryKind:
         assert estimates is not None
         assert len(estimates.states) == 1
         np.testing.assert_allclose(estimates.states[0, :3], OBJECT, atol=3.0)
+
+    @pytest.mark.parametrize("burst_at", [0, 5])
+    def test_a_burst_of_clutter_gives_no_births(self, word: str, kind: Any, burst_at: int) -> None:
+        """Hundreds of false detections in one frame, the first one too: the object is as without them."""
+        prior = replace(BIRTH, per_frame=None, per_s=0.2, max_per_frame=100)
+        cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
+        sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
+        built = kind(birth=prior).build(make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3), sets)
+        clutter = np.random.default_rng(3).uniform((0.0, 0.0), (799.0, 599.0), (500, 2))
+        state, estimates = built.init(), None
+        for k in range(12):
+            camera = cameras[k % 2]
+            pixels = camera.project(OBJECT[None])
+            if k == burst_at:
+                pixels = np.concatenate([pixels, clutter])
+            state, info, estimates = built.step(state, make_event(camera, k % 2, 0.5 * (k // 2), pixels))
+            assert np.isfinite(info.log_likelihood)
+            assert (info.burst > 0) == (k == burst_at)
+            assert info.n_components < 50
+            assert info.cardinality_mean < 2.0
+        assert estimates is not None
+        assert len(estimates.states) == 1
+        np.testing.assert_allclose(estimates.states[0, :3], OBJECT, atol=3.0)
+
+    def test_what_the_cap_leaves_out_is_counted(self, word: str, kind: Any) -> None:
+        cameras = [make_camera()]
+        sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
+        rig, motion = make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3)
+        built = kind(birth=BIRTH, max_components=10).build(rig, motion, sets)
+        pixels = np.stack(np.meshgrid(np.arange(50, 800, 100.0), [100.0, 300.0, 500.0]), axis=-1).reshape(-1, 2)
+        _, info, _ = built.step(built.init(), make_event(cameras[0], 0, 0.0, pixels))
+        assert (info.n_components, info.left_out) == (10, len(pixels) - 10)

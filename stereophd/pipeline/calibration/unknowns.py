@@ -1,0 +1,167 @@
+"""From a configuration to the unknowns of a calibration, and cameras drawn about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.config.calibration import CalibrationConfig
+from stereophd.config.cameras import CameraConfig
+from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.quantities.base import IMAGES, Quantity
+from stereophd.core.calibration.quantities.registry import quantities
+from stereophd.core.geometry.camera import Camera
+from stereophd.errors import InputError
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+
+def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
+    """Return the ``calibration`` section.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    section = loaded.config.calibration
+    if section is None:
+        raise InputError(f"{loaded.path}: calibration: expected a section with reference and priors, found none")
+    return section
+
+
+def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
+    """Return the unknowns that a configuration describes, and the index of the reference camera.
+
+    Raises
+    ------
+    InputError
+        No section, fewer than two cameras, a name that no camera has, or cameras that move.
+    """
+    section = calibration_section(loaded)
+    cameras = loaded.build_cameras()
+    names = [camera.name for camera in cameras]
+    if len(cameras) < 2:
+        raise InputError(f"{loaded.path}: cameras: expected two or more to calibrate, found {len(cameras)}")
+    for key, name in [("reference", section.reference), *((f"priors.{n}", n) for n in section.priors)]:
+        if name not in names:
+            raise InputError(
+                f"{loaded.path}: calibration.{key}: expected one of the cameras {', '.join(names)}, found {name}"
+            )
+    for camera in cameras:
+        _check_priors(loaded, section, camera)
+    parameters = [
+        Parameter(component, camera.name, 0.0, std)
+        for camera in cameras
+        if camera.name in section.priors
+        for quantity in quantities()
+        for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True)
+        if std > 0.0
+    ]
+    return ParameterSet(cameras, _shared(loaded, section, cameras, parameters)), names.index(section.reference)
+
+
+def _shared(
+    loaded: LoadedConfig, section: CalibrationConfig, cameras: tuple[Camera, ...], parameters: list[Parameter]
+) -> tuple[Parameter, ...]:
+    """Tie the intrinsics and lenses of cameras that share one: a parameter of the first stands for all of them."""
+    by_name = {camera.name: camera for camera in cameras}
+    places = {(p.camera, p.name): p for p in parameters}
+    for number, group in enumerate(section.shared):
+        place = f"{loaded.path}: calibration.shared.{number}"
+        first, *others = group
+        for name in group:
+            if name not in by_name:
+                raise InputError(f"{place}: expected cameras ({', '.join(by_name)}), found {name}")
+        for quantity in quantities():
+            if quantity.affects != IMAGES:
+                continue
+            for name in others:
+                if quantity.entry(by_name[name]) != quantity.entry(by_name[first]):
+                    raise InputError(
+                        f"{place}: expected cameras of the same intrinsics and lens, found another {quantity.name} "
+                        f"of {name} than of {first}"
+                    )
+            for component in quantity.components:
+                stds = {places[name, component].std if (name, component) in places else 0.0 for name in group}
+                if len(stds) > 1:
+                    raise InputError(f"{place}: expected equal priors of {quantity.name}, found different ones")
+                if (first, component) in places:
+                    places[first, component] = replace(places[first, component], shared_with=tuple(others))
+                    for name in others:
+                        del places[name, component]
+    return tuple(places[p.camera, p.name] for p in parameters if (p.camera, p.name) in places)
+
+
+def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> None:
+    """Refuse priors of what a camera does not have, or of what the methods cannot find."""
+    if camera.name not in section.priors:
+        return
+    place = f"{loaded.path}: calibration.priors.{camera.name}"
+    unknown = set()
+    for quantity in quantities():
+        for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True):
+            if std > 0.0 and component not in quantity.available(camera):
+                raise InputError(f"{place}.{quantity.prior}: {_unavailable(quantity, component, camera)}")
+            if std > 0.0:
+                unknown.add(quantity.name)
+    if unknown & {"velocity", "rotation_rate"} and ("readout" in unknown or camera.readout_s != 0.0):
+        raise InputError(f"{place}: expected no readout of a camera that moves, found one beside rates")
+
+
+def _unavailable(quantity: Quantity, component: str, camera: Camera) -> str:
+    """Say why a camera does not have a component."""
+    if quantity.named:
+        known = ", ".join(quantity.available(camera)) or "none"
+        return f"expected coefficients of its lens model {camera.lens.model} ({known}), found {component}"
+    if camera.pose.path is None:
+        return "expected a camera that a body of known trajectory carries (pose.trajectory), found one without"
+    return "expected no prior of the pose of a camera on a known trajectory (mount_center_std, mount_rotation_std_deg)"
+
+
+def prior_stds(section: CalibrationConfig, camera: str, quantity: Quantity) -> tuple[float, ...]:
+    """Prior standard deviations of the components of a quantity, in its unit; 0 where one is known."""
+    spread = getattr(section.priors[camera], quantity.prior)
+    if quantity.named:
+        given = {} if spread is None else spread.model_dump()
+        values: tuple[float, ...] = tuple(given.get(name, 0.0) for name in quantity.components)
+    elif isinstance(spread, (int, float)):
+        values = (float(spread),) * len(quantity.components)
+    else:
+        values = tuple(float(value) for value in spread)
+    return tuple((np.array(values) * quantity.prior_unit).tolist())
+
+
+def draw_guess(loaded: LoadedConfig, seed: np.random.SeedSequence) -> dict[str, CameraConfig]:
+    """Draw prior means about which the configuration's cameras are a draw from the prior."""
+    parameters, _ = build_parameters(loaded)
+    guess = parameters.guess(parameters.sample(np.random.default_rng(seed), 1)[0])
+    return with_quantities(loaded.cameras, guess)
+
+
+def with_quantities(configs: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
+    """Return the configurations of cameras with the quantities of others; what is the same stays as it was written."""
+    out = {}
+    for camera in cameras:
+        config = configs[camera.name]
+        before, values = config.build(camera.name), config.model_dump()
+        changed = [quantity for quantity in quantities() if quantity.entry(before) != quantity.entry(camera)]
+        for quantity in changed:
+            _merge(values, quantity.entry(camera))
+        if changed:
+            config = CameraConfig.model_validate(values)
+        out[camera.name] = config
+    return out
+
+
+def _merge(values: dict[str, Any], entry: Mapping[str, Any]) -> None:
+    """Put a nested entry into nested values."""
+    for key, value in entry.items():
+        if isinstance(value, Mapping) and isinstance(values.get(key), dict):
+            _merge(values[key], value)
+        else:
+            values[key] = value

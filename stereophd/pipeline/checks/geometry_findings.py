@@ -1,0 +1,77 @@
+"""Findings about cameras and clocks: do rays meet, and if not, which of the usual mistakes explains it?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from stereophd.pipeline.checks.explanations import Explanation, best_explanation
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry import LEAST_EXPECTED, MOST_CHANCE, SHARP, Geometry
+
+# Below this score the rays meet by chance only, whatever the reason.
+CHANCE_SCORE, CHANCE_SHARE = 2.5, 0.4
+
+
+def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
+    """Yield a finding for every pair of cameras, and what explains the pairs that fail.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    thorough : bool
+        Whether clock offsets are tried even where nothing is suspicious.
+    """
+    suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
+    explanation = None
+    if geometry.pairs and (suspicious or thorough):
+        explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
+    if explanation is None and geometry.is_blurred():
+        explanation = best_explanation(geometry, thorough, tolerances=SHARP)
+    if explanation is not None:
+        yield _named(geometry, explanation)
+    for pair, found, expected in zip(geometry.pairs, geometry.given, geometry.expected, strict=True):
+        names = f"{geometry.samples[pair.a].camera.name} and {geometry.samples[pair.b].camera.name}"
+        text = (
+            f"{names}: {found.share:.0%} of the detections have a partner on the epipolar line, chance gives "
+            f"{found.chance:.0%}"
+        )
+        if expected < LEAST_EXPECTED:
+            yield Finding("geometry.rays", "not checked", f"{text}; their fields of view hardly overlap")
+        elif found.chance > MOST_CHANCE:
+            yield Finding("geometry.rays", "not checked", f"{text}; the objects hardly move, or are too many")
+        elif (
+            explanation is None
+            and found.score < CHANCE_SCORE
+            and found.share < found.chance + CHANCE_SHARE * expected * (1.0 - found.chance)
+        ):
+            yield Finding(
+                "geometry.rays",
+                "warning",
+                f"{text}: the rays meet no more often than chance",
+                round(found.excess, 3),
+                round(expected, 3),
+                remedy="check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses",
+                cause="rays_do_not_meet",
+            )
+        else:
+            yield Finding("geometry.rays", "ok", text, round(found.excess, 3), round(expected, 3))
+
+
+def _named(geometry: Geometry, found: Explanation) -> Finding:
+    names = [geometry.samples[c].camera.name for c in found.cameras]
+    everybody = len(names) == len(geometry.samples)
+    who = "all cameras" if everybody else " and ".join(names)
+    message = (
+        f"{who}: {found.text}: with this change {found.share:.0%} of the detections meet those of other cameras, "
+        f"as stated {found.given_share:.0%}, by chance {found.chance:.0%}"
+    )
+    return Finding(
+        "geometry.cause",
+        "warning",
+        message,
+        round(found.given, 3),
+        round(found.excess, 3),
+        None if everybody or len(names) != 1 else names[0],
+        found.remedy,
+        found.cause,
+    )

@@ -1,0 +1,76 @@
+"""Tracks in the frame and on the clock of the truth, where an evaluation asks for that."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereophd.core.geometry.pose import rotation_to_vector
+from stereophd.core.metrics.alignment import Truth, in_window
+from stereophd.core.metrics.registration import Freedom, Registration, register
+from stereophd.core.metrics.visibility import Sightings
+from stereophd.errors import InputError
+from stereophd.pipeline.evaluation.inputs import Tracks
+from stereophd.pipeline.evaluation.options import Options
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def registration_of(
+    tracks: Tracks, truth: Truth, options: Options, max_gap_s: float, path: Path
+) -> Registration | None:
+    """Return the motion and the map of time from tracks to truth that the options ask for; None without one.
+
+    Raises
+    ------
+    InputError
+        Too few estimates have a true object at their time.
+    """
+    freedom = Freedom(options.align != "none", options.align == "similarity", options.align_clock)
+    if not len(freedom.columns):
+        return None
+    events = tracks.events
+    counts = events.row_end - events.row_start
+    starts = np.cumsum(counts) - counts
+    rows = np.arange(int(counts.sum())) + np.repeat(events.row_start - starts, counts)
+    time_s = np.repeat(events.time_s, counts)
+    used = tracks.confirmed[rows] & in_window(time_s, options.from_s, options.to_s)
+    try:
+        found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
+    except ValueError as error:
+        raise InputError(f"{path}: `align`: {error}") from None
+    LOGGER.info("tracks aligned with the truth: %s", registration_report(found))
+    return found
+
+
+def registered_tracks(tracks: Tracks, found: Registration) -> Tracks:
+    """Return tracks in the frame and on the clock of the truth."""
+    return replace(
+        tracks,
+        events=replace(tracks.events, time_s=found.times(tracks.events.time_s)),
+        position=found.positions(tracks.position),
+        velocity=found.velocities(tracks.velocity),
+        covariance=found.covariances(tracks.covariance),
+    )
+
+
+def registered_sightings(sightings: Sightings | None, found: Registration) -> Sightings | None:
+    """Return sightings on the clock of the truth."""
+    return None if sightings is None else replace(sightings, time_s=found.times(sightings.time_s))
+
+
+def registration_report(found: Registration | None) -> dict[str, Any] | None:
+    """Return what was found, for ``report.json``."""
+    if found is None:
+        return None
+    return {
+        "rotation_deg": np.rad2deg(rotation_to_vector(found.rotation)).tolist(),
+        "translation": found.translation.tolist(),
+        "scale": found.scale,
+        "clock": {"at_s": found.at_s, "shift_s": found.shift_s, "rate": found.rate},
+        "estimates": found.estimates,
+    }
