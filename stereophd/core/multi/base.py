@@ -137,13 +137,14 @@ class DisparityFilter(ABC):
     @property
     @abstractmethod
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
-        """Large kernels that an event needs late, the last one at the end, each with such arguments as it is called with.
+        """Large kernels that an event needs late, the last one at the end, each with arguments of the types of a call.
 
         They are what a second process compiles first (`stereophd.core.multi.preparation`).
         """
 
     def compile_tests(self) -> None:
         """Compile what the filter needs only from when it reports several objects; by default there is nothing."""
+        return
 
     @property
     def split_missed(self) -> bool:
