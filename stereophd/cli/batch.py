@@ -16,7 +16,7 @@ from stereophd.cli.terminal import print_data, quiet_pipe, to_json
 if TYPE_CHECKING:
     from rich.table import Table
 
-# Not in the table: the folder says which log it is, and messages have lines of their own.
+# Not in the table: the folder identifies the log, and messages are printed below the table.
 _NOT_IN_TABLE = frozenset({"log", "message"})
 
 # Characters of a line of the table where no terminal limits it.
@@ -24,7 +24,7 @@ _PIPED_WIDTH = 180
 
 
 def are_many(paths: Sequence[Path]) -> bool:
-    """Whether paths, some of which may be patterns, stand for other than one file."""
+    """Whether paths, some of which may be patterns, name several files or none."""
     from stereophd.pipeline.batch.names import expand
 
     return len(paths) > 1 or len(expand(paths)) > 1

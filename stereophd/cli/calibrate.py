@@ -49,7 +49,7 @@ def calibrate_command(
 ) -> None:
     """Estimate camera poses from a detection log of moving objects: cameras.yaml, posterior and report.
 
-    Of several logs each is used by itself, and has a folder in DIR and a row in DIR/summary.parquet.
+    With several logs, each is calibrated separately and has a folder in DIR; DIR/summary.parquet has a row for each.
     """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)

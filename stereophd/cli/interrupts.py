@@ -1,10 +1,10 @@
 """Ctrl-C and the like end a run as exceptions, so that unfinished outputs are removed on the way out.
 
 The first signal raises an exception. Python prints and drops an exception that a signal raises inside a destructor or
-inside a callback from compiled code (the compiler of the kernels has such): nothing is printed here, and the exception
-is raised again a moment later. Compiled code may also turn it into another; `check` raises it again at the next step of
-the run. Further signals do not disturb what the first one began; one that comes after `PATIENCE_S` ends the process at
-once, and the next run removes what is left behind.
+inside a callback from compiled code, as the compiler of the kernels uses. This module suppresses the print and raises
+the exception again a moment later. Compiled code may also replace it by another exception; `check` raises it again at
+the next step of the run. Further signals do not disturb what the first one began; one that comes after `PATIENCE_S`
+ends the process at once, and the next run removes what is left behind.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ ACCEPTED = {
     "determined": (DETERMINED,),
 }
 
-# Checks that the calibrated cameras make possible; those of the log by itself come first.
+# Checks that need the calibrated cameras; the checks of the log alone come first.
 WITH_CAMERAS = ("geometry.", "settings.")
 
 LOGGER = logging.getLogger("stereophd")
@@ -108,8 +108,7 @@ def calibrate(
     Returns
     -------
     dict
-        The report, as in ``report.json``; its ``status`` is ``undetermined`` where the data do not say where the
-        cameras are.
+        The report, as in ``report.json``; its ``status`` is ``undetermined`` if the data do not determine the cameras.
 
     Raises
     ------

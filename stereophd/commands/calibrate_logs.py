@@ -1,4 +1,4 @@
-"""Calibrate cameras from many detection logs, each by itself: a folder for each, and a summary of all."""
+"""Calibrate cameras from many detection logs, each separately: a folder for each, and a summary of all."""
 
 from __future__ import annotations
 

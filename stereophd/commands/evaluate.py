@@ -86,9 +86,9 @@ def evaluate(
     at : str
         ``times``: each distinct time once, after its last event; ``events``: after every event.
     log_path, seen_by, within_s : path, int, float, optional
-        Score only objects that at least `seen_by` cameras detected in the last `within_s` seconds, as the log
-        says (by its ``object_id``, else any detection counts). Other objects and the estimates assigned to
-        them are left out.
+        Score only objects that at least `seen_by` cameras detected in the last `within_s` seconds according to the log
+        (by its ``object_id``; without one, any detection counts). Other objects and the estimates assigned to them are
+        left out.
     ospa2_window : int
         Number of scored scans in a window of OSPA(2).
     tentative : bool

@@ -1,8 +1,8 @@
 """Monte Carlo experiments: many runs of a scenario, several methods and cases, on one machine or a cluster.
 
-Every run has random numbers of its own, from the seed and its number: the results are the same to the bit
-whatever the number of workers, and methods see the same data. Finished runs are kept in the output folder
-until all are done.
+Each run has its own random streams, which follow from the seed and the number of the run: the results do not depend on
+the number of workers, to the bit, and all methods see the same data. Finished runs are kept in the output folder until
+all are done.
 """
 
 from __future__ import annotations

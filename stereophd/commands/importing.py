@@ -63,8 +63,8 @@ def import_recording(
     Returns
     -------
     dict
-        The report, as in ``report.json``: counts by camera, and under ``assumed`` and ``warnings`` the sentences about
-        what the sources do not say, and under ``checks`` the findings of `stereophd.pipeline.checks.files`.
+        The report, as in ``report.json``: counts by camera; ``assumed`` and ``warnings``: sentences about what the
+        sources do not state; ``checks``: the findings of `stereophd.pipeline.checks.files`.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
 def _check_files(
     cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary], log: Path
 ) -> list[Finding]:
-    """Return the findings about frames, pixels and cameras that `check` has of the log by itself."""
+    """Return the findings of `check` about frames, pixels and cameras, which need the log alone."""
     built = tuple(camera.build(name) for name, camera in cameras.items() if name in summaries)
     if not built:
         return []

@@ -1,8 +1,7 @@
 """Simulate the scene of a configuration: the truth, the cameras, and the log of their detections.
 
-Every run has random numbers of its own, and in it the objects and each camera have theirs
-(`numpy.random.SeedSequence`): run k is the same whatever the number of runs or of workers, and a
-single run is run 0.
+Each run has its own random streams, one for the objects and one for each camera (`numpy.random.SeedSequence`). Run k
+therefore does not depend on the number of runs or workers; a single run is run 0.
 """
 
 from __future__ import annotations

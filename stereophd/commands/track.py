@@ -220,7 +220,7 @@ def _draw(report: dict[str, Any], out: OutputFolder) -> None:
 
 @contextmanager
 def _compilation(kind: str) -> Iterator[None]:
-    """Say that the kernels are compiled first, where no compiled ones are found, and compile them in two processes."""
+    """Compile the kernels in two processes if no compiled ones are found, and report it."""
     if not is_kept(carry_components):
         LOGGER.info("first run: compiling the kernels, once, in up to a minute")
     with compiling_ahead(kind):

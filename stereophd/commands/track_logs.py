@@ -52,7 +52,7 @@ def track_logs(
         Detection logs, or patterns such as ``day-*/detections.parquet``.
     out_dir : path
         Folder for the outputs: ``NAME/`` for each log, with the files of `stereophd.commands.track.track`, and
-        ``summary.parquet``. NAME is that of the log's file without its ending, or of its folder where the file is
+        ``summary.parquet``. NAME is the log's file name without its ending, or the name of its folder if the file is
         called ``detections.parquet``.
     force, threads, progress : bool, int, callable
         As of `stereophd.commands.track.track`; `progress` is called with the logs done and their number.

@@ -124,7 +124,7 @@ class CalibrationConfig(Model):
         default="auto",
     )
     select: Literal["auto", "all"] = parameter(
-        "which unknowns beside poses and clocks are estimated: all, or (auto) fewer where sets of fewer predict "
+        "which unknowns beside poses and clocks are estimated: all; auto: fewer of them if a smaller set predicts "
         "held-out stretches of the log better",
         default="auto",
     )

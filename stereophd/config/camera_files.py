@@ -22,7 +22,7 @@ class CameraTree:
     tree
         With the keys ``units`` and ``cameras``, if the file is well-formed.
     has_unit
-        Whether the file (or its format) states the unit of length; if not, it is taken for that of the configuration.
+        Whether the file (or its format) states the unit of length; if not, the unit of the configuration is assumed.
     sha256
         Of the bytes that were read.
     """

@@ -38,7 +38,7 @@ _EXPECTED = {
 }
 # Of a model, and of a dataclass.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
-# A lower bound below this stands for "above 0", and is named to those only who come below it.
+# A lower bound below this means "above 0"; a message names the bound only if the value is below it.
 TINY = 1e-5
 _MAX_SHOWN = 60
 
@@ -215,7 +215,7 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
         if _is_misspelt(error, path, data, schema):
             continue
         by_path.setdefault(path, []).append({**error, "tagged": bool(tags)})
-    # Branches of a union that fail at the union itself say nothing where another branch got deeper.
+    # Branches of a union that fail at the union itself are not reported if another branch got deeper.
     for path in [p for p, found in by_path.items() if all(e["tagged"] for e in found)]:
         if any(len(other) > len(path) and other[: len(path)] == path for other in by_path):
             del by_path[path]

@@ -154,7 +154,7 @@ def _plain(value: Any) -> str:
 
 
 class FigureConfig(Model):
-    """What the figure shows: a panel a quantity, a line a method."""
+    """What the figure shows: one panel per quantity, one line per method."""
 
     title: str | None = parameter("title of the figure; the number of runs is added", default=None)
     quantities: Annotated[tuple[str, ...], Field(min_length=1)] | None = parameter(

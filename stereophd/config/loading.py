@@ -54,7 +54,7 @@ class LoadedConfig:
     inputs
         Role (``config``, ``cameras``) -> SHA-256 of the files that were read.
     tree
-        What the file and the overrides say, cameras inline, without defaults.
+        The values of the file and the overrides, cameras inline, without defaults.
     """
 
     config: Config
@@ -219,7 +219,8 @@ def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> L
 
 
 def load_cameras(path: Path | str) -> CamerasFile:
-    """Load a file of cameras by itself: a ``cameras.yaml``, or one of another program that its content shows.
+    """Load a file of cameras without a configuration: a ``cameras.yaml``, or a file of another program, recognised by
+    its content.
 
     Raises
     ------

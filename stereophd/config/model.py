@@ -1,4 +1,4 @@
-"""Configuration models: what a YAML file may say, with units, limits and defaults.
+"""Configuration models: the keys that a YAML file may hold, with units, limits and defaults.
 
 Lengths are in the unit that ``units.length`` names, times in seconds, pixels as floats with (0, 0)
 at the centre of the top-left pixel; angles are in degrees where the key ends in ``_deg``. Unknown

@@ -1,9 +1,9 @@
-"""Outputs that are either there in full or not there at all.
+"""Outputs that are either complete or absent.
 
 Everything is written under a temporary name on the same file system, flushed to the disk, and put into place in one
-step (`stereophd.io.commit`); whatever goes wrong before that (an error, a full disk, Ctrl-C) leaves no trace, and what
-a killed process leaves is removed by the next run. One run at a time writes to a folder (`stereophd.io.locks`). The
-user's faults, such as a folder that holds other files or a disk without room, become `InputError`.
+step (`stereophd.io.commit`); a failure before that (an error, a full disk, Ctrl-C) leaves no trace, and the next run
+removes what a killed process left. One run at a time writes to a folder (`stereophd.io.locks`). The user's faults, such
+as a folder that holds other files or a disk without room, become `InputError`.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ FORMAT = 1
 # Kinds of NumPy types that hold plain data: truth values, integers, floats.
 _PLAIN_KINDS = "biuf"
 
-# Keys of the JSON document that stand for something else; no dataclass has a field of such a name.
+# Keys of the JSON document that mark encoded values; no dataclass has a field of such a name.
 _ARRAY, _SCALAR, _CLASS, _TUPLE, _MAPPING = "$array", "$scalar", "$class", "$tuple", "$mapping"
 
 
@@ -57,7 +57,7 @@ def write_checkpoint(path: Path, identity: str, parts: Mapping[str, Any]) -> Non
 
 
 def is_checkpoint(path: Path) -> bool:
-    """Whether a file is a checkpoint of this program, whatever its version."""
+    """Whether a file is a checkpoint of this program, of any version."""
     try:
         with zipfile.ZipFile(path) as archive:
             return f"{MARK}.npy" in archive.namelist()

@@ -1,8 +1,8 @@
 """One run at a time writes to an output folder.
 
-The lock is a file in the folder that the run keeps locked (`flock`): the operating system gives the lock back when the
-process ends, however it ends, so a file that a killed process left behind holds nobody up. Where a file system knows no
-locks, the process that the file names counts, if it is one of this machine and still alive.
+The lock is a file in the folder that the run keeps locked (`flock`). The operating system releases the lock when the
+process ends in any way, so a file that a killed process left behind blocks no other run. On a file system without
+locks, the process that the file names holds the lock while it is alive on this machine.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether the rows of a detection log are in order of time, or only those of each camera by itself."""
+"""Whether the rows of a detection log are in order of time, or only the rows of each camera."""
 
 from __future__ import annotations
 

@@ -84,9 +84,8 @@ def origin(path: Path | str) -> dict[str, str] | None:
 def canonical_json(value: Any) -> str:
     """Return compact JSON in the order of the keys.
 
-    The keys are not sorted: the order of the cameras decides ties between simultaneous frames and so
-    is part of what is recorded. Resolved configurations come in the order of the models, whatever
-    the order in the file.
+    The keys are not sorted: the order of the cameras decides ties between simultaneous frames and so is part of what is
+    recorded. Resolved configurations have the order of the models, not the order of the file.
     """
     return json.dumps(_finite(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
@@ -158,7 +157,7 @@ def provenance(
 
 
 def to_metadata(record: Mapping[str, Any]) -> dict[bytes, bytes]:
-    """Return Parquet key-value metadata: the record as JSON, and the unit of length by itself."""
+    """Return Parquet key-value metadata: the record as JSON, and the unit of length separately."""
     metadata = {METADATA_KEY: canonical_json(record).encode()}
     unit = record.get("units", {}).get("length")
     if unit is not None:

@@ -142,7 +142,7 @@ def history_schema(names: Sequence[str]) -> pa.Schema:
 
 
 def _array(chunks: list[tuple[Any, int]], field: pa.Field) -> pa.Array:
-    """Join the buffered chunks (value, rows) of one column; a scalar stands for all its rows.
+    """Join the buffered chunks (value, rows) of one column; a scalar fills all its rows.
 
     Arrays are made from buffers: `pyarrow.array` would import pandas where that is installed (0.2 s).
     """

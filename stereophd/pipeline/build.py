@@ -70,7 +70,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
 def build_labelled_filter(
     config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int
 ) -> DisparityFilter:
-    """Return a filter with labelled tracks, whatever kind the configuration has."""
+    """Return a filter with labelled tracks for any kind of filter in the configuration."""
     settings = config.filter
     if isinstance(settings, PhdSettings):
         labelled = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)

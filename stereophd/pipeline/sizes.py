@@ -113,7 +113,7 @@ def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> N
     folder : path
         Output folder.
     confirmed : bool
-        Whether the user wants the run whatever it takes in time and on the disk.
+        Whether the user accepts any time and any room on the disk.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> N
 
 
 def available_memory() -> float:
-    """Return the memory that this process may still use, in bytes; infinity where the system does not say."""
+    """Return the memory that this process may still use, in bytes; infinity where the system does not report it."""
     limits = [float("inf")]
     with contextlib.suppress(OSError, ValueError, StopIteration):
         with open("/proc/meminfo", encoding="ascii") as stream:

@@ -26,7 +26,7 @@ POINTS = 181
 
 
 def draw_moves(results: Results) -> Figure:
-    """Draw the Gaussian of each method (its moments' means over the runs) in two planes, a row a case."""
+    """Draw the Gaussian of each method (its moments' means over the runs) in two planes, one row per case."""
     cases = list(dict.fromkeys(cell.case for cell in results.cells))
     figure = Figure(figsize=(10.5, 0.9 + 3.2 * len(cases)), layout="constrained")
     FigureCanvasAgg(figure)

@@ -1,4 +1,4 @@
-"""The figure of an experiment: a panel a quantity, a line a method, with confidence bands and the bound.
+"""The figure of an experiment: one panel per quantity, one line per method, with confidence bands and the bound.
 
 Needs the extra ``plot``. The same results give the same files.
 """
@@ -216,7 +216,7 @@ def _numbers(results: Results, over: str) -> Array | None:
 
 
 def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: str) -> list[_Line]:
-    """Return a line a method along an axis of the cases."""
+    """Return one line per method along an axis of the cases."""
     position = list(results.config.cases).index(over)
     places = {name: i for i, (name, _) in enumerate(results.config.cases[over].points())}
     numbers = _numbers(results, over)

@@ -44,7 +44,7 @@ class SummaryTable:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits, without powers of ten where it is of usual size."""
+    """Return a number with `digits` significant digits, without powers of ten for usual sizes."""
     if value is None:
         return "-"
     text = f"{value:.{digits}g}"

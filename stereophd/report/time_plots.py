@@ -110,7 +110,7 @@ def _time_axes(rows: int) -> tuple[Figure, Sequence[Axes]]:
 
 @dataclass(frozen=True)
 class _Bins:
-    """Neighbouring scans that are drawn as one point; each scan by itself in a short run.
+    """Neighbouring scans that are drawn as one point; a short run has one point per scan.
 
     Attributes
     ----------

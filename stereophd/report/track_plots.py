@@ -1,4 +1,4 @@
-"""Plots of a tracking run by itself, without truth: views, timelines of tracks, residuals by camera.
+"""Plots of a tracking run without truth: views, timelines of tracks, residuals by camera.
 
 Needs the extra ``plot``. The same run gives the same files.
 """
@@ -105,7 +105,7 @@ def _draw_timelines(tracks: Paths) -> Figure:
 
 
 def _draw_residuals(run: Run, tracks: Paths) -> Figure:
-    """Draw detection minus reprojected track over time, a panel a camera, with means."""
+    """Draw detection minus reprojected track over time, one panel per camera, with means."""
     found = camera_residuals(run, tracks, MOST_RESIDUALS) or []
     figure = Figure(figsize=(9.0, 0.9 + 1.7 * max(len(found), 1)), layout="constrained")
     FigureCanvasAgg(figure)

@@ -45,7 +45,7 @@ def pixel_jacobian(camera: Camera, points: Array) -> Array:
 def detection_noise(camera: Camera, points: Array) -> Array:
     """Covariance (n, 2, 2) of the undistorted pixels of points (n, 3) in the world, px^2.
 
-    The detector's noise, which is that of the distorted pixel, carried through the lens.
+    The detector's noise, stated for the distorted pixel, carried through the lens.
     """
     sigma = np.diag(camera.detector.sigma)
     if camera.lens.model == "none":
@@ -58,7 +58,7 @@ def detection_noise(camera: Camera, points: Array) -> Array:
 def detection_information(camera: Camera, points: Array) -> Array:
     """Information (n, 3, 3) on a position in one detection by a camera, of points (n, 3) in view of it.
 
-    The camera is taken as it stands; one that moves is first put to its time (`Camera.at`).
+    The camera does not move here; for one that moves, pass the camera at its time (`Camera.at`).
     """
     jacobian = pixel_jacobian(camera, points)
     weighted = np.linalg.solve(detection_noise(camera, points), jacobian)
@@ -138,10 +138,10 @@ def to_disparity(covariance: Array, space: DisparitySpace, point: Array) -> Arra
 def posterior_bounds(first: Array, transitions: Array, noises: Array, information: Array) -> Array:
     """Posterior bounds on the covariance of a state over time (Tichavsky, Muravchik and Nehorai 1998).
 
-    With the information expected over all trajectories this is their bound. With that of the detections along
-    one trajectory it is the covariance that a Kalman filter linearised at the truth would have; averaged over
-    trajectories it is the larger, hence sharper, of the two: far away the direction of the weakest
-    information turns with the bearing, and an average over bearings knows more than any one of them.
+    With the information averaged over all trajectories this is the bound of the cited paper. With the information of
+    one trajectory it is the covariance of a Kalman filter linearised at the truth; its mean over trajectories is the
+    larger, hence sharper, bound of the two. The reason: far away, the direction of the weakest information turns with
+    the bearing, and information averaged over bearings has no such direction.
 
     Parameters
     ----------

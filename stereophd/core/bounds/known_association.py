@@ -1,8 +1,8 @@
 """The limit of multi-object tracking: least squares on all data so far, the true associations known.
 
-An object moves without noise. Its parameters are (u, v, d) in the disparity space of the camera that saw
-it first, at that time, and its velocity in the world: there the first observation and the prior of its depth
-are linear. The most probable parameters given all detections so far minimise
+An object moves without noise. Its parameters are (u, v, d) in the disparity space of the camera that saw it first, at
+that time, and its velocity in the world: in these coordinates the first observation and the prior of the depth are
+linear. The most probable parameters given all detections so far minimise
 
     sum_k (z_k - h_k(theta))^T R_k^-1 (z_k - h_k(theta)) + (d - mean)^2 / std^2 + |v|^2 / velocity_std^2,
 

@@ -362,8 +362,8 @@ def adjust(
 def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
     """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement.
 
-    Whatever the data say, the posterior is no wider than the prior: in units of `prior_std` (m,) the eigenvalues of
-    the Schur complement are at least 1. Where rounding says otherwise (objects far away), 1 is taken.
+    The posterior is never wider than the prior: in units of `prior_std` (m,) the eigenvalues of the Schur complement
+    are at least 1. Where rounding makes one smaller (objects far away), it is set to 1.
     """
     _, schur = eliminate(equations, 0.0)
     whitened = schur * np.outer(prior_std, prior_std)

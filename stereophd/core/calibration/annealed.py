@@ -1,35 +1,43 @@
-"""Annealed calibration: tracking and bundle adjustment in turn, from several starts.
+"""Annealed calibration: tracking alternates with bundle adjustment, from several starts.
 
-A start is a draw of the camera parameters from their prior. Tracking (PMB filter) with the detector's noise
-inflated tells which detections may belong together although the cameras are still wrong; the adjustment of cameras
-and trajectories to those detections improves the cameras; the inflation falls from pass to pass, and in the last
-passes the fitted trajectories choose their detections themselves. See docs/calibration.md.
+A start is a draw of the camera parameters from their prior. Each pass first tracks (PMB filter) with inflated detector
+noise, so that detections of one object are associated although the cameras are still wrong. It then adjusts cameras and
+trajectories to those detections, which improves the cameras. The inflation falls from pass to pass; in the last passes
+the fitted trajectories choose their detections themselves. See docs/calibration.md.
 
-A start succeeds only where the trajectories that two cameras share explain what was detected; the best of those is
-the one of the greatest evidence (PMB filter at the true noise) plus log-prior.
+A start succeeds only if the trajectories that two cameras share explain the detections. The best start has the greatest
+sum of evidence (PMB filter at the true noise) and log-prior.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.association import track_detections, with_cameras
-from stereophd.core.calibration.fits import FIRST_WEIGHTED, FITTED_PASSES, paired_fit, refitted, tracked_fit
+from stereophd.core.calibration.fits import (
+    FIRST_WEIGHTED,
+    FITTED_PASSES,
+    paired_fit,
+    pairings_of,
+    refitted,
+    tracked_fit,
+)
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Scans
-from stereophd.core.calibration.task import SUCCEEDED, Fit, Start, Task
+from stereophd.core.calibration.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
+from stereophd.core.calibration.tracking_scale import KEPT_WITHIN, depth_ratio, enlarged
 
 Array = NDArray[np.float64]
 
 # Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
 PAIRED_INFLATION = 3.5
-# A start's values must be this probable under the prior, and the detections it explains this near to their noise:
-# mean squared residual of accepted detections, in squared sigmas per coordinate.
-LEAST_PRIOR_PROBABILITY = 1e-6
+# Pairings of a start that are followed, and share of the best one's gain from which another is followed beside it.
+MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
+# The detections that a start explains must be this near to their noise: mean squared residual of accepted detections,
+# in squared sigmas per coordinate.
 MOST_RESIDUAL = 2.0
 # Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
 AGREEMENT = 1.0
@@ -40,7 +48,10 @@ LEAST_SHARE = 0.05
 
 
 def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> Start:
-    """Follow one start through all passes.
+    """Follow one start through all passes: from the pairings found, the best first, then from its own values.
+
+    A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
+    and the start's own values at the widest noise, are tried only where none has succeeded so far.
 
     Parameters
     ----------
@@ -52,20 +63,32 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     seed : SeedSequence
         Of the further draws among which one-camera tracks are paired.
     """
+    pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS]
+    tried: list[Start] = []
+    for place, pairing in enumerate(pairings):
+        if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
+            break
+        tried.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
+    if best_of(tried) is None:
+        tried.append(_follow(task, number, WIDE, values, None))
+    return best_of(tried) or max(tried, key=lambda one: one.explained)
+
+
+def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
+    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
     history: list[Array] = []
 
     def failed(why: str, fit: Fit | None = None, part: float = 0.0) -> Start:
-        return Start(number, why, start, np.array(history).reshape(-1, len(start)), fit, np.nan, np.nan, part)
+        return Start(number, why, start, np.array(history).reshape(-1, len(start)), fit, np.nan, np.nan, part, origin)
 
-    start = values
-    inflations = task.settings.inflation
-    fit = paired_fit(task, values, seed)
+    values, inflations = start, task.settings.inflation
     if fit is not None:
         values = fit.adjustment.values
         history.append(values)
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
     for number_of_pass, inflation in enumerate(inflations):
-        fit = tracked_fit(task, values, inflation, task.held(number_of_pass))
+        ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
+        fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
         if fit is None:
             return failed(f"no track is shared by two cameras at {inflation:g} times the noise")
         values = fit.adjustment.values
@@ -84,10 +107,19 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     why = disagreement(task, fit)
     if why is not None:
         return failed(why, fit, part)
-    cameras = task.parameters.build(values)
-    evidence = track_detections(with_cameras(task.filter, cameras), task.tracked_scans(cameras), 1.0).log_likelihood
     prior = float(task.parameters.log_prior(values))
-    return Start(number, SUCCEEDED, start, np.array(history), fit, evidence, prior, part)
+    return Start(number, SUCCEEDED, start, np.array(history), fit, evidence(task, fit), prior, part, origin)
+
+
+def evidence(task: Task, fit: Fit) -> float:
+    """Log-likelihood of the log under the cameras of a fit, at the true noise.
+
+    All fits are compared at one scale: that at which the median object has the depth that the filter's birth prior
+    expects. At their own, which the prior of the cameras chooses, that prior would decide between them.
+    """
+    cameras = task.parameters.build(fit.adjustment.values)
+    scaled = enlarged(cameras, task.reference, depth_ratio(task, fit))
+    return track_detections(with_cameras(task.filter, scaled), task.tracked_scans(cameras), 1.0).log_likelihood
 
 
 def explained(task: Task, fit: Fit) -> float:
@@ -125,19 +157,11 @@ def disagreement(task: Task, fit: Fit) -> str | None:
     residual = float(np.minimum(fit.adjustment.distances, normal_equations.BEHIND).mean()) / 2.0
     if residual > MOST_RESIDUAL:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
-    return prior_disagreement(task.parameters, fit.adjustment.values)
-
-
-def prior_disagreement(parameters: ParameterSet, values: Array) -> str | None:
-    """Why values (m,) do not agree with the prior; None if they do."""
-    distance = float((((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum())
-    if chi2.sf(distance, parameters.size) < LEAST_PRIOR_PROBABILITY:
-        return f"the cameras lie {np.sqrt(distance):.1f} standard deviations from the prior"
-    return None
+    return task.parameters.prior_disagreement(fit.adjustment.values)
 
 
 def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
-    """Whether two starts found the same cameras, to so many standard deviations (root mean square)."""
+    """Whether two starts found the same cameras, within the given number of standard deviations (root mean square)."""
     assert one.fit is not None
     assert other.fit is not None
     difference = one.fit.adjustment.values - other.fit.adjustment.values
@@ -151,7 +175,7 @@ def best_of(starts: list[Start]) -> Start | None:
 
 
 def enough(starts: list[Start], agreeing: int) -> bool:
-    """Whether so many starts agree on the best that no more are needed."""
+    """Whether enough starts agree with the best one."""
     return agreeing_with_best(starts) >= agreeing
 
 

@@ -112,7 +112,7 @@ def pinhole(camera: Camera, points: Array) -> Array:
 def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
     """Undistorted pixels (n, m, 2) of objects, positions and velocities (n, 6), at the times of m detections.
 
-    With a rolling shutter a detection is later than its event, by as much as its row says.
+    With a rolling shutter a detection is later than its event by the delay of its row.
     """
     if event.delays is None or states.shape[1] < 6:
         return np.asarray(pinhole(camera, states[:, :3])[:, None, :])

@@ -1,16 +1,16 @@
 """The single-cluster PHD filter of the paper (section VII-B) with moves: the posterior of the cameras as the log grows.
 
-The likelihood of a log conditional on the cameras, L(z_1..z_n | s), is a deterministic function of s, so particles
-of cameras that stand still need no jitter: Metropolis moves, each of which runs the conditional filter again from the
-first event, leave their posterior invariant. A prior of which few particles fit the first events is the other
-difficulty. Tempering the likelihood leads into wrong modes; inflating the noise of the detections does not, because
-wide detections find their objects whatever the cameras are. The path of densities
-(`stereophd.core.calibration.bridging`) is therefore
+The likelihood of a log conditional on the cameras, L(z_1..z_n | s), is a deterministic function of s, so particles of
+static cameras need no jitter. Metropolis moves replace it: each runs the conditional filter again from the first event
+and leaves the posterior invariant. The other difficulty is a wide prior, of which few particles fit the first events.
+Tempering the likelihood leads into wrong modes. Inflating the noise of the detections does not, because detections with
+wide noise find their objects with any cameras. The path of densities (`stereophd.core.calibration.bridging`) is
+therefore
 
     p(s),  p(s) L_k(first block | s) for falling factors k on the noise, down to 1,
     then p(s) L_1(events so far | s) for twice as many events from stage to stage, to the whole log.
 
-Each particle's intensity is always that of the filter conditional on it: moves recompute it, resampling copies it.
+Each particle always carries the intensity of the filter conditional on it: moves recompute it, resampling copies it.
 """
 
 from __future__ import annotations

@@ -6,15 +6,15 @@ leads from f_(j-1) to f_j along the bridge
     pi_b(x)  proportional to  f_(j-1)(x)^(1 - b) f_j(x)^b,      0 = b_0 < b_1 < ... = 1
 
 (P. Del Moral, A. Doucet and A. Jasra, "Sequential Monte Carlo samplers", 2006). Every step of b is as large as leaves
-the wanted effective number of particles. The particles are then resampled, and moved by Metropolis-Hastings with
-pi_b as the invariant density. Proposals are Gaussian, with the covariance of the particles times a factor that
-follows the acceptance. Where modes are known, the covariance is that of the particles of each mode (a particle
-belongs to the mode that it is nearest to in the mode's covariance); a move that changes mode is accepted with both
-proposal densities in the ratio, so that detailed balance holds. The product of the mean incremental weights
-estimates the ratio of the integrals of f_n and f_0.
+the wanted effective number of particles. The particles are then resampled, and moved by Metropolis-Hastings with pi_b
+as the invariant density. Proposals are Gaussian, with the covariance of the particles times a factor that follows the
+acceptance. Where modes are known, each mode has the covariance of its own particles; a particle belongs to the mode
+that is nearest in the mode's covariance. The acceptance ratio of a move between modes includes both proposal densities,
+so that detailed balance holds. The product of the mean incremental weights estimates the ratio of the integrals of f_n
+and f_0.
 
-The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the step's
-number alone, so a run continued from any state gives what it would have given.
+The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the number of the
+step alone, so that a run continued from any state gives the same result as an uninterrupted one.
 """
 
 from __future__ import annotations

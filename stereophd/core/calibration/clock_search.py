@@ -1,9 +1,9 @@
-"""Offsets of clocks from nothing but motion: the speed profiles of one-camera tracks, compared at all shifts.
+"""Offsets of clocks from motion alone: the speed profiles of one-camera tracks, compared at all shifts.
 
 When an object speeds up, slows down or turns away, all cameras see its image do so at the same true time. The profile
-of a track is the logarithm of the speed of its image; at the true shift the profiles of one object before two
-cameras correlate, whatever the poses and focal lengths are. Objects that stand still or move uniformly have flat
-profiles: their clocks stay at the prior.
+of a track is the logarithm of the speed of its image; at the true shift the profiles of one object before two cameras
+correlate for any poses and focal lengths. Objects that stand still or move uniformly have flat profiles: their clocks
+stay at the prior.
 """
 
 from __future__ import annotations

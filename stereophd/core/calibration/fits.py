@@ -26,10 +26,17 @@ from stereophd.core.calibration.association import (
 )
 from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.marginal import marginal_optimum
-from stereophd.core.calibration.pairing import DRAWS, best_pairing, meeting_points, paired_objects
+from stereophd.core.calibration.pairing_search import (
+    DRAWS,
+    Pairing,
+    distinct_pairings,
+    meeting_points,
+    paired_objects,
+)
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.shared_errors import shared_errors
 from stereophd.core.calibration.task import Fit, Task
+from stereophd.core.calibration.tracking_scale import enlarged, reduced
 from stereophd.core.calibration.trajectories import (
     Knots,
     fit_states,
@@ -60,16 +67,18 @@ FITTED_PASSES = 3
 FIRST_WEIGHTED = 2
 
 
-def paired_fit(task: Task, values: Array, seed: np.random.SeedSequence) -> Fit | None:
-    """Pair one-camera tracks, and adjust to the pairs; None if there are none. See `calibration.pairing`."""
+def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list[Pairing]:
+    """Pair one-camera tracks: at `values` (m,), and at draws from the prior; distinct pairings, the best first."""
     if not len(task.pairs.cameras):
-        return None
+        return []
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
     draws[1:] = with_clocks(task, draws[1:])
-    pairing = best_pairing(task.parameters, task.pairs, draws)
-    if pairing is None:
-        return None
+    return distinct_pairings(task.parameters, task.pairs, draws)
+
+
+def paired_fit(task: Task, pairing: Pairing) -> Fit:
+    """Adjust cameras and trajectories to paired one-camera tracks. See `calibration.pairing`."""
     objects = paired_objects(task.pairs, pairing, len(task.tracks))
     detections = np.concatenate([rows for (_, rows), o in zip(task.tracks, objects, strict=True) if o >= 0])
     of_object = np.concatenate([np.full(len(rows), o) for (_, rows), o in zip(task.tracks, objects, strict=True)])
@@ -98,14 +107,16 @@ def with_clocks(task: Task, draws: Array) -> Array:
     return draws
 
 
-def tracked_fit(task: Task, values: Array, inflation: float, held: Booleans | None = None) -> Fit | None:
+def tracked_fit(
+    task: Task, values: Array, inflation: float, held: Booleans | None = None, ratio: float = 1.0
+) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
-    `held` (m,) are values that stay.
+    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`calibration.tracking_scale`).
     """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
-    found = track_detections(with_cameras(task.filter, cameras), scans, inflation)
+    found = track_detections(with_cameras(task.filter, enlarged(cameras, task.reference, ratio)), scans, inflation)
     if not len(found):
         return None
     chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], task.settings.min_detections)
@@ -113,10 +124,11 @@ def tracked_fit(task: Task, values: Array, inflation: float, held: Booleans | No
         return None
     rows, tracks = keep(found.tracks, chosen)
     detections = scans.source[found.detections[rows]]
+    points = reduced(found.positions[rows], cameras, task.reference, ratio)
     observations = task.observations(cameras, tracks, detections, inflation)
-    knots = _knots(task, observations, found.positions[rows], values)
-    precision = 1.0 / np.maximum(found.variances[rows], 1e-12)
-    states = fit_states(knots, *interpolation(knots, tracks, observations.times), found.positions[rows], precision)
+    knots = _knots(task, observations, points, values)
+    precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
+    states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
     return _fit(task, problem, values, states, detections, _annealed_iterations(task))
 

@@ -4,10 +4,10 @@ The log-likelihoods of the events, which the filter conditional on a hypothesis 
 log. With the PHD filter it is the paper's; with the PMB filter it is the sum over all associations of each
 event (`stereophd.core.multi.exact_association`), which is much smoother in the cameras.
 
-Scale. Larger cameras, distances and speeds give the same images, so that detections say nothing of scale; the priors
-of the objects' depth and speed do, and strongly: each of n objects multiplies the evidence of cameras s times as far
-apart by a power of s if its prior is too broad. `Evidence` can therefore compare all hypotheses at one scale, that of
-the prior mean, which leaves the scale to the prior of the cameras.
+Scale. Scaling camera distances, depths and speeds together leaves the images unchanged, so detections do not constrain
+the scale. The priors of the objects' depth and speed do, and strongly: if they are too broad, each of n objects
+multiplies the evidence of cameras s times as far apart by a power of s. `Evidence` can therefore compare all hypotheses
+at the scale of the prior mean, so that only the prior of the cameras constrains the scale.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """The marginal posterior of the cameras: the trajectories integrated out instead of optimised.
 
 The adjustment finds the joint maximum J(v) = min_x cost(v, x) of values v and knots x. Where trajectories have many
-unknowns that the detections constrain weakly (objects that manoeuvre), the joint maximum is biased in whatever
-stretches the scene, above all in focal lengths. Integrating out the knots (Laplace's method) adds a term,
+unknowns that the detections constrain weakly (objects that manoeuvre), the joint maximum is biased in the quantities
+that stretch the scene, above all in focal lengths. Integrating out the knots (Laplace's method) adds a term,
 
     -2 log p(v | detections) = J(v) + log det A(v) + 12 k log s(v) + constant,
 
 with the matrix A of the knots in the normal equations, the number k of knots and the scale s of the scene; the last
-term is the volume of the knots in units of the scale, so that the data's part stays flat along the scale.
-The gradient of the added terms changes slowly: it is computed at the optimum, and the cost tilted by it is minimised.
+term is the volume of the knots in units of the scale. With it, the part of the data stays flat along the scale. The
+gradient of the added terms changes slowly: it is computed at the optimum, and the cost tilted by it is minimised.
 """
 
 from __future__ import annotations

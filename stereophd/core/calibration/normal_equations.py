@@ -39,8 +39,8 @@ def accumulate(
 ) -> float:
     """Add the detections to the normal equations, and return their robust cost.
 
-    With residuals e = z - projection, their precision P and the derivatives J of the projection, weighted by the
-    derivative w of the loss, times what the detection counts: matrix += w J^T P J and vector += w J^T P e.
+    With residuals e = z - projection, their precision P, the derivatives J of the projection, and the derivative w of
+    the loss times the weight of the detection: matrix += w J^T P J and vector += w J^T P e.
 
     Parameters
     ----------

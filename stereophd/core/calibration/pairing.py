@@ -9,7 +9,8 @@ essential matrix E of the pair and rays x_a, x_b at that time (b interpolated be
 is the distance from that in pixels to first order (P. D. Sampson, 1982; R. Hartley and A. Zisserman, "Multiple View
 Geometry in Computer Vision", section 11.4.3), free of scale. Cameras are drawn from the prior, tracks paired at the
 greatest total gain, the cameras moved to where the paired tracks meet (Gauss-Newton with the prior), with a
-tolerance that falls. The best of the draws is where the annealed alternation starts.
+tolerance that falls (`stereophd.core.calibration.pairing_search`). The best of the draws is where the annealed
+alternation starts.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ PAIR_TIMES, LEAST_TIMES = 24, 6
 # Tolerances in units of the noise of the distance, step by step; a time counts for a pair within 3 of it.
 TOLERANCES = (20.0, 10.0, 5.0, 2.5)
 GAIN_LIMIT = 9.0
-# Draws of a start, those refined, and Gauss-Newton steps at each tolerance.
-DRAWS, REFINED, STEPS = 256, 8, 4
+# Gauss-Newton steps at each tolerance.
+STEPS = 4
 # Times at which tracks of unknown clocks or lenses are compared, and reach of the clocks in standard deviations.
 RAW_TIMES, REACH = 48, 4.0
 # Step of the numerical derivative, in prior standard deviations.
@@ -234,18 +235,21 @@ def _raw_distances(cameras: Sequence[Camera], pairs: TrackPairs, rows: Integers,
     return np.asarray(np.where(found.seen, distance / pairs.sigma[rows], np.nan))
 
 
-def choose_pairs(pairs: TrackPairs, distances: Array, tolerance: float) -> tuple[Integers, float]:
-    """Pair tracks one to one for each two cameras, at the greatest gain; return the pairs and the gain.
+def pair_gains(pairs: TrackPairs, distances: Array, tolerance: float) -> Array:
+    """Gain (p,) of every pair: the sum over its times of ``GAIN_LIMIT - (distance / tolerance)^2``.
 
-    The gain of a pair is the sum over its times of ``GAIN_LIMIT - (distance / tolerance)^2``: a pair that is further
-    apart than three tolerances on average is no gain.
+    A pair that is further apart than three tolerances on average is no gain.
     """
     gain = GAIN_LIMIT - np.minimum((distances / tolerance) ** 2, 4.0 * GAIN_LIMIT)
     if pairs.raw is not None:
         known = np.isfinite(distances)
         enough = np.bincount(pairs.pair, weights=known, minlength=len(pairs.cameras)) >= LEAST_TIMES
         gain = np.where(known & enough[pairs.pair], gain, 0.0)
-    gains = np.bincount(pairs.pair, weights=gain, minlength=len(pairs.cameras))
+    return np.asarray(np.bincount(pairs.pair, weights=gain, minlength=len(pairs.cameras)), dtype=np.float64)
+
+
+def choose_pairs(pairs: TrackPairs, gains: Array) -> tuple[Integers, float]:
+    """Pair tracks one to one for each two cameras, at the greatest total gain; return the pairs and the total."""
     chosen, total = [], 0.0
     for i, j in sorted(set(map(tuple, pairs.cameras.tolist()))):
         here = np.flatnonzero((pairs.cameras == (i, j)).all(axis=1))
@@ -302,100 +306,3 @@ def refine(
         values = values.copy()
         values[columns] -= std * np.linalg.solve(matrix, jacobian.T @ (weights * distances) + offset)
     return values
-
-
-def coarse_columns(parameters: ParameterSet, pairs: TrackPairs) -> Integers:
-    """Values that matter for pairing: one prior standard deviation moves the rays by more than the last tolerance."""
-    every = np.arange(parameters.size)
-    if pairs.raw is None:
-        return every
-    _, jacobian = slopes_of(parameters, pairs, parameters.prior_mean, np.arange(len(pairs.pair)), every)
-    moved = np.sqrt(np.nanmean(np.concatenate([jacobian, np.zeros((1, parameters.size))]) ** 2, axis=0))
-    return np.flatnonzero(moved > TOLERANCES[-1])
-
-
-@dataclass(frozen=True)
-class Pairing:
-    """Cameras and the pairs of tracks that meet under them.
-
-    Attributes
-    ----------
-    values : array (m,)
-    chosen : array (c,) of int
-        Indices of the pairs.
-    """
-
-    values: Array
-    chosen: Integers
-
-
-def best_pairing(parameters: ParameterSet, pairs: TrackPairs, draws: Array) -> Pairing | None:
-    """Find the cameras that pair the tracks best, from draws (k, m) of the prior; None if nothing pairs."""
-    if not len(pairs.cameras):
-        return None
-    rows = np.arange(len(pairs.pair))
-
-    def gain(values: Array, tolerance: float) -> tuple[Integers, float]:
-        chosen, total = choose_pairs(pairs, epipolar_distances(parameters.build(values), pairs, rows), tolerance)
-        offset = (values - parameters.prior_mean) / parameters.prior_std
-        return chosen, total - float(offset @ offset)
-
-    columns = coarse_columns(parameters, pairs)
-    fixed = np.setdiff1d(np.arange(parameters.size), columns)
-    draws[1:, fixed] = parameters.prior_mean[fixed]
-    first = np.array([gain(values, TOLERANCES[0])[1] for values in draws])
-    best, most = None, 0.0
-    for k in np.argsort(-first, kind="stable")[:REFINED]:
-        values = draws[k]
-        for tolerance in TOLERANCES:
-            chosen, _ = gain(values, tolerance)
-            if not len(chosen):
-                break
-            values = refine(parameters, pairs, values, np.flatnonzero(np.isin(pairs.pair, chosen)), tolerance, columns)
-        chosen, reached = gain(values, TOLERANCES[-1])
-        if reached > most:
-            best, most = Pairing(values, chosen), reached
-    return best
-
-
-def paired_objects(pairs: TrackPairs, pairing: Pairing, tracks: int) -> Integers:
-    """Object of every track (tracks,), numbered from 0; -1 of those that are not paired."""
-    leader = np.arange(tracks)
-    for a, b in pairs.tracks[pairing.chosen].tolist():
-        leader[leader == leader[b]] = leader[a]
-    paired = np.isin(np.arange(tracks), pairs.tracks[pairing.chosen])
-    objects = np.full(tracks, -1)
-    objects[paired] = np.unique(leader[paired], return_inverse=True)[1]
-    return objects
-
-
-def meeting_points(parameters: ParameterSet, pairs: TrackPairs, pairing: Pairing) -> tuple[Integers, Array, Array]:
-    """Rows of the chosen pairs, their times (r,) and the points (r, 3) where their rays come nearest.
-
-    Depths are kept positive: rays that meet behind a camera are taken where they are far apart from it instead.
-    """
-    cameras = parameters.build(pairing.values)
-    rows = np.flatnonzero(np.isin(pairs.pair, pairing.chosen))
-    if pairs.raw is None:
-        index = pairs.cameras[pairs.pair[rows]]
-        found = Rays(
-            pairs.rays[rows],
-            pairs.times[rows],
-            np.stack([c.pose.rotation for c in cameras])[index],
-            np.stack([c.pose.center for c in cameras])[index],
-            np.ones(len(rows), dtype=np.bool_),
-        )
-    else:
-        found = rays_of(cameras, pairs.raw, pairs.entries[rows], pairs.others[rows])
-    centers = found.centers
-    rays = np.einsum("nkij,nki->nkj", found.rotations, found.rays)
-    between = centers[:, 1] - centers[:, 0]
-    aa, bb = (rays[:, 0] ** 2).sum(axis=1), (rays[:, 1] ** 2).sum(axis=1)
-    ab = (rays[:, 0] * rays[:, 1]).sum(axis=1)
-    da, db = (rays[:, 0] * between).sum(axis=1), (rays[:, 1] * between).sum(axis=1)
-    determinant = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb)
-    distance = np.linalg.norm(between, axis=1)
-    depth_a = np.clip((da * bb - db * ab) / determinant, 0.5 * distance, 100.0 * distance)
-    depth_b = np.clip((da * ab - db * aa) / determinant, 0.5 * distance, 100.0 * distance)
-    points = centers + np.stack([depth_a, depth_b], axis=1)[:, :, None] * rays
-    return rows[found.seen], found.times[found.seen], np.asarray(points.mean(axis=1))[found.seen]

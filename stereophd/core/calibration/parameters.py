@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
 
 from stereophd.core.calibration.quantities.base import LENGTH_PER_SECOND, MOVES, RADIANS_PER_SECOND, Quantity
 from stereophd.core.calibration.quantities.registry import component_names, quantities, quantity_of
@@ -23,6 +24,9 @@ from stereophd.core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+# Values must be this probable under the prior to agree with it.
+LEAST_PRIOR_PROBABILITY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -207,6 +211,14 @@ class ParameterSet:
         scaled = (np.asarray(values, dtype=np.float64) - self.prior_mean) / self.prior_std
         constant = np.log(self.prior_std).sum() + 0.5 * self.size * np.log(2.0 * np.pi)
         return np.asarray(-0.5 * (scaled**2).sum(axis=-1) - constant)
+
+    def prior_disagreement(self, values: ArrayLike) -> str | None:
+        """Why values (m,) do not agree with the prior; None if they do."""
+        scaled = (np.asarray(values, dtype=np.float64) - self.prior_mean) / self.prior_std
+        distance = float((scaled**2).sum())
+        if chi2.sf(distance, self.size) < LEAST_PRIOR_PROBABILITY:
+            return f"the cameras lie {np.sqrt(distance):.1f} standard deviations from the prior"
+        return None
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Draw values (count, m) from the prior."""

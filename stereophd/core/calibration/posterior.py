@@ -35,7 +35,7 @@ class Observability:
     ratios : array (m,)
         Posterior over prior standard deviation, increasing.
     directions : array (m, m)
-        Unit vectors in units of prior standard deviations, one a row.
+        Unit vectors in units of prior standard deviations, one per row.
     parameter_ratios : array (m,)
         The same of each parameter by itself.
     scale_ratio : float

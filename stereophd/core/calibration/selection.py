@@ -7,8 +7,8 @@ set of unknowns, the values outside of it at the prior mean; then they are held,
 stretches are fitted under them, and the loss of the detections there is the score of the set (M. Stone, "Cross-
 validatory choice and assessment of statistical predictions", 1974). The other half of the stretches does the same.
 
-With everything free under its prior the adjustment is the better the better model and priors are, so a smaller set is
-taken only where its prediction is better by more than the standard error of the difference over the stretches.
+If the model and the priors are right, freeing everything under its prior is best. A smaller set is therefore chosen
+only if its prediction is better by more than the standard error of the difference over the stretches.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ parameter j after resampling, E_j being the range of the particles, m the number
 noise, a random walk over the time between events. Both are jitter: neither makes up for a prior of which only a
 particle or two fit the first frames, where the filter settles on a wrong pose (see docs/calibration_methods.md).
 
-The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the
-event's number alone, so a run continued from any state gives what it would have given.
+The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the number of the
+event alone, so that a run continued from any state gives the same result as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class SequentialResult:
     state : SequentialState
         After the last event; `values` (k, m) and `log_weights` (k,) are the posterior.
     history : tuple of SequentialInfo
-        One an event.
+        One per event.
     """
 
     state: SequentialState

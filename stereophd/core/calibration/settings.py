@@ -38,8 +38,8 @@ class AnnealedSettings:
         "a track counts from this many detections in each of two cameras on", default=16
     )
     shared_error_px: Annotated[float, Interval(ge=0, le=1e6), FINITE] = parameter(
-        "detections of one object in succession within so many pixels may share an error, as those of an object that "
-        "hovers do; how much is estimated from the residuals; 0: each is a measurement of its own",
+        "successive detections of one object within this distance may share an error, as those of an object that "
+        "hovers do; the size of that error is estimated from the residuals; 0: all errors are independent",
         default=60.0,
         unit="px",
     )

@@ -1,9 +1,9 @@
 """Detections of one object that share an error: how much each of them is worth as a measurement.
 
-A lens model that does not fit, or the side of an object that a labeller clicked, moves all detections alike while the
-image of the object stays in one place: a thousand frames of an object that hovers are hardly more than one
-measurement of the cameras. Detections of one trajectory and camera in succession, within some pixels of the first of
-them, form a cell. The residuals r of a fit are taken as
+A lens model that does not fit, or a label on one side of the object, shifts all detections alike while the image of the
+object stays in one place. A thousand frames of an object that hovers then count hardly more than one measurement of the
+cameras. Detections of one trajectory and camera in succession, within some pixels of the first of them, form a cell.
+The residuals r of a fit are taken as
 
     r = shared + own,    variances b and w per coordinate, `shared` the same in a cell,
 
@@ -69,7 +69,8 @@ def cells_of(observations: Observations, radius: float) -> Integers:
 
 
 def variance_components(residuals: Array, cells: Integers) -> tuple[float, float]:
-    """Variance of what detections have of their own, and of what those of a cell share, per coordinate.
+    """Variances, per coordinate, of the independent errors of detections and of the errors that detections of a cell
+    share.
 
     Parameters
     ----------
@@ -95,8 +96,8 @@ class SharedErrors:
     Attributes
     ----------
     own, shared : arrays (c,)
-        Standard deviations of what each detection has of its own, and of what those of a cell share; NaN and 0 of
-        cameras whose errors are independent as far as the residuals show.
+        Standard deviations of the independent error of each detection, and of the error that detections of a cell
+        share; NaN and 0 for cameras whose residuals show no shared error.
     weights : array (n,)
         What each detection counts, in measurements of the precision that its detector states; 1 for such cameras.
     """

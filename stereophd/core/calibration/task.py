@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SUCCEEDED = "succeeded"
+# Where the passes of a start began: a pairing of one-camera tracks, or the start's own values at the widest noise.
+PAIRING, WIDE = "pairing", "wide"
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class Task:
         settings: AnnealedSettings,
         stages: tuple[UnknownSet, ...] = (),
     ) -> Task:
-        """Prepare what all starts share: the tracks that each camera has by itself.
+        """Prepare what all starts share: the one-camera tracks of each camera.
 
         Without `stages` those of `stereophd.core.calibration.unknown_sets.default_stages` are taken.
         """
@@ -152,6 +154,8 @@ class Start:
         At the last values; NaN where the start failed.
     explained : float
         Detections of shared trajectories, in parts of those not expected to be false.
+    origin : str
+        Where the passes began: `PAIRING` and its number, or `WIDE`.
     """
 
     number: int
@@ -162,6 +166,7 @@ class Start:
     log_evidence: float
     log_prior: float
     explained: float
+    origin: str
 
     @property
     def succeeded(self) -> bool:

@@ -1,8 +1,8 @@
 """Sets of unknowns: those that are freed stage by stage, and those that are compared.
 
-A wrong clock looks like a wrong pose, and a principal point like a turn of the camera: with everything free from the
-start an adjustment to a rough association bends what the association does not determine. So the first stage frees what
-fixes the frame (poses, clocks, rates), the second focal lengths and k1, the third the rest.
+A wrong clock looks like a wrong pose, and a wrong principal point like a turn of the camera. If everything is free from
+the start, an adjustment to a rough association distorts the unknowns that the association does not determine. So the
+first stage frees what fixes the frame (poses, clocks, rates), the second focal lengths and k1, the third the rest.
 """
 
 from __future__ import annotations

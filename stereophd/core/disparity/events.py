@@ -42,7 +42,7 @@ class Event:
     not_invertible : int
         Detections of the frame that were left out, because the lens model cannot be inverted there.
     own_noise : bool
-        Whether the noise is that of each detection, and not that of the detector.
+        Whether each detection states its own noise, which replaces the detector's.
     pixels : array (m, 2), optional
         The detections as in the log, distorted.
     """

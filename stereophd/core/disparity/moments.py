@@ -1,10 +1,10 @@
 """Gaussians carried between disparity spaces: particle, quasi-Monte Carlo, unscented and linear moves.
 
-`move` is the paper's particle prediction and particle move (IV-B a-e, V-B, Algorithm 2) with the split
-of a component into a detected and a missed part by the field of view (VI-C, Fig. 8). The part in view
-is a Gaussian in the destination's space; the part that is not seen keeps a Gaussian in the space and at
-the time that it came from, because beyond the field of view (and behind the camera) the destination's
-space describes it badly. No covariance that leaves this module is rank-deficient.
+`move` is the paper's particle prediction and particle move (IV-B a-e, V-B, Algorithm 2) with the split of a component
+into a detected and a missed part by the field of view (VI-C, Fig. 8). The part in view is a Gaussian in the
+destination's space. The part out of view keeps its Gaussian in the space and at the time of origin, because the
+destination's space describes it badly beyond the field of view and behind the camera. No covariance that leaves this
+module is rank-deficient.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def move(
     p_detect : float
         Probability of detection inside the image, for the shape of the missed part: 0 leaves it as it was.
     important : array (n,) of bool, optional
-        Components to look at with more samples when too few are in view: an object at the edge of the
-        field of view would otherwise be taken for a new one.
+        Components that get more samples when too few are in view: an object at the edge of the field of view would
+        otherwise count as a new one.
     threads : int
         Components are shared out over this many threads; the result does not depend on it.
     region : array (8,), optional

@@ -26,9 +26,9 @@ class Moved(NamedTuple):
     status : array (n,) of int
         `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`.
     missed_means, missed_covariances : arrays (n, d), (n, d, d)
-        The part that was not detected, in the space and at the time of origin; only where `status` is
-        `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1 (of a component wholly in view the missed
-        part has the shape of the whole).
+        The part that was not detected, in the space and at the time of origin. Filled only where `status` is
+        `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1: the missed part of a component wholly in view has the
+        shape of the whole.
     inside : array (n,)
         Part of the component inside the region; what lies outside is left out of all of the above.
     """

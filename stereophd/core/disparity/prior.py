@@ -1,4 +1,4 @@
-"""Settings of the prior of what the first detection of an object does not tell: its depth and its velocity."""
+"""Settings of the prior of an object's depth and velocity, which its first detection does not measure."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DepthRange = tuple[PositiveLength, PositiveLength]
 
 
 def check_depth(disparity: DisparityPrior | None, depth_range: DepthRange | None) -> None:
-    """Refuse a prior of the depth that is given twice, or not at all, or the wrong way round.
+    """Refuse a prior of the depth that is given twice, is missing, or has its ends exchanged.
 
     Raises
     ------

@@ -29,7 +29,7 @@ from stereophd.core.numerics.moments import weighted_moments
 
 Array = NDArray[np.float64]
 
-# A point of the rule stands for no share of the Gaussian: none may be outside the region.
+# A point of the rule represents no share of the Gaussian, so none may be outside the region.
 NO_SLACK = 1.0
 
 
@@ -49,8 +49,8 @@ def rule_components(
 ) -> NDArray[np.intp]:
     """Move components by the rule; return those (in order) that need samples instead.
 
-    These are the components with a point outside the image or the region (a handful of points says nothing
-    about which part of a Gaussian is in view), and those for which the measure exceeds `max_nonlinearity`.
+    These are the components with a point outside the image or the region (a few points do not show which part of a
+    Gaussian is in view), and those for which the measure exceeds `max_nonlinearity`.
 
     Parameters
     ----------

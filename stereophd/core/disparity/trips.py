@@ -249,10 +249,10 @@ def region_mask(
 ) -> float:
     """Share of a component inside the region; where it is small, set weights outside to 0.
 
-    `region` holds x, y and z from and to in the world, the nearest and farthest depth before the home
-    camera, and optionally a slack of its own. A Gaussian always has a tail outside: as long as at least the
-    slack of it is inside it is left alone and counts as inside, so that an object inside does not lose its
-    existence bit by bit.
+    `region` holds x, y and z from and to in the world, the nearest and farthest depth before the home camera, and
+    optionally a slack of its own. A Gaussian always has a tail outside. It therefore counts as inside, unchanged, as
+    long as a share of at least the slack is inside: otherwise an object in the region would lose its existence step by
+    step.
     """
     scale = disparity_scale(destination)
     depths = points[points.shape[0] - 1]

@@ -110,9 +110,9 @@ class Camera:
     clock : Clock
         The camera's own clock.
     readout_s : float
-        Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from
-        the bottom up): what lies in row v, distorted, was seen ``readout_s * v / height`` after the time of
-        the frame, which is that of row 0. Zero: all rows at once.
+        Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from the
+        bottom up). The time of a frame is that of row 0; row v of the distorted image is exposed ``readout_s * v /
+        height`` later. Zero: all rows at once.
 
     Raises
     ------
@@ -207,7 +207,7 @@ class Camera:
         return self.pose.to_world(np.column_stack([xy * z[:, None], z]))
 
     def in_view(self, x_world: ArrayLike) -> BoolArray:
-        """Tell which world positions (n, 3) the camera sees, as bool (n,).
+        """Return which world positions (n, 3) the camera sees, as bool (n,).
 
         Seen is what lies in front of the camera, within the lens's `max_radius`, and whose distorted
         pixel is in the image: ``-0.5 <= u <= width - 0.5`` and likewise v. Occlusion is not modelled.
@@ -215,7 +215,7 @@ class Camera:
         return self.contains(self.project(x_world))
 
     def contains(self, pixels: ArrayLike) -> BoolArray:
-        """Tell which distorted pixels (n, 2) are inside the image, as bool (n,); False for NaN."""
+        """Return which distorted pixels (n, 2) are inside the image, as bool (n,); False for NaN."""
         uv = np.asarray(pixels, dtype=np.float64)
         inside = (uv >= -0.5) & (uv <= np.array([self.width, self.height]) - 0.5)
         return np.asarray(inside.all(axis=1), dtype=np.bool_)
@@ -257,7 +257,7 @@ class Camera:
         return self._to_pixels(xy_d), self._jacobian_in_pixels(jacobian)
 
     def packed(self) -> FloatArray:
-        """Return the camera as (28,) numbers for compiled kernels, laid out as `geometry.layout` says."""
+        """Return the camera as (28,) numbers for compiled kernels, in the layout of `geometry.layout`."""
         result = np.empty(layout.PACKED_SIZE)
         result[layout.FX : layout.CENTER] = self.fx, self.fy, self.cx, self.cy, self.width, self.height
         result[layout.CENTER : layout.ROTATION] = self.pose.center

@@ -87,7 +87,7 @@ class AlignedTruth:
     outside : (k,) bool array
         The time is before the first or after the last row of the truth.
     gap : (k,) bool array
-        An object that exists then has no rows near enough to tell where it is.
+        An object that exists then has no rows near enough to interpolate its position.
     """
 
     points: PointSets

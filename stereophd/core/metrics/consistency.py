@@ -1,4 +1,4 @@
-"""Consistency: do the covariances tell the errors (NEES), and do the labels stay (identity switches)?
+"""Consistency: do the covariances match the errors (NEES), and do the labels stay (identity switches)?
 
 References
 ----------
@@ -49,11 +49,11 @@ def nees(errors: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def independent_count(errors: FloatArray, group: IntArray) -> float:
-    """Return how many independent errors tell as much about the mean NEES as these do.
+    """Return the number of independent errors that would determine the mean NEES as well as these do.
 
-    Errors w of one object at successive times are alike. For Gaussian errors the covariance of the NEES of two of
-    them is ``2 |R|^2``, with R the (d, d) covariance of the two and the Frobenius norm, so that the mean of n has
-    the variance ``2 sum_ij |R_ij|^2 / n^2``, and that of m independent ones ``2 d / m``:
+    Errors w of one object at successive times are alike. For two Gaussian errors with the (d, d) covariance R, the
+    covariance of their NEES is ``2 |R|^2`` (Frobenius norm). The mean of n has the variance ``2 sum_ij |R_ij|^2 /
+    n^2``, that of m independent ones ``2 d / m``:
 
         m = d n^2 / sum_ij |R_ij|^2.
 

@@ -2,8 +2,8 @@
 
 The optimal assignment of each scan on its own changes the tracks of two objects that are closer than their errors back
 and forth, although both are followed without fault. Identity switches, purity, RMSE and NEES therefore use the
-assignment of Bernardin and Stiefelhagen: at each scan the objects first keep the tracks that they were last matched to,
-where these are still nearer than the cutoff; only the points that are left are assigned, at the least sum of
+assignment of Bernardin and Stiefelhagen. At each scan the objects first keep the tracks that they were last matched to,
+if these are still nearer than the cutoff. Only the remaining points are then assigned, at the least sum of
 ``min(distance, cutoff)**order``. Where two objects were last matched to one track, the later of them has it.
 
 References

@@ -1,8 +1,8 @@
 """The motion and the map of time that bring estimates nearest to the truth.
 
-Cameras that calibrated themselves have a frame and a time base of their own: those of the reference camera. Neither
-is an error of the tracks, so both are removed before the tracks are scored (J. Sturm et al., "A benchmark for the
-evaluation of RGB-D SLAM systems", IROS 2012, for the frame). With estimates x of time t and the truth q,
+Calibrated cameras have the frame and the time base of their reference camera. Neither is an error of the tracks, so
+both are removed before the tracks are scored (J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems",
+IROS 2012, for the frame). With estimates x of time t and the truth q,
 
     true time = t_0 + shift + rate (t - t_0),     q(true time) ~ scale * rotation x + translation,
 

@@ -23,8 +23,8 @@ class Sightings:
     camera : (n,) array
         Index of its camera.
     object_id : (n,) array or None
-        The true object it comes from; None when the log does not say, and then every detection counts
-        for every object.
+        The true object of each detection; None if the log has no such column: every detection then counts for every
+        object.
     """
 
     time_s: FloatArray

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Static(Motion):
-    """Objects that stand still: the position does not change, whatever the velocity.
+    """Objects that stand still: the position does not change, even if the state has a velocity.
 
     In transitions of six states the velocity is carried along untouched, so that they can be inverted and
     covariances keep their rank.

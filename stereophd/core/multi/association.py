@@ -6,11 +6,11 @@ moved on, to first order by tau_j (du, dv), so that
 
     z_j = H_j y + noise,    H_j = [I_2 0 | tau_j I_2 0],
 
-which is still linear: S = P_pp + tau (P_pv + P_vp) + tau^2 P_vv + R with the blocks of pixel and pixel velocity.
-Since tau_j follows from the detection's own row nothing has to be solved for. Left out are the second order,
-tau v_z / z of the correction (v_z / z: the relative speed towards the camera), and the change of the row's time
-with the noise of the row, (readout time of one row) dv of the noise: both far below a hundredth of a pixel for
-readouts of some 30 ms. Static objects (d = 3) have not moved.
+which is still linear: S = P_pp + tau (P_pv + P_vp) + tau^2 P_vv + R with the blocks of pixel and pixel velocity. Since
+tau_j follows from the detection's own row, no equation has to be solved. Two effects are neglected: the second order,
+tau v_z / z of the correction (v_z / z is the relative speed towards the camera), and the effect of the row's noise on
+its time, (readout time of one row) dv of the noise. Both are far below a hundredth of a pixel for readouts of some 30
+ms. Static objects (d = 3) have not moved.
 """
 
 from __future__ import annotations

@@ -2,13 +2,13 @@
 
 Tracks i and detections j are tied by the odds psi_ij of "i made j" against "i was missed and j is new or clutter". The
 pairs fall into clusters that share no track and no detection, and the problem is the product of theirs. A cluster is
-solved exactly by the recursion of `stereophd.core.multi.frontier` if its cost is within a limit. Otherwise it is
-split at its weakest links: a pair is at most psi / (1 + psi) probable whatever the others do, so that leaving out
-pairs of small odds, and giving them p = psi p_i0 p_0j to first order afterwards, changes the other marginals by about
-psi. What remains too large at the last level is solved by loopy belief propagation (`stereophd.core.multi.belief`).
+solved exactly by the recursion of `stereophd.core.multi.frontier` if its cost is within a limit. Otherwise it is split
+at its weakest links: the probability of a pair is at most psi / (1 + psi). Pairs of small odds are therefore left out
+and get p = psi p_i0 p_0j, to first order, afterwards; this changes the other marginals by about psi. A cluster that is
+still too large at the last level is solved by loopy belief propagation (`stereophd.core.multi.belief`).
 
-Belief propagation decides ambiguous associations: of two tracks and two detections, joint odds 3:1, single odds 1000,
-it says 0.997 where 0.75 is exact, and it loses up to ln 2 of the evidence a pair.
+Belief propagation is overconfident where associations are ambiguous: for two tracks and two detections with joint odds
+3:1 and single odds 1000 it returns 0.997 instead of 0.75, and it loses up to ln 2 of the evidence per pair.
 """
 
 from __future__ import annotations

@@ -60,8 +60,7 @@ def select_objects(
     next_label, next_track : int
         First unused label and identity.
     split : bool
-        Whether a label may stand for several objects: in a PHD it may; hypotheses of one track exclude
-        each other.
+        Whether a label may represent several objects, as in a PHD; hypotheses of one track exclude each other.
 
     Returns
     -------

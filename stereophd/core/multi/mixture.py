@@ -12,7 +12,7 @@ from stereophd.core.numerics.compilation import compiled
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Label of components that stand for objects never detected; identity of labels never reported.
+# Label of components that represent undetected objects; identity of labels that were never reported.
 UNLABELLED = -1
 
 

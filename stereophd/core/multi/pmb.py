@@ -1,11 +1,11 @@
 """Poisson multi-Bernoulli filter on disparity space: labelled tracks.
 
-The track-oriented marginal filter (Williams 2015): each track is a Bernoulli component, a probability of
-existence and a mixture of the hypotheses that the data have not decided yet (most often one Gaussian: the
-pairing of detections of two cameras on one epipolar line stays open for a while); association marginals exactly,
-cluster by cluster, and by loopy belief propagation for clusters too large; objects that were never detected are a
-Poisson intensity, uniform over the image (the observation-driven birth of the PHD filter), to which tracks that
-became improbable are recycled. The log-likelihood of an event is the value of its association problem.
+The track-oriented marginal filter (Williams 2015). Each track is a Bernoulli component: a probability of existence and
+a mixture of the hypotheses that the data have not decided yet. Most tracks have one Gaussian; several remain where
+detections of two cameras on one epipolar line can be paired in several ways. Association marginals are exact, cluster
+by cluster; loopy belief propagation replaces them for clusters that are too large. Objects that were never detected
+form a Poisson intensity, uniform over the image (the observation-driven birth of the PHD filter); tracks that became
+improbable are recycled to it. The log-likelihood of an event is the value of its association problem.
 
 Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA and
 association-based MeMBer", IEEE Trans. AES 51 (3), 2015.

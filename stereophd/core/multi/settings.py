@@ -62,8 +62,8 @@ class BirthPrior:
         default=None,
     )
     per_frame: BirthRate | None = parameter(
-        "old form of per_s: expected number of new objects in each frame, whatever the frame rate and the number of "
-        "cameras; in place of per_s and initial",
+        "old form of per_s: expected number of new objects in each frame, for any frame rate and number of cameras; "
+        "replaces per_s and initial",
         default=None,
     )
     max_per_frame: Count = parameter(

@@ -6,11 +6,11 @@ probability p_D. Of the n_k undetected objects in the view of camera k, a frame 
     n_k (1 - p_D o_kc),
 
 where o_kc is the share of the objects in view of k that are in view of c as well. Between events n_k grows by b times
-the elapsed time. So an object is born once, whatever the frame rates are and however many cameras look: a single camera
-with p_D near 1 has b objects times the time since its last frame to expect, and cameras that look at one place share
-them.
+the elapsed time. So each object is born once, for any frame rates and any number of cameras: a single camera with p_D
+near 1 expects b times the time since its last frame, and cameras that look at one place share this number.
 
-A frame with far more detections than objects can make (`burst_of`) says nothing of new objects: its surplus is clutter.
+A frame with far more detections than objects can make (`burst_of`) is no evidence of new objects: its surplus is
+clutter.
 """
 
 from __future__ import annotations

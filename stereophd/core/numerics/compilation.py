@@ -71,10 +71,10 @@ def compiled(function: Function) -> Function:
 def compiled_fast(function: Function) -> Function:
     """As `compiled`, with sums that the compiler may reorder, so that loops over samples vectorise.
 
-    Only for a large function that is all sums, and is not inlined: its code is then the same wherever it is
-    called from. What is inlined is compiled anew with each caller, and where sums may be reordered its last bits
-    depend on the caller, and on which of the copies of it a process finds first: a run that compiles and one
-    that finds compiled code would differ.
+    Only for a large function that consists of sums and is not inlined: its code is then the same for all callers. An
+    inlined function is compiled anew with each caller. If its sums may be reordered, its last bits depend on the caller
+    and on the copy that a process finds first, so that a run that compiles and a run that finds compiled code would
+    differ.
     """
     return cast("Function", _registered(Kernel(function, targetoptions={**_OPTIONS, "fastmath": FASTMATH})))
 

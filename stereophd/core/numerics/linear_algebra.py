@@ -11,8 +11,8 @@ from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
 
-# A covariance has full rank if it still factorises with its diagonal lowered by this fraction: a bound on
-# single pivots does not do, because after a small one the rounding of the next can exceed it.
+# A covariance has full rank if it still factorises with its diagonal lowered by this fraction: a bound on single pivots
+# is not enough, because after a small pivot the rounding of the next one can exceed it.
 RANK_MARGIN = 1e-12
 
 

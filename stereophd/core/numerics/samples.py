@@ -67,7 +67,7 @@ RESERVE_WIDTH = 2.0
 
 @dataclass(frozen=True)
 class SampleSets:
-    """Standard-normal sample sets, used in turn.
+    """Standard-normal sample sets, one per event in rotation.
 
     Attributes
     ----------
@@ -77,8 +77,8 @@ class SampleSets:
         Sample sets; `turn` picks one. For ``unscented`` and ``linear`` they serve the components that
         lie across the border of the image, which no low-order rule describes.
     reserve : array (rows, m)
-        A larger set whose third coordinate (the disparity, given the pixel) is twice as wide, for
-        components that matter and of which a set finds no more than a corner in view.
+        A larger set whose third coordinate (the disparity, given the pixel) is twice as wide, for important components
+        of which a normal set finds only a corner in view.
     reserve_weights : array (m,)
         Importance weights of the reserve.
     max_nonlinearity : float

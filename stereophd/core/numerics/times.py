@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-# Times that the package makes itself (of frames, of a grid of reports) are rounded to the nanosecond, so that cameras
-# of 30 and 60 Hz share their common instants exactly: k / 30 and 2 k / 60 differ in the last bit otherwise.
+# Times that the package computes (of simulated frames, of a grid of reports) are rounded to the nanosecond. Otherwise k
+# / 30 and 2 k / 60 differ in the last bit, and cameras of 30 and 60 Hz would not share their common instants.
 TIME_DECIMALS = 9
 
 # Times nearer than this are one time: the last decimal, far below the period of any camera.

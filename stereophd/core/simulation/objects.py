@@ -65,7 +65,7 @@ class Path:
         if times_s.size == 0:
             return np.empty((0, 6))
         if not self._motion.noisy:
-            # One product, not a running sum: the same state at an instant whatever was asked before.
+            # One product, not a running sum: the state at an instant does not depend on earlier requests.
             reach, keep, drift = self._motion.flow(times_s - self._object.birth_s)
             position, velocity = self._object.position, self._object.velocity
             return np.asarray(

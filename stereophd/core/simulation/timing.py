@@ -75,7 +75,7 @@ class TimeGrid:
     Parameters
     ----------
     frames : sequence of Schedule
-        One a camera.
+        One per camera.
     truth : Schedule or None
         When the truth is written; None: at every distinct frame time.
     """

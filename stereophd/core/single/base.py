@@ -1,9 +1,9 @@
 """One object seen by several cameras, without clutter: what all estimators have in common.
 
-An estimator is ``init / step / estimate`` over a frozen state: `SingleEstimator.step` takes a state and
-the event of one camera (at most one detection) to the next state, `SingleEstimator.estimate` returns where
-the object is, in the world. Nothing is kept outside the state: the same state and event give the same
-result, of those that draw random numbers too.
+An estimator is ``init / step / estimate`` over a frozen state: `SingleEstimator.step` takes a state and the event of
+one camera (at most one detection) to the next state, `SingleEstimator.estimate` returns where the object is, in the
+world. Nothing is kept outside the state: the same state and event give the same result, also in estimators that draw
+random numbers.
 """
 
 from __future__ import annotations

@@ -43,8 +43,8 @@ def build_estimator(
     motion : Motion
     prior : InitialPrior
     rng : Generator
-        Source of all randomness of the estimator. Low-discrepancy points are the same whatever it is
-        (they are a rule, not draws); pseudo-random samples and particles are drawn from it.
+        Source of all randomness of the estimator. Low-discrepancy points do not depend on it (they are a rule, not
+        draws); pseudo-random samples and particles are drawn from it.
     sets : SampleSets, optional
         Samples of the moves between disparity spaces, in place of those that the settings name.
 
@@ -76,8 +76,8 @@ def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Genera
 class FreshSamples(SampleSets):
     """Pseudo-random samples drawn anew for every event, as the paper draws them (IV-B a).
 
-    Filters of many objects use a few sets in turn. Of one object, tracked over hundreds of events, the errors of
-    the same few sets would add up.
+    Filters of many objects rotate through a few sets. Of one object, tracked over hundreds of events, the errors of the
+    same few sets would add up.
     """
 
     seed: int = 0

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 IMPORTANT = np.array([True])
 # H of eq. 4, by the size of the state.
 OBSERVATION = {size: np.eye(2, size) for size in (3, 6)}
-# How far (px) the image is widened on all sides where the border of the image is to have no say.
+# How far (px) the image is widened on all sides where its border must have no effect.
 WIDE = 1e7
 # Over an image, the divisor of the map between the disparity spaces of rectified cameras is 1 to this.
 RECTIFIED_TOLERANCE = 1e-6
@@ -124,10 +124,9 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
 class RectifiedEstimator(SingleEstimator[GaussianState]):
     """Algorithm 1: cameras that are rectified with one another share the disparity space of the first.
 
-    Cameras are rectified if they have the same orientation and their centres lie in a plane across the
-    optical axis; the map from the disparity space of one to that of another, projective in general, is then
-    affine, and the detections of all cameras are linear in the same state (eq. 4). Intrinsic parameters may
-    differ. A static object needs no samples at all.
+    Cameras are rectified if they have the same orientation and their centres lie in a plane perpendicular to the
+    optical axis. The map between their disparity spaces, projective in general, is then affine, and the detections of
+    all cameras are linear in the same state (eq. 4). Intrinsic parameters may differ. A static object needs no samples.
 
     Attributes
     ----------
@@ -192,7 +191,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
         return replace(seen, mean=mean, covariance=covariance), info
 
     def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
-        """Particle prediction, whatever the image of the first camera shows of the object."""
+        """Particle prediction, whether or not the object is in the first camera's image."""
         if not self.motion.moves or time_s == state.home_s:
             return state.mean, state.covariance
         home = self.rig.space(0, time_s)

@@ -1,10 +1,9 @@
 """Particle filter in world space: what the paper compares disparity space with (VIII-A, VIII-B; its [3]).
 
-Sequential importance resampling with the motion as proposal. Particles are positions (and velocities) in
-the world: they start on the ray of the first detection, at depths from the prior on disparity of which only
-positive values have a place in the world. Weights are kept as logarithms, or as numbers that underflow
-(``linear``): a prior whose particles are all more than 38 standard deviations from a detection then leaves
-none with a weight, and the filter keeps the weights that it had.
+Sequential importance resampling with the motion as proposal. Particles are positions (and velocities) in the world:
+they start on the ray of the first detection, at depths from the prior on disparity of which only positive values have a
+place in the world. Weights are logarithms, or plain numbers (``linear``). Plain numbers underflow if all particles of a
+prior are more than 38 standard deviations from a detection; the filter then keeps its earlier weights.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 """Whether tracks of two runs over the same events are one object: for runs over pieces of a log that overlap.
 
 Where both runs report a track, the states differ by d with covariance C = P_i + P_j if the tracks are one object, and
-d' C^-1 d is small. (The runs share their detections there, so that the true covariance is smaller: a pair that is one
-object is nearer still.) The odds of a pair are those of `stereophd.core.trajectories.stitching`, at whose limit D
+d' C^-1 d is small. (The runs share detections there, so the true covariance is smaller, and a pair that is one object
+is nearer than this assumes.) The odds of a pair are those of `stereophd.core.trajectories.stitching`, at whose limit D
 a pair is as likely one object as two:
 
     psi_ij = exp((D - m_ij) / 2),
 
-with m_ij the mean squared distance over the events that report either track. The mean, not the sum: successive states
-are no independent looks. Events near the time of the join count most, and one that reports only one of the two counts
-as D. The probability of a pair is its marginal over all ways to pair the tracks.
+with m_ij the mean squared distance over the events that report either track. The mean replaces the sum because errors
+of successive states are not independent. Events near the time of the join count most, and one that reports only one of
+the two counts as D. The probability of a pair is its marginal over all ways to pair the tracks.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ detections of the event more probable by the factor
 
 over the other tracks o, of which one that does not have the detection has missed one.
 
-That its first detection was at event m, rather than where the track begins, is as probable as the product of the
-factors of the events from m on, that of m without the miss (births are as probable at one event as at another).
-The track reaches back to the events at which the object was more probable there than not.
+The odds that its first detection was at event m, rather than where the track begins, are the product of the factors of
+the events from m on, the factor of m without the miss (births are equally probable at all events). The track reaches
+back to the events at which the object was more probable there than not.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LEAST_RATIO = 1e-6
 # An object that is more probable than this was there, and a detection more probably its own than not counts as its.
 PROBABLE = 0.5
 
-# The terms of an event that says nothing.
+# The terms of an event without information.
 NOTHING: tuple[Array, float] = (np.zeros(0), 1.0)
 
 

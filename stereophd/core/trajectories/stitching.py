@@ -55,7 +55,7 @@ def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float)
 
 
 def _may_be_near(earlier: Trajectory, starts: Array, positions: Array, spreads: Array, motion: Motion) -> Flags:
-    """Tell which starts (n,) a bound on each axis does not rule out: their distance can be below the limit."""
+    """Return which starts (n,) a bound on each axis does not rule out: their distance can be below the limit."""
     if not len(starts):
         return np.zeros(0, dtype=np.bool_)
     gaps = starts - earlier.times[-1]
@@ -63,7 +63,7 @@ def _may_be_near(earlier: Trajectory, starts: Array, positions: Array, spreads: 
     flow = motion.flow(gaps)
     predicted = end[:3] + flow.reach[:, None] * end[3:] + flow.drift[:, :3]
     std = np.sqrt(np.diagonal(earlier.covariances[-1]))
-    # a sum of standard deviations is not exceeded, whatever the correlations are, nor the noise of the longest gap
+    # a sum of standard deviations bounds the spread for any correlations, as does the noise of the longest gap
     noise = np.sqrt(np.diagonal(motion.transition(float(gaps.max())).noise)[:3])
     bound = std[:3] + flow.reach[:, None] * std[3:] + noise + spreads
     return np.asarray((np.abs(positions - predicted) <= np.sqrt(STITCH_DISTANCE) * bound).all(axis=1))

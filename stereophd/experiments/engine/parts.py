@@ -1,8 +1,7 @@
 """Finished runs on the disk, so that an interrupted experiment continues where it stopped.
 
-Every chunk is a small Parquet file in ``DIR/partial-HASH``; the hash is that of everything that decides
-about the values of a run (not of the number of runs, nor of what is reported), so that runs of another
-configuration are never taken for this one's.
+Every chunk is a small Parquet file in ``DIR/partial-HASH``; the hash covers everything that the values of a run depend
+on (not the number of runs, nor the selection of results). Runs of another configuration are therefore never used.
 """
 
 from __future__ import annotations

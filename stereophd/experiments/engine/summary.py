@@ -1,4 +1,4 @@
-"""What many runs say: means with confidence intervals, root mean squares, means over windows of time.
+"""Summary of many runs: means with confidence intervals, root mean squares, means over windows of time.
 
 The interval of a mean is Student's, at 95 %. A root mean square R = sqrt(mean of e^2) takes the interval of
 the mean of e^2, through the root. A bound is that of the case, beside every method.
@@ -159,7 +159,8 @@ def _summary(quantity: str, unit: str, times_s: Array | None, values: Array, bou
 
 
 class QuantityCheck:
-    """Says that a quantity does not exist as soon as every method has one run in every case, not after all runs.
+    """Raises an error for a quantity that does not exist as soon as every method has one run in every case, not after
+    all runs.
 
     Parameters
     ----------

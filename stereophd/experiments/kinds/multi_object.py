@@ -85,7 +85,7 @@ def filtered_points(
     config = loaded.config
     multi_filter = build_filter(config, tuple(cameras), loaded.path)
     stream = EventStream(cameras, frames)
-    # scored after every event, whatever the times of reports
+    # scored after every event, not at the times of reports
     report = config.report.model_copy(update={"times": "events"})
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     estimates = [record.estimates for record in records]
@@ -97,7 +97,7 @@ def filtered_points(
 
 
 def points_of_estimates(estimates: Sequence[Estimates]) -> PointSets:
-    """Return reported objects as sets of points, one a scan."""
+    """Return reported objects as sets of points, one per scan."""
     start = np.concatenate([[0], np.cumsum([len(one.track_ids) for one in estimates])]).astype(np.int64)
     states = np.concatenate([one.states for one in estimates])
     covariances = np.concatenate([one.covariances for one in estimates])

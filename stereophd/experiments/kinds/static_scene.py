@@ -1,8 +1,8 @@
 """Feature correspondence: points that stand still, seen in several views, unlabelled and among clutter (paper VI).
 
-Run k is the scene of run k of several runs of ``simulate``, tracked with ``motion.model: static``. The answers are the
-landmarks after the last view: how many points are found, how accurate they are beside the bound, and which detection of
-which view belongs to which of them (the one-to-one assignment of least squared Mahalanobis distance).
+Run k is the scene of run k of several runs of ``simulate``, tracked with ``motion.model: static``. The landmarks after
+the last view are scored: the number of points found, their accuracy relative to the bound, and the assignment of the
+detections of each view to landmarks (one to one, of least squared Mahalanobis distance).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _Views:
 
 
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
-    """Return what was found of the points, how accurately, and how many detections were told apart, in one run."""
+    """Return the scores of one run: points found, their errors, and detections assigned to the right point."""
     views = _views(loaded, number)
     times = np.array([frame.time_s for frame in views.frames])
     with method_clock():
@@ -107,7 +107,8 @@ def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> 
 
 
 def _correspondence(found: PointSets, views: _Views, pairs: np.ndarray) -> list[Series]:
-    """Return the share of true detections given to the landmark of their point, and of wrong ones among those given."""
+    """Return the share of true detections assigned to the landmark of their point, and of wrong assignments among
+    all."""
     first = int(found.start[-2])
     assert found.covariance is not None
     positions, covariances = found.position[first:], found.covariance[first:]

@@ -40,8 +40,8 @@ class MoveCase:
         Interval, s.
     motion : Motion
     in_view : bool
-        Whether samples out of the destination's view are left out (V-B), or all in front of it count: a handful of
-        points cannot tell which part of a Gaussian is in view, so that methods of low order take samples there.
+        Whether samples out of the destination's view are left out (V-B), or all in front of it count. A few points
+        cannot show which part of a Gaussian is in view, so methods of low order use samples there.
     """
 
     home: DisparitySpace

@@ -2,9 +2,9 @@
 
 Detections: one row a detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
 native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``score``,
-``object_id``) or of usual other names are found by themselves; any others by `columns`. A row without u
-and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file. Pixels are
-native (pixel (0, 0) is the centre of the top-left pixel) unless the options say otherwise.
+``object_id``) or of usual other names are found by themselves; any others by `columns`. A row without u and v is a
+frame without detections. Without a column of cameras, each file is a camera, named as the file. Pixels are native
+(pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
 
 Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ... Numbers
 have 17 digits, which is exact.

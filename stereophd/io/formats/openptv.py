@@ -5,10 +5,10 @@ the folder that its paths are relative to; the ``.ori`` and ``.addpar`` files an
 are found from it. Cameras are named ``cam1``, ``cam2``, ... A frame is the number before ``_targets``.
 
 Conventions: target pixels count from the corner of the top-left pixel (the image's middle is its width and height
-halved); image coordinates are in millimetres, x right and y up; the cameras look along their -z. The world stays as
-it is, in millimetres unless the options say otherwise. The distortion (Brown with scale and shear) is about the
-middle of the sensor, not the principal point: the targets are undistorted, and the cameras have no lens. Refraction
-is not supported: a file with refractive indices other than 1, or more than one layer of glass, is refused.
+halved); image coordinates are in millimetres, x right and y up; the cameras look along their -z. The world's axes stay;
+the unit is the millimetre unless an option changes it. The distortion (Brown with scale and shear) is about the middle
+of the sensor, not the principal point: the targets are undistorted, and the cameras have no lens. Refraction is not
+supported: a file with refractive indices other than 1, or more than one layer of glass, is refused.
 """
 
 from __future__ import annotations

@@ -148,7 +148,7 @@ class ForeignRecording:
     unit_is_assumed
         Whether neither the source nor the user states that unit.
     assumed
-        Sentences: what the source does not say, and what was taken instead. Complete once `pieces` are consumed.
+        Sentences: what the source does not state, and what was assumed instead. Complete once `pieces` are consumed.
     warnings
         Sentences: what is probably wrong. Complete once `pieces` are consumed.
     labels

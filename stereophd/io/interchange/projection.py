@@ -66,8 +66,8 @@ def is_left_handed(cameras: Sequence[Decomposed], points: Floats | None) -> bool
     cameras
         With proper rotations.
     points
-        World points (n, 3) that the cameras see; None: the point nearest to all optical axes, or where they are
-        parallel the origin, stands for the scene.
+        World points (n, 3) that the cameras see; None: the point nearest to all optical axes is used, or the origin if
+        they are parallel.
     """
     if points is None or not len(points):
         points = _scene(cameras)

@@ -74,7 +74,7 @@ def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Floats, 
     Raises
     ------
     InputError
-        As `batches`, or no track at all.
+        As `batches`, or there is no track.
     """
     times: dict[int, list[Floats]] = {}
     states: dict[int, list[Floats]] = {}

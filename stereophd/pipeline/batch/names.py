@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stereophd.errors import InputError
 
-# File names that say what a file is, not which recording it belongs to: the folder names that.
+# File names that state the kind of file, not the recording: the folder names the recording.
 NATIVE_STEMS = frozenset({"detections", "tracks", "truth"})
 
 _WILD = frozenset("*?[")
@@ -37,7 +37,8 @@ def expand(paths: Sequence[Path | str]) -> list[Path]:
 
 
 def folder_names(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each file: its own without the ending, or where that only says what it is, its folder's.
+    """Return a name for each file: its own without the ending, or its folder's where the own name states only the kind
+    of file.
 
     Files that would have one name get the names of the folders above them in front, as many as they need to differ.
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...]) -> PmbFilter:
-    """Return the PMB filter of a configuration; of a PHD one, that of the same births and survival."""
+    """Return the PMB filter of a configuration; for a PHD configuration, a PMB filter with the same births and
+    survival."""
     config = loaded.config
     settings = _filter_section(loaded)
     if not isinstance(settings, PmbSettings):
@@ -32,7 +33,7 @@ def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...]) -> PmbFilter:
 
 
 def phd_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], samples: int | None = None) -> PhdFilter:
-    """Return the PHD filter of a configuration, with so many pseudo-random samples (default: the config's)."""
+    """Return the PHD filter of a configuration, with `samples` pseudo-random samples (default: the configuration's)."""
     config: Config = loaded.config
     settings = _filter_section(loaded)
     if not isinstance(settings, PhdSettings):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CalibrationProblem:
-    """What is to be estimated, from what.
+    """The unknowns of a calibration and the data that constrain them.
 
     Attributes
     ----------
@@ -49,13 +49,13 @@ class CalibrationProblem:
     counts: dict[str, int]
 
     def scans(self, most: int | None = None) -> Scans:
-        """Return the events by the cameras of the prior mean, at most so many."""
+        """Return the events by the cameras of the prior mean, at most about `most`."""
         frames = None if most is None else tracked_frames(self.recording, most)
         return Scans.of(self.recording, self.parameters.cameras, frames)
 
 
 def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
-    """Return a known baseline as a measurement; None for what is known otherwise, or not at all.
+    """Return a known baseline as a measurement; None if another length is known, or none.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | 
 
 
 def tracked_frames(recording: Recording, most: int) -> NDArray[np.int64]:
-    """Return every n-th frame of each camera, so that at most so many are left."""
+    """Return every n-th frame of each camera, so that at most about `most` remain."""
     return recording.every(max(math.ceil(len(recording.cameras) / most), 1))
 
 

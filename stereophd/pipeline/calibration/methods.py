@@ -17,7 +17,6 @@ from stereophd.core.calibration.annealed import (
     distinct,
     enough,
     modes_of,
-    prior_disagreement,
     rival_of,
     run_start,
     start_values,
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 
 LOGGER = logging.getLogger("stereophd")
 
-# Draws that stand for a Laplace posterior, and times at which it is given in the history.
+# Draws that represent a Laplace posterior, and times at which the history holds it.
 LAPLACE_DRAWS = 1000
 HISTORY_TIMES = 25
 
@@ -88,7 +87,7 @@ def annealed_outcome(
     task, fit = _at_known_scale(section, task, best.fit, details)
     fit = marginal_fit(task, selected(section, task, fit, details))
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
-    if (against := prior_disagreement(task.parameters, mean)) is not None:
+    if (against := task.parameters.prior_disagreement(mean)) is not None:
         doubt = f"with the known {section.scale.kind} {against}"
     details["fit"] = _fit_report(problem, best, fit)
     history = tuple(
@@ -200,6 +199,7 @@ def _start_report(problem: CalibrationProblem, start: Start, best: Start | None)
     values = nothing if start.fit is None else start.fit.adjustment.values.tolist()
     return {
         "start": start.number,
+        "began_from": start.origin,
         "outcome": start.outcome,
         "best": start is best,
         "passes": len(start.passes),

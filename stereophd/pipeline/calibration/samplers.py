@@ -83,7 +83,7 @@ def _plain_outcome(
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
-    """The paper's filter as it stands: particles that are weighted, resampled and jittered."""
+    """The paper's filter without changes: particles are weighted, resampled and jittered."""
     settings = section.sequential
     cameras, parameters = problem.parameters.cameras, problem.parameters
     template = (

@@ -68,7 +68,8 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
 def _shared(
     loaded: LoadedConfig, section: CalibrationConfig, cameras: tuple[Camera, ...], parameters: list[Parameter]
 ) -> tuple[Parameter, ...]:
-    """Tie the intrinsics and lenses of cameras that share one: a parameter of the first stands for all of them."""
+    """Tie the intrinsics and lenses of cameras that share them: a parameter of the first camera applies to all of
+    them."""
     by_name = {camera.name: camera for camera in cameras}
     places = {(p.camera, p.name): p for p in parameters}
     for number, group in enumerate(section.shared):
@@ -114,7 +115,7 @@ def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Came
 
 
 def _unavailable(quantity: Quantity, component: str, camera: Camera) -> str:
-    """Say why a camera does not have a component."""
+    """Return the reason why a camera does not have a component."""
     if quantity.named:
         known = ", ".join(quantity.available(camera)) or "none"
         return f"expected coefficients of its lens model {camera.lens.model} ({known}), found {component}"

@@ -1,4 +1,4 @@
-"""Checks of the log by itself: times, frames, pixels and the statements about the detectors."""
+"""Checks that need the log alone: times, frames, pixels and the statements about the detectors."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ line and both rays meet in front of the cameras. With the essential matrix E of 
 
 is the distance in standard deviations to first order (P. D. Sampson, 1982). The share of detections with a partner is
 compared with the share that the same cameras have when B's times are shifted, which is what chance gives. No track and
-no filter is involved, so the figures tell whether cameras and clocks fit the log.
+no filter is involved, so the figures show whether cameras and clocks fit the log.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stereophd.pipeline.checks.sample import CameraSample
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Detections of A that are examined, time shifts that stand for chance, and candidates in B that are kept at most.
+# Detections of A that are examined, time shifts that measure chance, and candidates in B that are kept at most.
 MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 80
 # Tolerances, in standard deviations of the distance.
 TOLERANCES = (3.0, 8.0, 20.0)

@@ -1,10 +1,10 @@
 """Small errors of clock, lens and pose: rays meet, but their distances depend on speed or on the place in the image.
 
-One-camera tracks of two cameras that meet most of the time belong to one object. The signed distance of their rays
-from meeting, in standard deviations, is white noise of mean 0 if the set-up is right. An offset of a clock adds what
-the object moves in that time, an error of a lens grows from the centre of the image, and an error of a pose is a smooth
-function of the place. Each is fitted by itself; the one that explains most of the distances is named. Standard errors
-follow from the spread between pairs of tracks, so that errors that last do not pass for evidence.
+One-camera tracks of two cameras that meet most of the time belong to one object. The signed distance of their rays from
+meeting, in standard deviations, is white noise of mean 0 if the set-up is right. An offset of a clock adds what the
+object moves in that time, an error of a lens grows from the centre of the image, and an error of a pose is a smooth
+function of the place. Each cause is fitted separately; the one that explains most of the distances is named. Standard
+errors follow from the spread between pairs of tracks, so that errors that last do not pass for evidence.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _warning(
     value: float = max(fits.of(cause).effect for _, fits in suspicious)
     if cause == "clock":
         late = _lateness(len(samples), everything)[cameras[0]]
-        if len(cameras) > 1:  # of two cameras nobody knows which
+        if len(cameras) > 1:  # of two cameras the log does not show which one
             late = abs(late)
         text += f" follow the speed of the objects: its clock seems to be off by {late:+.3g} s"
         remedy, value = f"add {-late:.4g} s to its clock (clock.offset_s)", late

@@ -47,7 +47,7 @@ def check_log(
     Returns
     -------
     tuple of Finding
-        Of the log by itself, of the geometry and of the settings, in this order.
+        Of the log alone, of the geometry and of the settings, in this order.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def check_log(
 
 
 def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:
-    """Check a log by itself: frames, times, pixels and detectors, but neither poses nor settings (see `check_log`)."""
+    """Check a log alone: frames, times, pixels and detectors, but neither poses nor settings (see `check_log`)."""
     cameras = loaded.build_cameras()
     reader = LogReader(log_path, cameras, "drop", float("inf"))
     samples = sample_log(reader, cameras, QUICK_FRAMES)
@@ -71,7 +71,7 @@ def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding
 
 
 def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) -> tuple[Finding, ...]:
-    """Return the findings of a log by itself, without those about detectors that are to be estimated."""
+    """Return the findings about a log alone, without those about detectors that are to be estimated."""
     config = loaded.config
     estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
     return tuple(

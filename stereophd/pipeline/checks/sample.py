@@ -23,7 +23,7 @@ Integers = NDArray[np.int64]
 # Frames of each camera that are kept.
 MOST_FRAMES = 3000
 # A frame with more than this many times the median number of detections, and more than as many as this, is a burst of
-# clutter, which says nothing of the cameras.
+# clutter and not used to check the cameras.
 BURST_SHARE, BURST_LEAST = 20, 1000
 # Candidate gates of a link, px.
 GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
@@ -163,7 +163,7 @@ def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...], most: int =
     Returns
     -------
     list of CameraSample
-        One a camera, in order; those without frames are empty.
+        One per camera, in order; those of cameras without frames are empty.
     """
     kept: list[list[Frame]] = [[] for _ in cameras]
     for count, frame in enumerate(frames):

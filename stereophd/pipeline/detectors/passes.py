@@ -19,7 +19,7 @@ from stereophd.pipeline.detectors.statistics import DetectorEstimate, DetectorSu
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
 
-# Frames of a pass: more say nothing new, and time stays bounded for logs of any length.
+# Frames of a pass: more add no information, and the time stays bounded for logs of any length.
 MOST_FRAMES = 20_000
 # Passes end when no value changes by more than this share (probabilities of detection: of the misses) or this part
 # of its standard error.
@@ -188,7 +188,7 @@ def _start(camera: Camera) -> Camera:
 
 
 def _warn(found: Mapping[str, DetectorEstimate], own_noise: bool) -> None:
-    """Say which noise could not be estimated, and which is none."""
+    """Report which noise could not be estimated, and which errors are not noise."""
     for name, estimate in found.items():
         if estimate.correlation is not None and estimate.correlation.max() > LASTING:
             LOGGER.warning(

@@ -1,11 +1,11 @@
-"""What the detectors of the cameras do, estimated from what settled tracks say about a log.
+"""Noise, detection probability and clutter of each camera, estimated from settled tracks of a log.
 
-A track that at least two cameras have seen predicts where the next camera will see it. With the predicted pixel
-H m and its covariance C = H P H^T, the residual of its detection has the covariance S = C + R, so the state's own
-uncertainty is accounted for; frames that have a track in view and do not detect it show how probable a detection
-is; and what no confirmed track ever claimed is clutter. All three are gathered as sums, event by event, while a
-Poisson multi-Bernoulli filter runs with the present values, and a new run starts from the new values until they
-agree (a fixed point: at the true values every expectation below holds).
+A track that at least two cameras have seen predicts where the next camera will see it. With the predicted pixel H m and
+its covariance C = H P H^T, the residual of its detection has the covariance S = C + R, which includes the state's own
+uncertainty. Frames with a track in view and no detection of it show how probable a detection is. Detections that no
+confirmed track ever claimed are clutter. Sums for all three accumulate, event by event, while a Poisson multi-Bernoulli
+filter runs with the present values. A new run starts from the new values until they agree (a fixed point: at the true
+values every expectation below holds).
 
 Noise. Filter covariances scale nearly as the noise does, so S is taken as proportional to R between two runs:
 with residuals e and weights w = p R / S (the probability p of the pair, and the information that it has on R),
@@ -142,7 +142,7 @@ def observe(
     settled: Integers,
     with_noise: bool = True,
 ) -> Sighting:
-    """Add the residuals of a frame to the sums of its camera, and tell which settled tracks it detected.
+    """Add the residuals of a frame to the sums of its camera, and return which settled tracks it detected.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def observe(
 
 
 def _decided(prediction: Prediction, settled: Integers) -> tuple[Integers, Array]:
-    """Return the components that stand for settled tracks wholly in view, and the existence of each."""
+    """Return the components of settled tracks wholly in view, and the existence of each."""
     mixture = prediction.mixture
     rows = np.flatnonzero(np.isin(mixture.labels, settled))
     labels, member = np.unique(mixture.labels[rows], return_inverse=True)
@@ -229,7 +229,7 @@ def _add_residuals(
 
 
 def estimate_detector(sums: DetectorSums, present: Detector) -> DetectorEstimate:
-    """Return the detector that the sums of a run with the `present` one say."""
+    """Return the detector estimated from the sums of a run with the `present` one."""
     sigma, p_detect, clutter = np.asarray(present.sigma), present.p_detect, present.clutter_per_frame
     sigma_error, p_error, clutter_error = None, None, None
     if sums.pairs >= FEWEST_RESIDUALS:

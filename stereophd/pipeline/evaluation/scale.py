@@ -54,7 +54,7 @@ def default_cutoff(base: str, unit: str | None, record: Mapping[str, Any] | None
 
 
 def warn_of_another_scene(inputs: Mapping[str, Path], tracks: Tracks, truth: Truth, scans: Mapping[str, int]) -> None:
-    """Warn where provenance or times say that tracks and truth belong to different scenes."""
+    """Warn where provenance or times show that tracks and truth belong to different scenes."""
     of_log = ((tracks.metadata or {}).get("origins") or {}).get("detections")
     of_truth = origin(inputs["truth"])
     # logs of other commands, such as `import`, carry a provenance of their own

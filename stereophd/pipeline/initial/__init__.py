@@ -1,1 +1,1 @@
-"""Settings that follow from a log: what `init` writes, and what ``motion.acceleration_std: estimate`` stands for."""
+"""Settings estimated from a log: what `init` writes, and the value of ``motion.acceleration_std: estimate``."""

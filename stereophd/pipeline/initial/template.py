@@ -93,7 +93,7 @@ SCALES: dict[Kind, Scale] = {
 
 
 def rounded(value: float, digits: int = 2) -> float:
-    """Return a value with so many significant digits."""
+    """Return a value with `digits` significant digits."""
     return float(f"{value:.{digits}g}")
 
 

@@ -120,9 +120,9 @@ def read_runs(
     Returns
     -------
     tuple of Run
-        In the order of the folders. An evaluation belongs to the run with the very tracks that it scored, a log to
-        the runs made from it, a truth to the runs whose evaluation used it, or else to those made from a log beside
-        it; a truth named by itself belongs to the runs without another.
+        In the order of the folders. An evaluation belongs to the run whose tracks it scored, and a log to the runs made
+        from it. A truth belongs to the runs whose evaluation used it, or else to the runs made from a log beside it. A
+        truth named in `truths` belongs to the runs without another.
 
     Raises
     ------

@@ -103,7 +103,7 @@ def _column(table: pa.Table, name: str) -> Any:
 
 
 def provenance_of(path: Path) -> dict[str, Any] | None:
-    """Return what the metadata of a table say about its origin."""
+    """Return the origin of a table according to its metadata."""
     try:
         with open_parquet(path) as parquet:
             return from_metadata(parquet.schema_arrow.metadata)

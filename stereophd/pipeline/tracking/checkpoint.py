@@ -1,8 +1,8 @@
 """The records of an unfinished run on the disk, with the state from which the run goes on.
 
 A run writes its records in chunks to a folder inside its output folder, and about once a minute the state of its
-estimator. A run that is killed goes on from there: the records of the folder, and those that follow from the state and
-the rest of the log, are the records of an undisturbed run, and so are the files that are made of them. What the folder
+estimator. A killed run continues from there. The records of the folder, together with those that follow from the state
+and the rest of the log, equal the records of an undisturbed run, and so do the files written from them. What the folder
 holds is data, never code (`stereophd.io.checkpoints`).
 """
 

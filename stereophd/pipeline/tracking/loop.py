@@ -215,7 +215,7 @@ def run_estimator(
     Yields
     ------
     Record
-        One an event, and one a time of the grid.
+        One per event, and one per time of the grid.
     """
     times = times or ReportTimes()
     run = RunState(estimator.init()) if run is None else run

@@ -74,7 +74,7 @@ def paths_of(ids: Integers, columns: Mapping[str, Array]) -> Paths:
 
 
 def thinned(paths: Paths, budget: int) -> Paths:
-    """Keep about so many rows, first and last ones always; a row of NaN stands for each gap."""
+    """Keep about `budget` rows, first and last ones always; a row of NaN marks each gap."""
     count = len(paths.times)
     step = max(1, -(-count // max(budget, 1)))
     path = np.repeat(np.arange(len(paths.ids)), np.diff(paths.starts))
@@ -93,14 +93,14 @@ def thinned(paths: Paths, budget: int) -> Paths:
 
 
 def chosen(count: int, most: int) -> Integers:
-    """Return at most so many of the first `count` numbers, evenly spread, first and last included."""
+    """Return at most `most` of the first `count` numbers, evenly spread, first and last included."""
     if count <= most:
         return np.arange(count)
     return np.unique(np.linspace(0, count - 1, max(most, 1)).round().astype(np.int64))
 
 
 def binned(times: Array, values: Mapping[str, Array], most: int) -> dict[str, Array]:
-    """Return means over neighbouring rows, at most so many; with them ``time_s``."""
+    """Return means over neighbouring rows, at most `most` of them, with their ``time_s``."""
     count = len(times)
     if count <= most:
         return {"time_s": times, **values}

@@ -16,7 +16,7 @@ from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
 from stereophd.report.summaries import SummaryTable, number, run_tables, share, tracking_part, verdict
 
-# Tracks that the page lists; a page of thousands of rows is slow, and nobody reads it.
+# Tracks that the page lists; thousands of rows would make it slow.
 TRACKS_LISTED = 200
 
 

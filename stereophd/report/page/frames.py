@@ -100,7 +100,7 @@ def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[
 def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Array, Integers]] | None:
     """Return times (n,), residuals (n, 2) in px and tracks (n,) of every camera; None without associations or cameras.
 
-    Of the detections that belong to a track more probably than not, at most so many of each camera, evenly spread.
+    Of the detections that belong to a track more probably than not, at most `most` of each camera, evenly spread.
     """
     found = run.associations
     if found is None or not run.cameras:

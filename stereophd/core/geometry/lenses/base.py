@@ -21,7 +21,7 @@ Coefficient = Annotated[float, Interval(ge=-1e6, le=1e6), FINITE]
 # max_radius stays this fraction inside the fold, where the inverse has a finite Jacobian and the
 # rounding of a polynomial root does not matter.
 FOLD_MARGIN = 1e-9
-# A fold at a squared radius beyond this is 89.9999 degrees off the axis: no fold at all.
+# A fold at a squared radius beyond this is 89.9999 degrees off the axis: it does not count as one.
 ROOT_LIMIT = 1e12
 
 
