@@ -173,7 +173,7 @@ class CrosswiseTest:
         paths = make_paths(owners, self.rig.spaces(rows.cameras, rows.times))
         times = rows.times
         motion = self.motion.arrays((times - times.take(paths.before, mode="clip")).ravel())
-        out = room_for_explained(*owners.shape, self.motion.state_size)
+        out = room_for_explained(len(owners), owners.shape[1], self.motion.state_size)
         for h, row in np.argwhere(paths.before < 0).tolist():
             one, camera, track = slice(row, row + 1), rows.cameras[row], owners[h, row]
             born, spread = initial_moments(
