@@ -33,7 +33,7 @@ from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.sample_move import Look
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, crosswise_pairs
-from stereophd.core.multi.explanations import Explained, explain_rows, make_paths, room_for_explained
+from stereophd.core.multi.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
 from stereophd.core.multi.history import ClaimedRows, History, no_deferred_pairs
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.settings import BirthPrior
@@ -168,7 +168,7 @@ class CrosswiseTest:
             int(rows.cameras[-1]), float(rows.times[-1]),
         )  # fmt: skip
 
-    def _explain(self, rows: ClaimedRows, owners: Integers, prior: NewObjects) -> Explained:
+    def _explain(self, rows: ClaimedRows, owners: Integers, prior: NewObjects) -> ExplainedRows:
         """Filter detections again, each in the track (h, n) that an explanation gives it to."""
         paths = make_paths(owners, self.rig.spaces(rows.cameras, rows.times))
         times = rows.times

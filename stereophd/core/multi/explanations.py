@@ -27,7 +27,7 @@ Integers = NDArray[np.int64]
 MOST_SURPRISE = 15.0
 
 
-class Explained(NamedTuple):
+class ExplainedRows(NamedTuple):
     """What `explain_rows` finds for h explanations of n detections.
 
     Attributes
@@ -47,15 +47,15 @@ class Explained(NamedTuple):
     covariances: Array
 
 
-def room_for_explained(explanations: int, rows: int, size: int) -> Explained:
+def room_for_explained(explanations: int, rows: int, size: int) -> ExplainedRows:
     """Room for what `explain_rows` fills in."""
-    return Explained(
+    return ExplainedRows(
         np.zeros((explanations, 2)), np.zeros((explanations, rows), dtype=bool), np.zeros((explanations, 2, size)),
         np.zeros((explanations, 2, size, size)),
     )  # fmt: skip
 
 
-class Paths(NamedTuple):
+class DetectionPaths(NamedTuple):
     """The detections of two tracks under h explanations, each a path from detection to detection.
 
     Attributes
@@ -76,14 +76,14 @@ class Paths(NamedTuple):
     spaces: Array
 
 
-def make_paths(owners: Integers, spaces: Array) -> Paths:
+def make_paths(owners: Integers, spaces: Array) -> DetectionPaths:
     """Return the paths of detections, from the track (h, n) and the packed space (n, 30) of each."""
     before = np.full(owners.shape, -1)
     for path, own in zip(before, owners, strict=True):
         for track in (0, 1):
             found = np.flatnonzero(own == track)
             path[found[1:]] = found[:-1]
-    return Paths(owners, before, spaces.take(before.ravel(), axis=0, mode="clip"), spaces)
+    return DetectionPaths(owners, before, spaces.take(before.ravel(), axis=0, mode="clip"), spaces)
 
 
 @compiled
@@ -91,11 +91,11 @@ def explain_rows(
     points: Array,
     noises: Array,
     delays: Array | None,
-    paths: Paths,
+    paths: DetectionPaths,
     motion: MotionArrays,
     look: Look,
     most_behind: float,
-    out: Explained,
+    out: ExplainedRows,
 ) -> None:
     """Filter the detections of two tracks again under h explanations.
 
@@ -103,14 +103,14 @@ def explain_rows(
     ----------
     points, noises, delays : arrays (n, 2), (n, 2, 2), (n,) or None
         Detections of both tracks, as in `Event`, forwards or backwards in time.
-    paths : Paths
+    paths : DetectionPaths
     motion : MotionArrays
         Over the h * n intervals since the detection before each (that of the first of a track is not used).
     look : Look
         Samples of the moves.
     most_behind : float
         Where the second explanation is further behind the first one after the same rows, nats, the rest is left out.
-    out : Explained
+    out : ExplainedRows
         Filled in: zeros, but for the Gaussians of the tracks at their first detections.
     """
     explanations, count = paths.owners.shape
