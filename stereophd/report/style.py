@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from stereophd.core.metrics.alignment import Truth
 from stereophd.core.metrics.scans import PointSets
+from stereophd.core.metrics.truth_interpolation import Truth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -233,5 +233,6 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
 def is_kept(kernel: Any) -> bool:
     """Whether compiled forms of a kernel (as decorated by `compiled`) are kept from an earlier run."""
-    name = f"{kernel.py_func.__name__}-*"
+    # as numba names its files: module, function, first line, version of Python
+    name = f"{kernel._cache._impl.filename_base}*"
     return any(any(kernel._cache.folder_in(folder).glob(name)) for folder in kernel_folders())

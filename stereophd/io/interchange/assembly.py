@@ -47,7 +47,7 @@ class CameraSummary:
     highest_px: list[float] = field(default_factory=lambda: [-math.inf, -math.inf])
 
 
-def write_log(
+def write_native_log(
     recording: ForeignRecording,
     options: ImportOptions,
     path: Path,

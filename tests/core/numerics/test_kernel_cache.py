@@ -159,3 +159,10 @@ def test_the_time_of_the_last_use_is_kept(tmp_path: Path) -> None:
     os.utime(tmp_path, (0, 0))
     kernel_cache._mark_used(tmp_path)
     assert time.time() - tmp_path.stat().st_mtime < 60
+
+
+def test_a_kernel_is_known_to_be_kept_once_it_was_compiled(folders: list[Path]) -> None:
+    kernel = compiled(cholesky.py_func)  # type: ignore[attr-defined]
+    assert not kernel_cache.is_kept(kernel)
+    assert _run() == [0, 1]
+    assert kernel_cache.is_kept(kernel)
