@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from stereophd.config.yaml import KeyPath, Tree
+from stereophd.errors import nearest
 
 # What each kind of pydantic error expects; the braces are filled from the error's context.
 _EXPECTED = {
@@ -53,15 +54,6 @@ def _part(part: str | int) -> str:
     """Return a part of a key path, shortened."""
     text = str(part)
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
-
-
-def nearest(key: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean KEY?``, or ``; expected one of ...`` where no known key is near."""
-    names = list(known)
-    close = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean {close[0]}?"
-    return f"; expected one of {', '.join(names)}" if names else ""
 
 
 def _branches(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
