@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -224,7 +225,7 @@ def _track(
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
     report = loaded.config.report
-    multi_filter = pmb_filter(loaded, cameras)
+    multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
