@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
 FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, "report.json", *PLOTS)
-# What is required -> the statuses of a report that meet it.
+# Requirement -> the statuses of a report that meet it.
 ACCEPTED = {
     None: (DETERMINED, PARTLY, UNDETERMINED),
     "partly": (DETERMINED, PARTLY),
@@ -224,7 +225,7 @@ def _track(
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
     report = loaded.config.report
-    multi_filter = pmb_filter(loaded, cameras)
+    multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
