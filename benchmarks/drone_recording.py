@@ -3,11 +3,15 @@
     python benchmarks/drone_recording.py --seed 0 --out out/drone [--wrong 0.1] [--offset 0.3] [--focal 0.05] [--plot F]
 
 Poses are 2 m and 5 degrees off in random directions, clock offsets off by up to --offset, rates taken as 1, lenses as
-supplied; --focal also takes all focal lengths off by this part, and --wrong replaces that part of the detections by
-points anywhere in the image. The recording is not part of the project: its folder is $STEREOPHD_DATA/drone/1, or that
-of ../shared/data. Further `--set` go to `calibrate`. Distances are taken after rigid alignment, at the times of RTK
-between two estimates of a track at most 0.25 s apart; once by the times of the results (the clock of cam0, rate 1), and
-once with the rate of that clock taken from the recording's authors.
+supplied; --focal also takes all focal lengths off by this part (--set their priors with it), and --wrong replaces that
+part of the detections by points anywhere in the image. The recording is not part of the project: its folder is
+$STEREOPHD_DATA/drone/1, or that of ../shared/data. Further `--set` go to `calibrate`.
+
+Distances are taken after rigid alignment, at the times of RTK between two estimates of a track at most 0.25 s apart:
+by the times of the results (the clock of cam0, rate 1); with the rate of that clock taken from the recording's authors;
+and after the offset and rate of that clock that bring the tracks nearest to RTK, as `evaluate --align rigid
+--align-clock` finds them. Offsets of clocks are compared at the first frame of each camera, and at the middle of its
+detections on the clock of cam0.
 """
 
 from __future__ import annotations
@@ -29,6 +33,8 @@ from stereophd.commands.calibrate import calibrate
 from stereophd.config.loading import load_cameras, load_config
 from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.metrics.registration import Freedom, Registration, register
+from stereophd.core.metrics.truth_interpolation import Truth
 from stereophd.io.cameras import write_cameras
 from stereophd.pipeline.calibration.unknowns import with_quantities
 
@@ -80,6 +86,14 @@ def write_log(folder: Path, path: Path, seed: int, wrong: float) -> None:
     pq.write_table(table, path)
 
 
+def clock_of_tracks(out: Path, times: Array, path: Array) -> Registration:
+    """How the frame and the clock of the tracks compare with RTK (positions (n, 3) at times (n,))."""
+    table = pq.read_table(out / "tracks.parquet").to_pandas().sort_values("time_s", kind="stable")
+    truth = Truth(times, np.zeros(len(times), dtype=np.int64), path)
+    points = table[["x", "y", "z"]].to_numpy()
+    return register(table["time_s"].to_numpy(), points, truth, LONGEST_STEP_S, Freedom(clock=True))
+
+
 def tracks_at(out: Path, times: Array) -> Array:
     """Positions (n, 3) of the tracks at times; NaN where no track has estimates around."""
     table = pq.read_table(out / "tracks.parquet").to_pandas()
@@ -126,16 +140,28 @@ def scores(folder: Path, out: Path) -> dict[str, object]:
     start, rate = float(clocks["cam0"]["offset_s"]), float(clocks["cam0"]["rate"])
     two = seen_by_two(folder, times)
     result: dict[str, object] = {}
-    for name, at in (("times_of_results", times), ("rate_of_cam0_known", start + (times - start) / rate)):
+    found = clock_of_tracks(out, times, path)
+    result["clock"] = {"shift_s": round(found.shift_s, 4), "rate": round(found.rate, 6)}
+    for name, at in (
+        ("times_of_results", times),
+        ("rate_of_cam0_known", start + (times - start) / rate),
+        ("clock_aligned", found.track_times(times)),
+    ):
         distance = np.linalg.norm(aligned(tracks_at(out, at), path) - path, axis=1)
         for part, rows in (("all", np.isfinite(distance)), ("seen_by_two", np.isfinite(distance) & two)):
             quantiles = np.quantile(distance[rows], [0.5, 0.9])
             result[f"{name}.{part}"] = [int(rows.sum()), *np.round(quantiles, 4).tolist()]
     refined = load_cameras(folder / "cameras.yaml").cameras
+    log = pq.read_table(folder / "detections_own_clocks.parquet").to_pandas().dropna(subset=["u_px"])
     for name, config in load_cameras(out / "cameras.yaml").cameras.items():
         camera, other = config.build(name), refined[name].build(name)
+        middle = float(log.loc[log["camera"] == name, "time_s"].median())
+        # the same moment by the authors' clocks, on the clock of cam0
+        moment = float(clocks[name]["offset_s"]) + float(clocks[name]["rate"]) * middle
+        of_cam0 = start + (moment - start) / rate
         result[name] = {
             "clock_offset_ms": round(1e3 * (camera.clock.offset_s - float(clocks[name]["offset_s"])), 1),
+            "middle_ms": round(1e3 * (camera.clock.offset_s + camera.clock.rate * middle - of_cam0), 1),
             "clock_rate": round(camera.clock.rate - float(clocks[name]["rate"]), 6),
             "focal_percent": round(100.0 * (camera.fx / other.fx - 1.0), 2),
         }

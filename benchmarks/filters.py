@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
-from stereophd.core.metrics.alignment import DEFAULT_GAP_STEPS, align_truth, last_event_of_each_time
+from stereophd.core.metrics.clear_mot import follow
 from stereophd.core.metrics.confirmation import Waits
-from stereophd.core.metrics.following import follow
 from stereophd.core.metrics.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures as figures_of_run
 from stereophd.core.metrics.summary import pair_errors, track_ospa
+from stereophd.core.metrics.truth_interpolation import DEFAULT_GAP_STEPS, align_truth, last_event_of_each_time
 from stereophd.core.multi.estimates import Estimates
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import simulate_frames

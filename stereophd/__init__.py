@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from stereophd.core.geometry.pose import Pose
     from stereophd.errors import GateError, InputError, StereophdError
     from stereophd.io.logs import Frame
-    from stereophd.pipeline.arrays import make_filter, run_filter
+    from stereophd.pipeline.array_filters import make_filter, run_filter
     from stereophd.pipeline.files import read_cameras, read_log, write_cameras, write_log
     from stereophd.pipeline.tracking.loop import Record
 
@@ -61,10 +61,10 @@ _HOMES = {
     "load_config": "config.loading",
     "make_config": "config.loading",
     "make_event": "core.disparity.events",
-    "make_filter": "pipeline.arrays",
+    "make_filter": "pipeline.array_filters",
     "read_cameras": "pipeline.files",
     "read_log": "pipeline.files",
-    "run_filter": "pipeline.arrays",
+    "run_filter": "pipeline.array_filters",
     "simulate": "commands.simulate",
     "track": "commands.track",
     "track_logs": "commands.track_logs",

@@ -9,7 +9,7 @@ the command line: `stereophd.cli.flags` translates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 
@@ -43,3 +43,23 @@ class GateError(StereophdError):
     def __init__(self, message: str, report: Mapping[str, Any] | None = None) -> None:
         super().__init__(message)
         self.report = report
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean NAME?``, or ``; expected one of ...`` where no known name is near."""
+    names = list(known)
+    close = _near(name, names)
+    return close or (f"; expected one of {', '.join(names)}" if names else "")
+
+
+def unknown_camera(name: object, known: Iterable[str]) -> str:
+    """Return the part of a message that refuses the name of a camera: those known, the name found, one near to it."""
+    names = list(known)
+    return f"expected one of the cameras {', '.join(names)}, found {name}{_near(str(name), names)}"
+
+
+def _near(name: str, names: list[str]) -> str:
+    import difflib
+
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    return f"; did you mean {close[0]}?" if close else ""

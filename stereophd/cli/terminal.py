@@ -1,4 +1,4 @@
-"""What a command prints: data on stdout, progress and messages on stderr."""
+"""Printing of commands: data on stdout, progress and messages on stderr."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -39,6 +40,7 @@ from stereophd.pipeline.tracking.run import (
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
+    from stereophd.config.calibration import CalibrationConfig
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.pipeline.checks.finding import Finding
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
 FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, "report.json", *PLOTS)
-# What is required -> the statuses of a report that meet it.
+# Requirement -> the statuses of a report that meet it.
 ACCEPTED = {
     None: (DETERMINED, PARTLY, UNDETERMINED),
     "partly": (DETERMINED, PARTLY),
@@ -134,20 +136,10 @@ def calibrate(
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
-    method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with OutputFolder(out_dir, FILES, force) as out:
         # Only here, where no other run can be at work on it.
         checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
-        try:
-            outcome = method(loaded, section, problem, checkpoint, jobs, progress)
-        except InputError:
-            raise
-        except BaseException:
-            # whatever it is called: compiled code may turn the exception of a signal into one of its own
-            if checkpoint.holds_anything:
-                checkpoint.save()
-                LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
-            raise
+        outcome = _outcome(loaded, section, problem, checkpoint, jobs, progress)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, problem, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
@@ -168,6 +160,28 @@ def calibrate(
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
     return _accepted(report, require, log_path)
+
+
+def _outcome(
+    loaded: LoadedConfig,
+    section: CalibrationConfig,
+    problem: CalibrationProblem,
+    checkpoint: Checkpoint,
+    jobs: int,
+    progress: Progress | None,
+) -> Outcome:
+    """Run the method of the configuration; where it is interrupted, keep what it has finished."""
+    method = annealed_outcome if section.method == "annealed" else sequential_outcome
+    try:
+        return method(loaded, section, problem, checkpoint, jobs, progress)
+    except InputError:
+        raise
+    except BaseException:
+        # whatever it is called: compiled code may turn the exception of a signal into one of its own
+        if checkpoint.holds_anything:
+            checkpoint.save()
+            LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
+        raise
 
 
 def _accepted(report: dict[str, Any], require: str | None, log_path: Path | str) -> dict[str, Any]:
@@ -211,7 +225,7 @@ def _track(
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
     report = loaded.config.report
-    multi_filter = pmb_filter(loaded, cameras)
+    multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
     summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))

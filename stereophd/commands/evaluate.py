@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from stereophd.core.metrics.alignment import (
+from stereophd.core.metrics.truth_interpolation import (
     DEFAULT_GAP_STEPS,
 )
 from stereophd.errors import InputError

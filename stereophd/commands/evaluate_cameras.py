@@ -19,7 +19,7 @@ from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.weights import weighted_mean_covariance
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.json_text import finite_or_none, write_json
 from stereophd.io.provenance import from_metadata, provenance
@@ -142,7 +142,7 @@ def _reference(
 ) -> int:
     names = [camera.name for camera in true]
     if name is not None and name not in names:
-        raise InputError(f"{path}: expected one of the cameras {', '.join(names)} as reference, found {name}")
+        raise InputError(f"{path}: reference: {unknown_camera(name, names)}")
     if name is None and posterior is not None:
         name = posterior.parameters.cameras[posterior.reference].name
     if name is not None:

@@ -11,7 +11,7 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
 from stereophd.io.disk import write_error
 from stereophd.io.interchange.base import ExportOptions, Format
-from stereophd.io.interchange.camera_files import read_cameras
+from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.registry import find, names
 from stereophd.io.provenance import provenance
 
@@ -113,7 +113,7 @@ def _check_target(target: Path, force: bool, written: Format) -> None:
 
 def _write_cameras(written: Format, path: Path, target: Path) -> list[str]:
     assert written.write_cameras is not None
-    cameras, unit, assumed = read_cameras(path)
+    cameras, unit, assumed = read_camera_file(path)
     if not written.is_folder:
         with atomic_write(target) as temporary:
             return [*assumed, *written.write_cameras(cameras, unit, temporary)]

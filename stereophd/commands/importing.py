@@ -14,9 +14,9 @@ from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
-from stereophd.io.interchange.assembly import CameraSummary, write_log
+from stereophd.io.interchange.assembly import CameraSummary, write_native_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
-from stereophd.io.interchange.camera_files import read_cameras
+from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.registry import find
 from stereophd.io.json_text import write_json
 from stereophd.io.logs import LogReader
@@ -87,7 +87,7 @@ def import_recording(
         summaries: dict[str, CameraSummary] = {}
         if recording.pieces is not None:
             log = out.path(DETECTIONS_FILE)
-            summaries = write_log(recording, options, log, log.parent, to_metadata(record))
+            summaries = write_native_log(recording, options, log, log.parent, to_metadata(record))
         cameras = _with_rates(recording.cameras, summaries)
         if cameras:
             assert recording.length_unit is not None
@@ -118,7 +118,7 @@ def _read(recording: ForeignRecording, options: ImportOptions, cameras_path: Pat
     if cameras_path is not None:
         if recording.cameras:
             raise InputError(f"{cameras_path}: expected cameras in the source or in a file of their own, found both")
-        cameras, unit, assumed = read_cameras(Path(cameras_path), options)
+        cameras, unit, assumed = read_camera_file(Path(cameras_path), options)
         recording.cameras.update(cameras)
         recording.length_unit = unit
         recording.assumed += assumed

@@ -1,4 +1,4 @@
-"""What a file or an output folder holds, and where it comes from."""
+"""Contents and origin of a file or an output folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.camera_files import read_cameras
+from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.pipeline.inspection.tables import kind_of, provenance_of, summarise_objects, summarise_table
@@ -93,7 +93,7 @@ def _text(path: Path) -> dict[str, Any]:
         if loaded.cameras:
             result |= summarise_cameras(loaded.cameras, loaded.config.units.length)
         return {**result, "config_sha256": loaded.sha256, "seed": loaded.config.seed}
-    cameras, unit, assumed = read_cameras(path)
+    cameras, unit, assumed = read_camera_file(path)
     head = {"path": str(path), "kind": "cameras", "origin": None, "assumed": assumed}
     return {**head, **summarise_cameras(cameras, unit)}
 

@@ -18,6 +18,8 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 from stereophd.core.settings import (
     FINITE,
+    LARGEST_SIGMA_PX,
+    SMALLEST_SIGMA_PX,
     Degrees,
     DegreesPerSecond,
     Pixel,
@@ -31,8 +33,7 @@ from stereophd.core.settings import (
 from stereophd.io.trajectories import read_trajectory, unpack_poses
 
 ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
-# A detector that is better than a millionth of a pixel, or worse than a million pixels, is none.
-Sigma = Annotated[float, Interval(ge=1e-6, le=1e6), FINITE]
+Sigma = Annotated[float, Interval(ge=SMALLEST_SIGMA_PX, le=LARGEST_SIGMA_PX), FINITE]
 ClutterRate = Annotated[float, Interval(ge=0, le=1e6), FINITE]
 # Logs whose times are nanoseconds have a rate of 1e-9.
 ClockRate = Annotated[float, Interval(ge=1e-12, le=1e12), FINITE]
@@ -195,7 +196,7 @@ class PoseConfig(Model):
 
 
 class DetectorConfig(Model):
-    """What the detector of a camera does: noise, misses and false detections."""
+    """The detector of a camera: noise, misses and false detections."""
 
     sigma_px: tuple[Sigma, Sigma] = parameter(
         "standard deviation of a detection along u and v",

@@ -9,8 +9,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from stereophd.config.yaml import KeyPath, Tree
+from stereophd.errors import nearest
 
-# What each kind of pydantic error expects; the braces are filled from the error's context.
+# What pydantic expected, for each kind of error; the braces are filled from the error's context.
 _EXPECTED = {
     "float_type": "a number",
     "float_parsing": "a number",
@@ -36,7 +37,7 @@ _EXPECTED = {
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
-# Of a model, and of a dataclass.
+# Kinds of error for an unknown key of a model and of a dataclass.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 # A lower bound below this means "above 0"; a message names the bound only if the value is below it.
 TINY = 1e-5
@@ -53,15 +54,6 @@ def _part(part: str | int) -> str:
     """Return a part of a key path, shortened."""
     text = str(part)
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
-
-
-def nearest(key: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean KEY?``, or ``; expected one of ...`` where no known key is near."""
-    names = list(known)
-    close = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean {close[0]}?"
-    return f"; expected one of {', '.join(names)}" if names else ""
 
 
 def _branches(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:

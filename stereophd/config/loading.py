@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -16,11 +15,12 @@ from pydantic import BaseModel, ValidationError
 
 from stereophd.config.camera_files import read_camera_tree
 from stereophd.config.cameras import CameraConfig, CamerasFile
-from stereophd.config.errors import describe, nearest
+from stereophd.config.errors import describe
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes
 from stereophd.config.yaml import KeyPath, Place, Tree, parse_yaml, read_yaml
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
+from stereophd.io.json_text import infinity_as_text
 from stereophd.io.provenance import ConfigRecord, sha256_of
 from stereophd.io.trajectories import pack_poses, read_trajectory
 
@@ -67,7 +67,7 @@ class LoadedConfig:
 
     @property
     def record(self) -> ConfigRecord:
-        """What the provenance of an output keeps of this configuration."""
+        """The record of this configuration for the provenance of an output."""
         return ConfigRecord(self.resolved, self.sha256, self.inputs, self.config.seed, self.config.units.length)
 
     def build_cameras(self) -> tuple[Camera, ...]:
@@ -203,17 +203,8 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
     return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 
 
-def _as_json(value: Any) -> Any:
-    """Return a resolved configuration with infinity, for which JSON has no number, as text that reads as a number."""
-    if isinstance(value, dict):
-        return {key: _as_json(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_as_json(inner) for inner in value]
-    return str(value) if isinstance(value, float) and math.isinf(value) else value
-
-
 def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> LoadedConfig:
-    resolved = _as_json(config.model_dump(mode="json"))
+    resolved = infinity_as_text(config.model_dump(mode="json"))
     cameras = config.cameras if isinstance(config.cameras, dict) else {}
     return LoadedConfig(config, cameras, resolved, sha256_of(resolved), path, inputs, tree)
 
@@ -270,9 +261,7 @@ def _check_camera_of_reports(config: Config, tree: Tree) -> None:
     times, cameras = config.report.times, config.cameras
     if isinstance(times, CameraTimes) and isinstance(cameras, dict) and times.camera not in cameras:
         path = ("report", "times")
-        close = nearest(times.camera, cameras)
-        where = f"{tree.place(path)}: report.times"
-        raise InputError(f"{where}: expected the name of a camera, found {times.camera}{close}")
+        raise InputError(f"{tree.place(path)}: report.times: {unknown_camera(times.camera, cameras)}")
 
 
 def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:

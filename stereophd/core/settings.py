@@ -43,6 +43,8 @@ SMALLEST_TIME_S = 1e-9
 LARGEST_PX = 1e9
 SMALLEST_PX = 1e-9
 LARGEST_COUNT = 1_000_000_000
+# A detector that is better than a millionth of a pixel, or worse than a million pixels, is none.
+SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX = 1e-6, 1e6
 
 #: A position or displacement along one axis, length.
 Coordinate = Annotated[float, Interval(ge=-LARGEST_LENGTH, le=LARGEST_LENGTH), FINITE]

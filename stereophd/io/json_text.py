@@ -30,6 +30,15 @@ def plain(value: Any) -> Any:
     return finite_or_none(value) if isinstance(value, float) else value
 
 
+def infinity_as_text(value: Any) -> Any:
+    """Return a value with infinities as text, which JSON lacks; a configuration that is read again takes them back."""
+    if isinstance(value, Mapping):
+        return {key: infinity_as_text(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [infinity_as_text(one) for one in value]
+    return str(value) if isinstance(value, float) and math.isinf(value) else value
+
+
 def finite_or_none(value: Any) -> float | None:
     """Return a number as a float, or None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None

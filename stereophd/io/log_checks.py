@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from stereophd.errors import InputError
+from stereophd.core.settings import LARGEST_SIGMA_PX, LARGEST_TIME_S, SMALLEST_SIGMA_PX
+from stereophd.errors import InputError, unknown_camera
 from stereophd.io.log_rows import Booleans, Decoded, Floats, Integers, Rows
 
 #: The kinds of bad rows, in the order in which a row is tested; keys of `LogReader.counts`.
 KINDS = (
     "null_value",
     "non_finite",
+    "time_out_of_range",
     "unknown_camera",
     "half_null",
     "outside_image",
@@ -27,7 +29,7 @@ KINDS = (
 
 @dataclass(frozen=True)
 class Fault:
-    """Bad rows of one kind: a mask over the rows, and what to say of row i."""
+    """Bad rows of one kind: a mask over the rows, and the message about row i."""
 
     kind: str
     bad: Booleans
@@ -42,13 +44,15 @@ class OrderState:
     last_frame: dict[int, int] = field(default_factory=dict)
 
 
-def point_faults(piece: Decoded, sizes: Floats, margin: float) -> Iterator[Fault]:
+def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Floats, margin: float) -> Iterator[Fault]:
     """Yield the faults that a row has by itself.
 
     Parameters
     ----------
     piece
         The rows as read.
+    cameras
+        Their names.
     sizes
         Width and height of each camera's image, (cameras, 2).
     margin
@@ -63,9 +67,14 @@ def point_faults(piece: Decoded, sizes: Floats, margin: float) -> Iterator[Fault
         lambda i: f"time_s: expected a finite number, found {rows.time_s[i]}",
     )
     yield Fault(
-        "unknown_camera",
-        rows.camera < 0,
-        lambda i: f"camera: expected one of the configured cameras, found {piece.names[i].as_py()!r}",
+        "time_out_of_range",
+        np.abs(rows.time_s) > LARGEST_TIME_S,
+        lambda i: (
+            f"time_s: expected a number between {-LARGEST_TIME_S:g} and {LARGEST_TIME_S:g}, found {rows.time_s[i]:g}"
+        ),
+    )
+    yield Fault(
+        "unknown_camera", rows.camera < 0, lambda i: f"camera: {unknown_camera(piece.names[i].as_py(), cameras)}"
     )
     yield Fault("half_null", piece.half, lambda i: "expected u_px and v_px both set or both null, found one null")
     yield Fault(
@@ -86,11 +95,14 @@ def point_faults(piece: Decoded, sizes: Floats, margin: float) -> Iterator[Fault
     )
     if rows.sigma is not None:
         sigma = rows.sigma
-        valid = np.isfinite(sigma).all(axis=1) & (sigma > 0).all(axis=1)
+        valid = ((sigma >= SMALLEST_SIGMA_PX) & (sigma <= LARGEST_SIGMA_PX)).all(axis=1)
         yield Fault(
             "invalid_sigma",
             ~rows.empty & ~valid,
-            lambda i: f"sigma_u_px, sigma_v_px: expected numbers > 0, found {sigma[i, 0]}, {sigma[i, 1]}",
+            lambda i: (
+                f"sigma_u_px, sigma_v_px: expected numbers from {SMALLEST_SIGMA_PX:g} to {LARGEST_SIGMA_PX:g}, found "
+                f"{sigma[i, 0]}, {sigma[i, 1]}"
+            ),
         )
 
 

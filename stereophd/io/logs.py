@@ -211,7 +211,7 @@ class LogReader:
             if only is not None:
                 counted = (rows.camera == only) | ((rows.camera < 0) & (only == 0))
             self.counts["rows"] += int(counted.sum())
-            faults = list(point_faults(piece, self._sizes, self._margin))
+            faults = list(point_faults(piece, list(self._index), self._sizes, self._margin))
             good = rows.take(self._accept(faults, rows, counted))
             if only is not None and self.is_by_camera:
                 # rows of other cameras in between do not matter for the order of these

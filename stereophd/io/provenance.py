@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import stereophd
 from stereophd.errors import InputError
+from stereophd.io.json_text import infinity_as_text
 
 METADATA_KEY = b"stereophd"
 LENGTH_UNIT_KEY = b"length_unit"
@@ -23,7 +23,7 @@ LENGTH_UNIT_KEY = b"length_unit"
 
 @dataclass(frozen=True)
 class ConfigRecord:
-    """What the provenance keeps of a configuration.
+    """The record of a configuration in the provenance.
 
     Attributes
     ----------
@@ -87,16 +87,7 @@ def canonical_json(value: Any) -> str:
     The keys are not sorted: the order of the cameras decides ties between simultaneous frames and so is part of what is
     recorded. Resolved configurations have the order of the models, not the order of the file.
     """
-    return json.dumps(_finite(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    """Return a value with infinities as text, which JSON lacks; reading the configuration again takes them as such."""
-    if isinstance(value, Mapping):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(one) for one in value]
-    return str(value) if isinstance(value, float) and math.isinf(value) else value
+    return json.dumps(infinity_as_text(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def sha256_of(value: Any) -> str:
@@ -147,7 +138,7 @@ def provenance(
     return {
         "version": stereophd.__version__,
         "command": command,
-        "config": _finite(resolved),
+        "config": infinity_as_text(resolved),
         "config_sha256": digest,
         "seed": seed,
         "inputs": dict(sorted(hashes.items())),

@@ -25,9 +25,9 @@ def compiling_ahead(kind: str) -> Iterator[bool]:
     Yields whether there is such a process: not where the kernels are kept already, where none can be kept, or where
     there is one core.
     """
-    from stereophd.core.multi.preparation import LAST_KERNELS
+    from stereophd.core.multi.preparation import last_kernel
 
-    kernel = LAST_KERNELS.get(kind)
+    kernel = last_kernel(kind)
     if kernel is None or is_kept(kernel) or place_to_keep() is None or _cores() < 2:
         yield False
         return

@@ -127,7 +127,7 @@ class TestLog:
 
     def test_unknown_camera(self, track: Callable[..., None], log: Path) -> None:
         rewrite(log, camera=changed(log, "camera", 6, "lfet"))
-        track(f"{log}: row 6: camera: expected one of the configured cameras, found 'lfet'")
+        track(f"{log}: row 6: camera: expected one of the cameras left, right, found lfet; did you mean left?")
 
     def test_time_backwards(self, track: Callable[..., None], log: Path) -> None:
         rewrite(log, time_s=changed(log, "time_s", 12, -1.0))

@@ -371,7 +371,7 @@ def test_scoring_refuses_and_gates(scene: Path, result: Path, tmp_path: Path) ->
         evaluate_calibration(estimate, true, fail_above={"joint.rotation_deg": 0.0})
     with pytest.raises(InputError, match=r"joint\.rotation: no such figure"):
         evaluate_calibration(estimate, true, fail_above={"joint.rotation": 1.0})
-    with pytest.raises(InputError, match="as reference"):
+    with pytest.raises(InputError, match="reference: expected one of the cameras"):
         evaluate_calibration(estimate, true, reference="middle")
     report = evaluate_calibration(true, true, tmp_path / "out", reference="left")
     assert report["joint"]["rotation_deg"] == pytest.approx(0.0, abs=1e-6)

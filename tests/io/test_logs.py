@@ -171,7 +171,9 @@ BAD_ROWS = [
     pytest.param(2, bad(1.0, "left", None, 9.0, 9.0), "null_value", "found null", id="null-frame"),
     pytest.param(2, bad(np.nan, "left", 1, 9.0, 9.0), "non_finite", "time_s: expected a finite", id="nan-time"),
     pytest.param(2, bad(np.inf, "left", 1, 9.0, 9.0), "non_finite", "time_s: expected a finite", id="inf-time"),
-    pytest.param(2, bad(1.0, "lfet", 1, 9.0, 9.0), "unknown_camera", "found 'lfet'", id="unknown-camera"),
+    pytest.param(
+        2, bad(1.0, "lfet", 1, 9.0, 9.0), "unknown_camera", "found lfet; did you mean left", id="unknown-camera"
+    ),
     pytest.param(2, bad(1.0, "left", 1, None, 9.0), "half_null", "found one null", id="null-u"),
     pytest.param(2, bad(1.0, "left", 1, 9.0, None), "half_null", "found one null", id="null-v"),
     pytest.param(2, bad(1.0, "left", 1, np.nan, 9.0), "non_finite", "found nan, 9.0", id="nan-u"),
@@ -179,8 +181,19 @@ BAD_ROWS = [
     pytest.param(2, bad(1.0, "left", 1, np.nan, np.nan), "non_finite", "found nan, nan", id="nan-both"),
     pytest.param(2, bad(1.0, "left", 1, 700.0, 9.0), "outside_image", "found 700, 9", id="outside-right"),
     pytest.param(2, bad(1.0, "left", 1, 9.0, -11.0), "outside_image", "found 9, -11", id="outside-top"),
-    pytest.param(2, bad(1.0, "left", 1, 9.0, 9.0, sigma=0.0), "invalid_sigma", "numbers > 0", id="sigma-zero"),
-    pytest.param(2, bad(1.0, "left", 1, 9.0, 9.0, sigma=-1.0), "invalid_sigma", "numbers > 0", id="sigma-negative"),
+    pytest.param(2, bad(1.0, "left", 1, 9.0, 9.0, sigma=0.0), "invalid_sigma", "numbers from 1e-06", id="sigma-zero"),
+    pytest.param(
+        2,
+        bad(1.0, "left", 1, 9.0, 9.0, sigma=-1.0),
+        "invalid_sigma",
+        "numbers from 1e-06",
+        id="sigma-negative",
+    ),
+    pytest.param(2, bad(1.0, "left", 1, 9.0, 9.0, sigma=1e200), "invalid_sigma", "found 1e.200", id="sigma-huge"),
+    pytest.param(2, bad(1.0, "left", 1, 9.0, 9.0, sigma=1e-300), "invalid_sigma", "found 1e-300", id="sigma-tiny"),
+    pytest.param(
+        2, bad(1e308, "left", 1, 9.0, 9.0), "time_out_of_range", "expected a number between -1e", id="time-huge"
+    ),
     pytest.param(2, bad(1.0, "left", 1, 9.0, 9.0, sigma=np.nan), "invalid_sigma", "found nan", id="sigma-nan"),
     pytest.param(2, bad(1.0, "left", 1, 9.0, 9.0, sigma=None), "invalid_sigma", "found nan", id="sigma-null"),
     pytest.param(5, bad(0.5, "right", 1, 9.0, 9.0), "time_backwards", r"found 0\.5 after 1", id="time-backwards"),

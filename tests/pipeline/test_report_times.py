@@ -280,8 +280,8 @@ def test_a_grid_has_every_multiple_once(step_s: float, start_s: float) -> None:
 
 
 TIMES_ERRORS = {
-    '"camera lefft"': "expected the name of a camera, found lefft; did you mean left?",
-    "{camera: middle}": "expected the name of a camera, found middle; expected one of left, right",
+    '"camera lefft"': "expected one of the cameras left, right, found lefft; did you mean left?",
+    "{camera: middle}": "expected one of the cameras left, right, found middle",
     "grid 0": "expected a grid of at least 1e-06 s, found 0",
     "{grid: -0.1}": "expected a grid of at least 1e-06 s, found -0.1",
     "grid soon": 'expected events, camera NAME or grid DT (in seconds), found "grid soon"',

@@ -11,8 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.adjustment import SQUARED, Linearisation, Observations, Problem, posterior_covariance
+from stereophd.core.calibration.adjustment import posterior_covariance
+from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.problem import SQUARED, Observations, Problem
 from stereophd.core.calibration.quantities.looking import look
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots

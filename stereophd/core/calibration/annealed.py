@@ -97,7 +97,10 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     for number_of_pass in range(FITTED_PASSES + 1):
         if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
             break  # one more pass only where the last one found weights
-        again = refitted(task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED)
+        again = refitted(
+            task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED,
+            last=number_of_pass >= FIRST_WEIGHTED,
+        )  # fmt: skip
         if again is None:
             return failed("the fitted trajectories are not shared by two cameras", fit)
         fit = again

@@ -14,6 +14,7 @@ from stereophd.core.calibration.recording import Scans
 from stereophd.core.calibration.trajectories import Knots, interpolation, positions
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.projection import pinhole
 from stereophd.core.multi.pmb import PmbFilter
 
 Array = NDArray[np.float64]
@@ -102,11 +103,12 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
     return TrackedDetections(tracks[order], detections[order], estimated[order], variances[order], total)
 
 
-def pinhole(camera: Camera, points: Array) -> Array:
+def undistorted_pixels(camera: Camera, points: Array) -> Array:
     """Undistorted pixels (n, 2) of world points; NaN behind the camera."""
-    x = (points - camera.pose.center) @ camera.pose.rotation.T
-    depth = np.where(x[:, 2] > 0.0, x[:, 2], np.nan)
-    return np.column_stack([camera.fx * x[:, 0] / depth + camera.cx, camera.fy * x[:, 1] / depth + camera.cy])
+    seen = camera.pose.to_camera(points)
+    focal = np.array([camera.fx, camera.fy])
+    slopes, _ = pinhole(seen, focal)
+    return np.where(seen[:, 2:] > 0.0, slopes * focal + [camera.cx, camera.cy], np.nan)
 
 
 def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
@@ -115,9 +117,9 @@ def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
     With a rolling shutter a detection is later than its event by the delay of its row.
     """
     if event.delays is None or states.shape[1] < 6:
-        return np.asarray(pinhole(camera, states[:, :3])[:, None, :])
+        return np.asarray(undistorted_pixels(camera, states[:, :3])[:, None, :])
     moved = states[:, None, :3] + event.delays[None, :, None] * states[:, None, 3:]
-    return pinhole(camera, moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
+    return undistorted_pixels(camera, moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
 
 
 def squared_distances(pixels: Array, event: Event) -> Array:

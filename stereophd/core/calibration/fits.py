@@ -8,15 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import (
-    Linearisation,
-    Loss,
-    Observations,
-    Problem,
-    adjust,
-    posterior_covariance,
-    true_times,
-)
+from stereophd.core.calibration.adjustment import adjust, posterior_covariance
 from stereophd.core.calibration.association import (
     fitted_detections,
     keep,
@@ -25,6 +17,7 @@ from stereophd.core.calibration.association import (
     with_cameras,
 )
 from stereophd.core.calibration.clock_search import offset_places
+from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.pairing_search import (
     DRAWS,
@@ -33,6 +26,7 @@ from stereophd.core.calibration.pairing_search import (
     meeting_points,
     paired_objects,
 )
+from stereophd.core.calibration.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.shared_errors import shared_errors
 from stereophd.core.calibration.task import Fit, Task
@@ -59,6 +53,8 @@ SEARCHED_PART = 0.1
 # Iterations of an adjustment; and where more than poses is unknown, of one that others follow and of one for the
 # history.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
+# Relative change of the cost at which an adjustment ends, and one that others follow where more than poses is unknown.
+TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 # Seed of the errors that are drawn to find what a fit absorbs.
 SHARED_ERRORS_SEED = 0
 # Passes in which fitted trajectories choose their detections.
@@ -74,7 +70,7 @@ def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
     draws[1:] = with_clocks(task, draws[1:])
-    return distinct_pairings(task.parameters, task.pairs, draws)
+    return distinct_pairings(task.parameters, task.pairs, draws, task.stages[0].free)
 
 
 def paired_fit(task: Task, pairing: Pairing) -> Fit:
@@ -93,7 +89,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
-    return _fit(task, problem, pairing.values, states, detections, _annealed_iterations(task))
+    return _fit(task, problem, pairing.values, states, detections, *_annealed(task))
 
 
 def with_clocks(task: Task, draws: Array) -> Array:
@@ -130,19 +126,20 @@ def tracked_fit(
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return _fit(task, problem, values, states, detections, _annealed_iterations(task))
+    return _fit(task, problem, values, states, detections, *_annealed(task))
 
 
-def _annealed_iterations(task: Task) -> int:
-    """Most iterations of an adjustment that others follow: with many unknowns its optimum is flat."""
-    return MOST_ITERATIONS if task.parameters.only_moves else ANNEALED_ITERATIONS
+def _annealed(task: Task) -> tuple[int, float]:
+    """Most iterations and tolerance of an adjustment that others follow: with many unknowns its optimum is flat."""
+    only_moves = task.parameters.only_moves
+    return (MOST_ITERATIONS, TOLERANCE) if only_moves else (ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
-def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False) -> Fit | None:
+def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
     `weighted`: detections whose errors are shared count less (`calibration.shared_errors`), as the residuals of the
-    fit show.
+    fit show. `last`: no other adjustment follows.
     """
     counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
     cameras = task.parameters.build(fit.adjustment.values)
@@ -163,7 +160,10 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False
     if weighted and task.settings.shared_error_px > 0.0:
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)
         observations = replace(observations, weights=weights)
-    return adjusted_to(task, fit, observations, trajectories[rows], chosen_detections, task.scale)
+    tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
+    return adjusted_to(
+        task, fit, observations, trajectories[rows], chosen_detections, task.scale, tolerance=tolerance
+    )  # fmt: skip
 
 
 def _weights(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Array | None:
@@ -216,6 +216,7 @@ def adjusted_to(
     detections: Integers,
     scale: ScaleMeasurement | None,
     max_iterations: int = MOST_ITERATIONS,
+    tolerance: float = TOLERANCE,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
@@ -227,7 +228,7 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale, fit.held)
-    return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
+    return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:
@@ -273,9 +274,10 @@ def _fit(
     states: Array,
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
+    tolerance: float = TOLERANCE,
 ) -> Fit:
     """Adjust, and time the detections by the cameras found."""
-    found = adjust(problem, values, states, max_iterations)
+    found = adjust(problem, values, states, max_iterations, tolerance)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))

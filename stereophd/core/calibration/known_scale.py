@@ -22,10 +22,10 @@ PEAK_WIDTH, PRIOR_REACH = 0.02, 3.0
 
 
 def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) -> ScaleMeasurement | None:
-    """What the known speed of all objects, or the known distance of two, says of the scale.
+    """Measure the scale by the known speed of all objects, or by the known distance of two.
 
-    Speeds and distances in units of the scene's scale do not depend on it, so each says what the scale is:
-    log s + log(known / found). The speeds of k objects do so independently.
+    Speeds and distances in units of the scene's scale do not depend on it, so each of them measures its logarithm as
+    log s + log(known / found). The speeds of k objects are independent measurements.
 
     Parameters
     ----------

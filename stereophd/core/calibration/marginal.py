@@ -19,16 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky_banded
 
-from stereophd.core.calibration.adjustment import (
-    Adjustment,
-    Linearisation,
-    NormalEquations,
-    Problem,
-    damped_bands,
-    eliminate,
-    posterior_covariance,
-    solve,
-)
+from stereophd.core.calibration.adjustment import Adjustment, damped_bands, eliminate, posterior_covariance, solve
+from stereophd.core.calibration.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.problem import Problem
 from stereophd.core.calibration.scale import log_scale
 
 Array = NDArray[np.float64]

@@ -13,23 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.pairing import (
-    TOLERANCES,
-    TrackPairs,
-    choose_pairs,
-    epipolar_distances,
-    pair_gains,
-    refine,
-    slopes_of,
-)
+from stereophd.core.calibration.epipolar import epipolar_distances, slopes_of
+from stereophd.core.calibration.pairing import TOLERANCES, choose_pairs, pair_gains, refine
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.track_pairs import TrackPairs
 from stereophd.core.calibration.track_rays import Rays, rays_of
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 # Draws of a start, and those refined.
 DRAWS, REFINED = 256, 8
+# What stays at its prior mean while tracks are paired moves the rays by less than this, in units of the noise.
+LATER_TOLERANCE = 8.0
+# Two draws that come so near each other, in prior standard deviations, end at the same cameras.
+MERGED = 0.05
 # Pairings are the same if this share of the rows of the smaller one is common to both, and the cameras differ by at
 # most this many standard deviations of the prior in every value.
 SAME_ROWS, SAME_CAMERAS = 0.8, 0.25
@@ -37,14 +36,20 @@ SAME_ROWS, SAME_CAMERAS = 0.8, 0.25
 PARALLEL = 0.01
 
 
-def coarse_columns(parameters: ParameterSet, pairs: TrackPairs) -> Integers:
-    """Values that matter for pairing: one prior standard deviation moves the rays by more than the last tolerance."""
+def coarse_columns(parameters: ParameterSet, pairs: TrackPairs, early: Booleans | None = None) -> Integers:
+    """Values that matter for pairing, by how far one prior standard deviation moves the rays.
+
+    Of the values that are free from the first stage on (`early`, all by default), those that move them by more than
+    the last tolerance; of the others, those that move them by more than `LATER_TOLERANCE`.
+    """
     every = np.arange(parameters.size)
     if pairs.raw is None:
         return every
     _, jacobian = slopes_of(parameters, pairs, parameters.prior_mean, np.arange(len(pairs.pair)), every)
     moved = np.sqrt(np.nanmean(np.concatenate([jacobian, np.zeros((1, parameters.size))]) ** 2, axis=0))
-    return np.flatnonzero(moved > TOLERANCES[-1])
+    return np.flatnonzero(
+        moved > (TOLERANCES[-1] if early is None else np.where(early, TOLERANCES[-1], LATER_TOLERANCE))
+    )
 
 
 @dataclass(frozen=True)
@@ -65,10 +70,13 @@ class Pairing:
     gain: float
 
 
-def distinct_pairings(parameters: ParameterSet, pairs: TrackPairs, draws: Array) -> list[Pairing]:
+def distinct_pairings(
+    parameters: ParameterSet, pairs: TrackPairs, draws: Array, early: Booleans | None = None
+) -> list[Pairing]:
     """Find cameras that pair the tracks, from draws (k, m) of the prior: distinct pairings, the best first.
 
-    None of them if nothing pairs. The values of `draws` that do not matter for pairing are set to the prior mean.
+    None of them if nothing pairs. The values of `draws` that do not matter for pairing (`coarse_columns`) are set to
+    the prior mean.
     """
     if not len(pairs.cameras):
         return []
@@ -81,11 +89,12 @@ def distinct_pairings(parameters: ParameterSet, pairs: TrackPairs, draws: Array)
         offset = (values - parameters.prior_mean) / parameters.prior_std
         return total - float(offset @ offset)
 
-    columns = coarse_columns(parameters, pairs)
+    columns = coarse_columns(parameters, pairs, early)
     fixed = np.setdiff1d(np.arange(parameters.size), columns)
     draws[1:, fixed] = parameters.prior_mean[fixed]
     first = np.array([less_prior(v, choose_pairs(pairs, gains(v, TOLERANCES[0]))[1]) for v in draws])
     found: list[Pairing] = []
+    passed: dict[float, list[Array]] = {tolerance: [] for tolerance in TOLERANCES}
     for k in np.argsort(-first, kind="stable")[:REFINED]:
         values = draws[k]
         for tolerance in TOLERANCES:
@@ -93,6 +102,9 @@ def distinct_pairings(parameters: ParameterSet, pairs: TrackPairs, draws: Array)
             if not len(chosen):
                 break
             values = refine(parameters, pairs, values, np.flatnonzero(np.isin(pairs.pair, chosen)), tolerance, columns)
+            if _near_any(values, passed[tolerance], parameters.prior_std):
+                break  # an earlier draw went on from here
+            passed[tolerance].append(values)
         in_front = np.where(behind(parameters, pairs, values), 0.0, gains(values, TOLERANCES[-1]))
         chosen, total = choose_pairs(pairs, in_front)
         total = less_prior(values, total)
@@ -104,6 +116,11 @@ def distinct_pairings(parameters: ParameterSet, pairs: TrackPairs, draws: Array)
         if not any(_same(parameters, pairs, other, pairing) for other in kept):
             kept.append(pairing)
     return kept
+
+
+def _near_any(values: Array, others: list[Array], std: Array) -> bool:
+    """Whether values (m,) come near any of some others."""
+    return any(float((np.abs(values - other) / std).max()) < MERGED for other in others)
 
 
 def _same(parameters: ParameterSet, pairs: TrackPairs, one: Pairing, other: Pairing) -> bool:

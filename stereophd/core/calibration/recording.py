@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.adjustment import Observations
+from stereophd.core.calibration.problem import Observations
 from stereophd.core.disparity.events import Event, undistorted_detections
 from stereophd.core.geometry.camera import Camera, Clock
 

@@ -5,10 +5,10 @@ of a scene is measured here by the root mean square distance of the cameras from
 
     s = sqrt(mean_k |c_k - c_reference|^2) / (the same under the prior),
 
-and the motion model of the adjustment is stated in units of it: its noise is noise_std * s. So a motion
-model does not say how large the scene is, and the data's part of the posterior is exactly flat along the scale. (With
-accelerations in absolute units every knot of every trajectory would pull towards a small scene; with a broad
-prior of velocities in an evidence, every object would pull by s^2 towards a large one.)
+and the motion model of the adjustment is stated in units of it: its noise is noise_std * s. The motion model therefore
+carries no information about the size of the scene, and the likelihood is exactly flat along the scale. (With
+accelerations in absolute units every knot of every trajectory would favour a small scene; with a broad prior of
+velocities in an evidence, every object would favour a large one, by s^2.)
 """
 
 from __future__ import annotations

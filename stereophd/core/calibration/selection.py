@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.adjustment import Problem, adjust
+from stereophd.core.calibration.adjustment import adjust
+from stereophd.core.calibration.problem import Problem
 from stereophd.core.calibration.unknown_sets import UnknownSet
 
 Array = NDArray[np.float64]
@@ -28,8 +29,9 @@ Integers = NDArray[np.int64]
 # Stretches of the log; iterations of an adjustment to half of them and of the trajectories of the others, and the
 # relative change of the cost at which they end.
 STRETCHES, TRAINED_ITERATIONS, HELD_ITERATIONS, TOLERANCE = 12, 10, 4, 1e-4
-# Detections of a stretch that are needed for a comparison.
-LEAST_DETECTIONS = 8
+# Detections of a stretch that are needed for a comparison, and of the whole log at most: of a longer one every n-th
+# counts n times.
+LEAST_DETECTIONS, MOST_DETECTIONS = 8, 6000
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,8 @@ def compare(problem: Problem, values: Array, states: Array, sets: Sequence[Unkno
         return None
     stretches = stretches_of(observations.times)
     weights = np.ones(len(observations)) if observations.weights is None else observations.weights
+    problem, stretches, weights = _thinned(problem, stretches, weights)
+    observations = problem.observations
     losses = np.zeros((len(sets), STRETCHES))
     for row, one in enumerate(sets):
         begin = np.where(one.free, values, problem.parameters.prior_mean)
@@ -102,6 +106,17 @@ def compare(problem: Problem, values: Array, states: Array, sets: Sequence[Unkno
             loss = -2.0 * np.log(np.exp(-0.5 * predicted.distances) + problem.loss.scale)
             losses[row] += np.bincount(stretches[~seen], (weights * loss)[~seen], minlength=STRETCHES)
     return Comparison(tuple(sets), losses, choice(losses))
+
+
+def _thinned(problem: Problem, stretches: Integers, weights: Array) -> tuple[Problem, Integers, Array]:
+    """Problem, stretches (n,) and weights (n,) with every n-th detection of each trajectory and camera."""
+    observations = problem.observations
+    every = -(-len(observations) // MOST_DETECTIONS)
+    if every == 1:
+        return problem, stretches, weights
+    order = np.lexsort((observations.times, observations.cameras, observations.trajectories))
+    kept = np.sort(order[::every])
+    return replace(problem, observations=observations.take(kept)), stretches[kept], every * weights[kept]
 
 
 def choice(losses: Array) -> int:

@@ -22,7 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import Linearisation, Observations, solve
+from stereophd.core.calibration.adjustment import solve
+from stereophd.core.calibration.linearisation import Linearisation
+from stereophd.core.calibration.problem import Observations
 from stereophd.core.calibration.trajectories import positions
 from stereophd.core.numerics.compilation import compiled
 

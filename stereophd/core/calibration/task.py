@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.adjustment import Adjustment, Observations
+from stereophd.core.calibration.adjustment import Adjustment
 from stereophd.core.calibration.clock_search import ClockOffsets, search_offsets
-from stereophd.core.calibration.pairing import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.problem import Observations
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.track_rays import RawTracks
 from stereophd.core.calibration.trajectories import Knots
 from stereophd.core.calibration.unknown_sets import UnknownSet, default_stages

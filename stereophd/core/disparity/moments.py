@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.linear_move import linear_components
-from stereophd.core.disparity.moved import Moved, allocate_moved
+from stereophd.core.disparity.moved import Moved, room_for_moved
 from stereophd.core.disparity.rule_move import rule_components
 from stereophd.core.disparity.sample_move import Look, carry_components, noise_axes
 from stereophd.core.disparity.world_moments import world_components
@@ -93,7 +93,7 @@ def move(
     samples = sets.turn(turn)
     first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
     second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
-    moved = allocate_moved(*means.shape)
+    moved = room_for_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
     which, intervals = np.arange(len(means)), motion.arrays(dts) if intervals is None else intervals

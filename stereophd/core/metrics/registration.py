@@ -19,8 +19,8 @@ import numpy as np
 
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.geometry.rotations import cross_matrices
-from stereophd.core.metrics.alignment import Truth, align_truth
 from stereophd.core.metrics.assignment import FloatArray, IntArray
+from stereophd.core.metrics.truth_interpolation import Truth, align_truth
 
 # Steps of the least squares at most, those of them with equal weights, and the change at which they end, in parts of
 # the median distance.

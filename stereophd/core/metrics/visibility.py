@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.alignment import BoolArray
 from stereophd.core.metrics.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.truth_interpolation import BoolArray
 from stereophd.core.numerics.times import SAME_TIME_S
 
 

@@ -1,4 +1,4 @@
-"""Which tracks an event detected, and by which detections."""
+"""Which labels an event detected, and by which detections."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from stereophd.core.numerics.sorting import stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+# In the place of a detection where none is more probable than all others together.
+UNDECIDED = -1
 
 
 class Claims(NamedTuple):
@@ -50,51 +53,13 @@ def claims_of(labels: Integers, weights: Array, n_missed: int, updated: Integers
     n_detected = len(labels) - n_missed
     detections = np.empty(n_detected, dtype=np.int64)
     for k in range(n_detected):
-        detections[k] = updated[k] if k < len(updated) else k - len(updated)
+        detections[k] = _detection_of(k, updated)
     return Claims(labels[n_missed:].copy(), detections, weights[n_missed:].copy())
 
 
 @compiled
-def likely_claims(labels: Integers, weights: Array, n_missed: int, detections: Integers) -> tuple[Integers, Integers]:
-    """Labels and the detections that they made more probably than not, given that their objects exist.
-
-    Parameters
-    ----------
-    labels, weights : arrays (n,)
-        Components after an update, as for `claims_of`.
-    n_missed : int
-        The first so many were missed.
-    detections : array (n - n_missed,) of int
-        Detection of each of the others.
-    """
-    order = stable_order(labels)
-    chosen, wanted = np.empty(len(detections), dtype=np.int64), np.empty(len(detections), dtype=np.int64)
-    found, start = 0, 0
-    while start < len(order):
-        label, end, whole = labels[order[start]], start, 0.0
-        while end < len(order) and labels[order[end]] == label:
-            whole += weights[order[end]]
-            end += 1
-        for i in range(start, end):
-            if label < 0 or order[i] < n_missed:
-                continue
-            # the rows of one label and detection are alternatives
-            j, share = detections[order[i] - n_missed], 0.0
-            for place in range(start, end):
-                other = order[place]
-                if other >= n_missed and detections[other - n_missed] == j:
-                    share += weights[other]
-            if share > 0.5 * whole:
-                chosen[found], wanted[found] = label, j
-                found += 1
-                break
-        start = end
-    return chosen[:found], wanted[:found]
-
-
-@compiled
-def detected_labels(labels: Integers, weights: Array, n_missed: int) -> Integers:
-    """Labels that an event detected: more probably than not, given that the object exists.
+def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: Integers) -> tuple[Integers, Integers]:
+    """Labels that an event detected, more probably than not, given that the object exists; and the detections.
 
     After an update, and before reduction, a label's components are those that the event missed and those
     that it detected. Their weights are the probabilities of "exists, and was missed" and of "exists, and
@@ -103,26 +68,45 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int) -> Integers
 
     Parameters
     ----------
-    labels, weights : arrays (n,)
-        Components after an update; negative labels stand for objects never detected, and are left out.
-    n_missed : int
-        The first so many were missed, the others detected.
+    labels, weights, n_missed, updated
+        As of `claims_of`; negative labels stand for objects never detected, and are left out.
 
     Returns
     -------
-    array (k,) of int
+    labels : array (k,) of int
         Labels with D > M, in rising order.
+    detections : array (k,) of int
+        The detection that each made more probably than not; `UNDECIDED` where several share the probability.
     """
     order = stable_order(labels)
-    found = np.empty(len(labels), dtype=np.int64)
-    count = 0
-    balance = 0.0
-    for place in range(len(order)):
-        k = order[place]
-        balance += -weights[k] if k < n_missed else weights[k]
-        if place + 1 == len(order) or labels[order[place + 1]] != labels[k]:
-            if labels[k] >= 0 and balance > 0.0:
-                found[count] = labels[k]
-                count += 1
-            balance = 0.0
-    return found[:count]
+    found, made = np.empty(len(labels), dtype=np.int64), np.empty(len(labels), dtype=np.int64)
+    count, start = 0, 0
+    while start < len(order):
+        label, end, balance, whole = labels[order[start]], start, 0.0, 0.0
+        while end < len(order) and labels[order[end]] == label:
+            k = order[end]
+            balance += -weights[k] if k < n_missed else weights[k]
+            whole += weights[k]
+            end += 1
+        if label >= 0 and balance > 0.0:
+            found[count], made[count] = label, UNDECIDED
+            for i in range(start, end):
+                if order[i] < n_missed:
+                    continue
+                # the components of one label and detection are alternatives
+                j, share = _detection_of(order[i] - n_missed, updated), 0.0
+                for other in range(i, end):
+                    if order[other] >= n_missed and _detection_of(order[other] - n_missed, updated) == j:
+                        share += weights[order[other]]
+                if share > 0.5 * whole:
+                    made[count] = j
+                    break
+            count += 1
+        start = end
+    return found[:count], made[:count]
+
+
+@compiled
+def _detection_of(k: int, updated: Integers) -> int:
+    """Detection of component k after those missed."""
+    return updated[k] if k < len(updated) else k - len(updated)

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,9 @@ from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.history import History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
+from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, view_overlap
-from stereophd.core.multi.visibility import fade_out_of_view
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
@@ -107,6 +106,8 @@ class DisparityFilter(ABC):
     settings : FilterSettings
     threads : int
         Threads of the sample trips; results do not depend on it.
+    claims : bool
+        Whether `Info.claims` is filled in.
     """
 
     rig: Rig
@@ -114,6 +115,7 @@ class DisparityFilter(ABC):
     sets: SampleSets
     settings: FilterSettings
     threads: int = 1
+    claims: bool = False
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
@@ -131,6 +133,18 @@ class DisparityFilter(ABC):
     @abstractmethod
     def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
         """The compiled update and reduction of many camera hypotheses (`stereophd.core.multi.batch_kernels`)."""
+
+    @property
+    @abstractmethod
+    def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+        """Large kernels that an event needs late, the last one at the end, each with arguments of the types of a call.
+
+        They are what a second process compiles first (`stereophd.core.multi.preparation`).
+        """
+
+    def compile_tests(self) -> None:
+        """Compile what the filter needs only from when it reports several objects; by default there is nothing."""
+        return
 
     @property
     def split_missed(self) -> bool:
@@ -156,6 +170,7 @@ class DisparityFilter(ABC):
         weights = mixture.weights * self.settings.survival_per_s**elapsed
         homes, dts = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
         motion = self.motion.arrays(dts)
+        p_detect = self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0
         moved = move(
             mixture.means,
             mixture.covariances,
@@ -165,18 +180,17 @@ class DisparityFilter(ABC):
             self.motion,
             self.sets,
             state.n_events,
-            self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0,
+            p_detect,
             weights >= IMPORTANT_WEIGHT,
             self.threads,
             self.rig.region,
             motion,
         )
-        views = self.rig.views(event.time_s)
-        fade_out_of_view(
-            weights, moved.status, mixture.means, homes, motion, views, elapsed, self.settings.out_of_view_s
-        )
-        weights = surviving_weights(weights, mixture.tracks, mixture.cameras, moved.status, moved.inside, event.camera)
-        known = self.rig.cameras[event.camera].detector.p_detect * float(weights.sum())
+        total = keep_surviving_weights(
+            weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
+            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s,
+        )  # fmt: skip
+        known = self.rig.cameras[event.camera].detector.p_detect * total
         births, undetected, burst = self.expected_births(state.undetected, elapsed, event, known)
         return Prediction(mixture.with_weights(weights), moved, births, undetected, burst)
 

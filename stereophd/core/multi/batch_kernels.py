@@ -20,8 +20,7 @@ from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
-from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, surviving_weights
-from stereophd.core.multi.visibility import fade_out_of_view
+from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -111,8 +110,9 @@ def predict(
     first = 0
     for h in range(len(begins)):
         last = first + ends[h] - begins[h]
-        weights, means, covariances, cameras, _, _, tracks, _ = slice_components(mixture, begins[h], ends[h])
-        weights = weights * numbers.survival
+        components = slice_components(mixture, begins[h], ends[h])
+        means, covariances, cameras = components.means, components.covariances, components.cameras
+        weights = components.weights * numbers.survival
         moved = slice_moved(all_moved, first, last)
         homes = np.empty((len(weights), PACKED_SIZE))
         for k in range(len(weights)):
@@ -123,10 +123,11 @@ def predict(
             weights >= IMPORTANT_WEIGHT, looks.first, looks.second, spaces[h, numbers.camera],
             numbers.shape_p_detect, region, moved,
         )  # fmt: skip
-        fade_out_of_view(weights, moved.status, means, homes, travel, spaces[h], numbers.elapsed, numbers.out_of_view_s)
-        all_weights[first:last] = surviving_weights(
-            weights, tracks, cameras, moved.status, moved.inside, numbers.camera
-        )
+        keep_surviving_weights(
+            weights, moved.status, moved.inside, means, components.tracks, cameras, homes, travel.reach, travel.drift,
+            spaces[h], numbers.camera, numbers.elapsed, numbers.out_of_view_s,
+        )  # fmt: skip
+        all_weights[first:last] = weights
         first = last
     return all_weights, all_moved
 

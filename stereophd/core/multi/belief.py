@@ -32,7 +32,7 @@ MAX_SWEEPS = 200
 
 
 @compiled
-def association_marginals(
+def propagate_beliefs(
     tracks: Integers, detections: Integers, odds: Array, n_tracks: int, n_detections: int
 ) -> tuple[Array, Array, Array, float]:
     """Marginal association probabilities of sparse pairs.

@@ -84,7 +84,7 @@ class Info:
     detected : array of int
         Labels that the event detected (`stereophd.core.multi.attribution.detected_labels`).
     claims : Claims, optional
-        Which detections they were.
+        Which detections they were; None unless the filter is asked for them (`DisparityFilter.claims`).
     left_out : int
         Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
     burst : int

@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.multi.belief import association_marginals as propagate_beliefs
+from stereophd.core.multi.belief import propagate_beliefs
 from stereophd.core.multi.frontier import eliminate, make_plan, make_table
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.sorting import picked

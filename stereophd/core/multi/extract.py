@@ -66,47 +66,53 @@ def select_objects(
     -------
     Selection
     """
-    labels, tracks, reported, index, existence, tentative, next_label, next_track = _select(
+    # filled in place: a compiled function that returns arrays wraps each of them
+    count = mixture.size
+    labels, tracks, reported = mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy()
+    index, existence, tentative = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=bool)
+    found, next_label, next_track = _select(
         mixture.weights,
         mixture.labels,
-        mixture.tracks,
-        mixture.reported,
         hysteresis.confirm,
         hysteresis.release,
         hysteresis.tentative,
         next_label,
         next_track,
         split,
-    )
-    relabelled = GaussianMixture(
-        mixture.weights,
-        mixture.means,
-        mixture.covariances,
-        mixture.cameras,
-        mixture.times,
         labels,
         tracks,
         reported,
+        index,
+        existence,
+        tentative,
     )
-    return Selection(relabelled, index, existence, tentative, next_label, next_track)
+    relabelled = GaussianMixture(*mixture[:5], labels, tracks, reported)
+    return Selection(relabelled, index[:found], existence[:found], tentative[:found], next_label, next_track)
 
 
 @compiled
 def _select(
     weights: Array,
-    labels: Integers,
-    tracks: Integers,
-    reported: NDArray[np.bool_],
+    known: Integers,
     confirm: float,
     release: float,
     tentative: float,
     next_label: int,
     next_track: int,
     split: bool,
-) -> tuple[Integers, Integers, NDArray[np.bool_], Integers, Array, NDArray[np.bool_], int, int]:
-    """Return labels, identities, flags of all components; the chosen ones by identity and their figures; counters."""
-    order = _by_label(weights, labels)
-    known, labels, tracks, reported = labels, labels.copy(), tracks.copy(), reported.copy()
+    labels: Integers,
+    tracks: Integers,
+    reported: NDArray[np.bool_],
+    index: Integers,
+    existence: Array,
+    unsure: NDArray[np.bool_],
+) -> tuple[int, int, int]:
+    """Change labels, identities and flags of the components (n,); return how many are chosen, and both counters.
+
+    The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,),
+    in order of identity; `known` holds the labels before.
+    """
+    order = _by_label(weights, known)
     for k in range(len(labels)):
         if labels[k] == UNLABELLED:
             tracks[k], reported[k] = UNLABELLED, False
@@ -117,9 +123,6 @@ def _select(
             next_label += 1
     if split:
         order = picked(order, stable_order(picked(labels, order)))
-    index = np.empty(len(order), dtype=np.int64)
-    existence = np.empty(len(order))
-    unsure = np.empty(len(order), dtype=np.bool_)
     found, start = 0, 0
     while start < len(order):
         label, end = labels[order[start]], start
@@ -138,12 +141,15 @@ def _select(
                 next_track += 1
             index[found], existence[found], unsure[found] = order[start], total, not shown
             found += 1
-        for k in order[start:end]:
-            tracks[k], reported[k] = track, shown
+        for i in range(start, end):
+            tracks[order[i]], reported[order[i]] = track, shown
         start = end
     shown_order = stable_order(picked(tracks, index[:found]))
-    index, existence, unsure = picked(index, shown_order), picked(existence, shown_order), picked(unsure, shown_order)
-    return labels, tracks, reported, index, existence, unsure, next_label, next_track
+    by_label, totals, doubts = index[:found].copy(), existence[:found].copy(), unsure[:found].copy()
+    for i in range(found):
+        place = shown_order[i]
+        index[i], existence[i], unsure[i] = by_label[place], totals[place], doubts[place]
+    return found, next_label, next_track
 
 
 @compiled

@@ -37,25 +37,28 @@ class ClaimedDetections(NamedTuple):
     delays: Array | None
 
 
-class Tests(NamedTuple):
-    """Tests made: rows (first label, second label, camera) (n, 3), and the event (n,) before which not again."""
+class DeferredPairs(NamedTuple):
+    """Pairs that are not tested for a while: rows (first label, second label, camera) (n, 3), and the event (n,) until.
+
+    A pair is tested again from that event on.
+    """
 
     pairs: Integers
     due: Integers
 
-    def after(self, event: int) -> Tests:
-        """Return those that still hold at an event."""
+    def after(self, event: int) -> DeferredPairs:
+        """Return those that still wait at an event."""
         waits = self.due > event
-        return Tests(self.pairs[waits], self.due[waits])
+        return DeferredPairs(self.pairs[waits], self.due[waits])
 
-    def add(self, pair: tuple[int, int, int], due: int) -> Tests:
-        """Return the tests after one more."""
-        return Tests(np.concatenate([self.pairs, [pair]]), np.append(self.due, due))
+    def add(self, pair: tuple[int, int, int], due: int) -> DeferredPairs:
+        """Return these and one more."""
+        return DeferredPairs(np.concatenate([self.pairs, [pair]]), np.append(self.due, due))
 
 
-def no_tests() -> Tests:
-    """Return the tests of a run before its first event."""
-    return Tests(np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64))
+def no_deferred_pairs() -> DeferredPairs:
+    """Return the deferred pairs of a run before its first event."""
+    return DeferredPairs(np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -66,11 +69,11 @@ class History:
     ----------
     sightings : tuple of ClaimedDetections
         In order of time.
-    tests : Tests
+    deferred : DeferredPairs
     """
 
     sightings: tuple[ClaimedDetections, ...] = ()
-    tests: Tests = field(default_factory=no_tests)
+    deferred: DeferredPairs = field(default_factory=no_deferred_pairs)
 
     def add(self, sighting: ClaimedDetections) -> History:
         """Return the history after one more event."""
@@ -79,32 +82,34 @@ class History:
         sightings = self.sightings
         if len(sightings) == 2 * KEPT_EVENTS:
             sightings = _thinned(sightings[:KEPT_EVENTS]) + sightings[KEPT_EVENTS:]
-        return History((*sightings, sighting), self.tests)
+        return History((*sightings, sighting), self.deferred)
 
-    def rows_of(self, first: int, second: int) -> ClaimedRows:
-        """Return the kept detections of two labels, one row each, in order of time."""
-        rows = self._rows()
-        return rows.take(np.flatnonzero((rows.labels == first) | (rows.labels == second)))
-
-    def _rows(self) -> ClaimedRows:
-        kept = self.sightings
-        counts = [len(one.labels) for one in kept]
+    def rows_of(self, first: int, second: int, recent: int | None = None) -> ClaimedRows:
+        """Return the kept detections of two labels, one row each, in order of time; of the last events only."""
+        kept = self.sightings if recent is None else self.sightings[-recent:]
+        counts = np.array([len(one.labels) for one in kept])
+        labels = np.concatenate([one.labels for one in kept])
+        found = np.flatnonzero((labels == first) | (labels == second))
+        ends = np.cumsum(counts)
+        events = np.searchsorted(ends, found, side="right")
+        rows = (found - (ends - counts)[events]).tolist()
+        own = [kept[event] for event in events.tolist()]
         delayed = any(one.delays is not None for one in kept)
-        delays = [np.zeros(len(one.labels)) if one.delays is None else one.delays for one in kept]
+        delays = [0.0 if one.delays is None else one.delays[row] for one, row in zip(own, rows, strict=True)]
         return ClaimedRows(
-            np.repeat([one.camera for one in kept], counts),
-            np.repeat([one.time_s for one in kept], counts),
-            np.concatenate([one.labels for one in kept]),
-            np.concatenate([one.points for one in kept]),
-            np.concatenate([one.noises for one in kept]),
-            np.concatenate(delays) if delayed else None,
+            np.array([one.camera for one in own], dtype=np.int64),
+            np.array([one.time_s for one in own], dtype=np.float64),
+            labels[found],
+            np.array([one.points[row] for one, row in zip(own, rows, strict=True)]).reshape(-1, 2),
+            np.array([one.noises[row] for one, row in zip(own, rows, strict=True)]).reshape(-1, 2, 2),
+            np.array(delays) if delayed else None,
         )
 
     def exchanged(self, first: int, second: int, camera: int) -> History:
         """Return the history in which two labels have the detections of a camera exchanged."""
         return History(
             tuple(_exchanged(one, first, second) if one.camera == camera else one for one in self.sightings),
-            self.tests,
+            self.deferred,
         )
 
 
@@ -134,6 +139,10 @@ class ClaimedRows(NamedTuple):
     points: Array
     noises: Array
     delays: Array | None
+
+    def backwards(self) -> ClaimedRows:
+        """Return the rows in reverse order."""
+        return self.take(np.arange(len(self.labels))[::-1])
 
     def take(self, index: Integers) -> ClaimedRows:
         """Return some of the rows."""

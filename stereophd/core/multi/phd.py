@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from stereophd.core.multi.batch_kernels import update_intensities
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.mixture import GaussianMixture
+from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.undetected import reduction_for_births
 from stereophd.core.numerics.compilation import compiled
@@ -51,30 +52,40 @@ class PhdFilter(DisparityFilter):
         """See `DisparityFilter`."""
         return update_intensities
 
+    @property
+    def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+        """See `DisparityFilter`."""
+        return ((reduce_intensity, (empty_mixture(self.state_size), self.reduction)),)
+
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event: eq. (5), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, detected, claims, left_out = _update(
+        reduced, log_likelihood, labels, claims, left_out = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
             FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
             Info(
-                log_likelihood, float(reduced.weights.sum()), reduced.size, detected, claims, left_out, prediction.burst
+                log_likelihood, float(reduced.weights.sum()), reduced.size, labels, claims, left_out, prediction.burst
             ),
         )
 
 
 @compiled
 def _update(
-    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction
-) -> tuple[GaussianMixture, float, Integers, Claims, int]:
+    mixture: GaussianMixture,
+    moved: Moved,
+    event: EventArrays,
+    numbers: EventNumbers,
+    reduction: PhdReduction,
+    with_claims: bool,
+) -> tuple[GaussianMixture, float, Integers, Claims | None, int]:
     """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
     updated, log_likelihood, by = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
-    detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
-    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by)
+    labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
+    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
     reduced, left_out = reduce_intensity(updated, reduction)
-    return reduced, log_likelihood, detected, claims, left_out
+    return reduced, log_likelihood, labels, claims, left_out

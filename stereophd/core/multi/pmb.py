@@ -17,22 +17,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.multi.attribution import Claims, claims_of, detected_labels, likely_claims
+from stereophd.core.multi.attribution import UNDECIDED, Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.estimates import Info
+from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
-from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
 from stereophd.core.multi.undetected import reduction_for_births
@@ -71,46 +72,66 @@ class PmbFilter(DisparityFilter):
         """See `DisparityFilter`."""
         return update_track_sets
 
+    @property
+    def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+        """See `DisparityFilter`."""
+        integers = np.empty(0, dtype=np.int64)
+        return (
+            (association_marginals, (integers, integers, np.empty(0), 0, 0)),
+            (reduce_tracks, (empty_mixture(self.state_size), self.reduction)),
+        )
+
+    def compile_tests(self) -> None:
+        """Compile the test for pairs of tracks that are paired crosswise."""
+        self.crosswise_test.compile()
+
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, detected, expected, claims, likely = _update(
+        reduced, log_likelihood, expected, labels, detections, claims = _update(
             prediction.mixture, prediction.moved, self.event_arrays(event),
-            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):
-            history = (history or History()).add(_sighting(event, *likely))
+            history = (history or History()).add(_sighting(event, labels, detections))
             reduced, history = self.crosswise_test.put_right(reduced, history, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:
-            labels = np.unique(prediction.mixture.labels)
-            left_out = max(int(np.count_nonzero(labels != UNLABELLED)) - room, 0)
+            tracks = np.unique(prediction.mixture.labels)
+            left_out = max(int(np.count_nonzero(tracks != UNLABELLED)) - room, 0)
         return (
             FilterState(
                 reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
             ),
-            Info(log_likelihood, expected, reduced.size, detected, claims, left_out, prediction.burst),
+            Info(log_likelihood, expected, reduced.size, labels, claims, left_out, prediction.burst),
         )
 
 
 @compiled
 def _update(
-    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PmbReduction
-) -> tuple[GaussianMixture, float, Integers, float, Claims, tuple[Integers, Integers]]:
+    mixture: GaussianMixture,
+    moved: Moved,
+    event: EventArrays,
+    numbers: EventNumbers,
+    reduction: PmbReduction,
+    with_claims: bool,
+) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None]:
     """`update_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
     updated, log_likelihood, by = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
-    detected = detected_labels(updated.labels, updated.weights, len(mixture.weights))
-    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by)
-    likely = likely_claims(updated.labels, updated.weights, len(mixture.weights), claims.detections)
+    labels, detections = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
+    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
     reduced, expected = reduce_tracks(updated, reduction)
-    return reduced, log_likelihood, detected, expected, claims, likely
+    return reduced, log_likelihood, expected, labels, detections, claims
 
 
 def _sighting(event: Event, labels: Integers, detections: Integers) -> ClaimedDetections:
-    """Return the detections of an event that labels claim."""
+    """Return the detections that labels have made more probably than not."""
+    decided = detections != UNDECIDED
+    if not decided.all():
+        labels, detections = labels[decided], detections[decided]
     return ClaimedDetections(
         event.camera, event.time_s, labels, event.points[detections], event.covariances[detections],
         None if event.delays is None else event.delays[detections],

@@ -5,8 +5,7 @@ Two processes that share the folder of kept kernels compile from the two ends, s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import numba
 import numpy as np
@@ -17,19 +16,9 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings import filters
-from stereophd.core.multi.filter_settings.phd import PhdSettings
-from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.mixture import empty_mixture
-from stereophd.core.multi.phd_update import reduce_intensity
-from stereophd.core.multi.pmb import PmbFilter
-from stereophd.core.multi.pmb_reduce import reduce_tracks
 from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.samples import draw_sample_sets
-
-# The kernel that ends a filter's update: what is kept of it tells whether the filter has been compiled.
-LAST_KERNELS: Mapping[str, Any] = {"pmb": reduce_tracks, "phd": reduce_intensity}
 
 _SAMPLES = 64
 
@@ -40,9 +29,18 @@ def small_filter(kind: str) -> DisparityFilter:
     camera = Camera("camera", 640, 480, 500.0, 500.0, 320.0, 240.0, Pose(np.eye(3), np.zeros(3)), Lens(), detector)
     motion = ConstantVelocity(1.0)
     sets = draw_sample_sets("qmc", _SAMPLES, motion.sample_rows, np.random.SeedSequence(0))
-    settings = cast("type[PhdSettings | PmbSettings]", filters()[kind])
     birth = BirthPrior(depth_range=(1.0, 10.0), velocity_std=1.0)
-    return settings(birth=birth).build(make_rig((camera,), 1.0, "horizontal"), motion, sets)
+    settings: Any = filters()[kind]
+    built: DisparityFilter = settings(birth=birth).build(make_rig((camera,), 1.0, "horizontal"), motion, sets)
+    return built
+
+
+def last_kernel(kind: str) -> Any:
+    """Return the kernel that ends a filter's update: what is kept of it tells whether the filter has been compiled.
+
+    None for the words that name no filter for many objects.
+    """
+    return small_filter(kind).last_kernels[-1][0] if kind in filters() else None
 
 
 def prepare(kind: str) -> None:
@@ -52,27 +50,15 @@ def prepare(kind: str) -> None:
     for time_s in (0.0, 1.0):
         event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
         state, _, _ = multi_filter.step(state, event)
-    _prepare_tests(multi_filter)
+    multi_filter.compile_tests()
 
 
 def prepare_last_first(kind: str) -> None:
     """Compile the same kernels, those that an event needs last first."""
     multi_filter = small_filter(kind)
-    integers = np.empty(0, dtype=np.int64)
-    if kind == "pmb":
-        _compile(association_marginals, integers, integers, np.empty(0), 0, 0)
-    _compile(LAST_KERNELS[kind], empty_mixture(multi_filter.state_size), multi_filter.reduction)
+    for kernel, arguments in multi_filter.last_kernels:
+        # the form for other kernels that call it with such arguments
+        kernel.compile(tuple(map(numba.typeof, arguments)))
     multi_filter.extract(multi_filter.init())
-    _prepare_tests(multi_filter)
+    multi_filter.compile_tests()
     prepare(kind)
-
-
-def _prepare_tests(multi_filter: DisparityFilter) -> None:
-    """Compile what a filter needs only from when it reports several objects."""
-    if isinstance(multi_filter, PmbFilter):
-        multi_filter.crosswise_test.compile()
-
-
-def _compile(kernel: Any, *arguments: Any) -> None:
-    """Compile a kernel for other kernels that call it with such arguments."""
-    kernel.compile(tuple(map(numba.typeof, arguments)))

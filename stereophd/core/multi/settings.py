@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -142,7 +143,7 @@ class ExistenceHysteresis(Hysteresis):
 
 
 @settings
-class FilterSettings:
+class FilterSettings(ABC):
     """What the settings of every kind of filter hold, and how they become the filter."""
 
     kind: str = parameter("the word that names the filter: the name of its module in `filter_settings`")
@@ -168,6 +169,6 @@ class FilterSettings:
     missed: Missed = parameter(MISSED)
     extraction: Hysteresis = parameter("what is reported as an object", default_factory=Hysteresis)
 
+    @abstractmethod
     def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> DisparityFilter:
         """Return the filter. Compiled code is imported here, so that settings are read without it."""
-        raise NotImplementedError

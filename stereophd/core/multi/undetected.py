@@ -126,7 +126,9 @@ def reduction_for_births(reduction: Reduction, births: float, detector: Detector
     if born <= 0.0:
         return reduction
     newborn = born / (born + detector.clutter_per_frame)
-    weight = min(values.prune_weight, max(NEWBORN_SHARE * newborn, LEAST_PRUNING * values.prune_weight))
+    weight = max(NEWBORN_SHARE * newborn, LEAST_PRUNING * values.prune_weight)
+    if weight >= values.prune_weight:
+        return reduction
     return cast("Reduction", values._replace(prune_weight=weight))
 
 

@@ -17,7 +17,6 @@ from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
-from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -30,7 +29,8 @@ def fade_out_of_view(
     status: Integers,
     means: Array,
     homes: Array,
-    motion: MotionArrays,
+    reach: Array,
+    drift: Array,
     views: Array,
     elapsed: float,
     time_constant: float,
@@ -46,8 +46,8 @@ def fade_out_of_view(
         Of the components, and their status in the view of the event's camera.
     means, homes : arrays (n, d), (n, 30)
         Components in their packed home spaces.
-    motion : MotionArrays
-        From the time of each component to that of the event.
+    reach, drift : arrays (n,), (n, 6)
+        Those of `MotionArrays`, from the time of each component to that of the event.
     views : array (c, 30)
         Packed spaces of all cameras at the time of the event.
     elapsed : float
@@ -59,7 +59,7 @@ def fade_out_of_view(
         return
     factor = math.exp(-elapsed / time_constant)
     for k in range(len(weights)):
-        if status[k] == OUT_OF_VIEW and not _mean_in_view(means[k], homes[k], motion.reach[k], motion.drift[k], views):
+        if status[k] == OUT_OF_VIEW and not _mean_in_view(means[k], homes[k], reach[k], drift[k], views):
             weights[k] *= factor
 
 

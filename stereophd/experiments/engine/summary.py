@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtrit
 
-from stereophd.config.errors import nearest
 from stereophd.core.numerics.times import TIME_DECIMALS
-from stereophd.errors import InputError
+from stereophd.errors import InputError, nearest
 from stereophd.experiments.engine.base import Array, Series
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ import numpy as np
 from stereophd.config.experiment import MultiObjectScenario
 from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.metrics.alignment import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.truth_interpolation import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows

@@ -39,7 +39,9 @@ def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tu
     return name, read([path], options or ImportOptions())
 
 
-def read_cameras(path: Path, options: ImportOptions | None = None) -> tuple[dict[str, CameraConfig], str, list[str]]:
+def read_camera_file(
+    path: Path, options: ImportOptions | None = None
+) -> tuple[dict[str, CameraConfig], str, list[str]]:
     """Return the cameras of a native or foreign file, their unit of length, and what was assumed.
 
     Raises

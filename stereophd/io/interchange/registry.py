@@ -7,8 +7,7 @@ import pkgutil
 from pathlib import Path
 
 import stereophd.io.formats as formats
-from stereophd.config.errors import nearest
-from stereophd.errors import InputError
+from stereophd.errors import InputError, nearest
 from stereophd.io.interchange.base import Format
 
 

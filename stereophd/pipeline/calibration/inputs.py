@@ -16,7 +16,7 @@ from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.task import Task
 from stereophd.core.calibration.unknown_sets import UnknownSet, default_stages, stages_named
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.stream import covered, open_stream
@@ -67,11 +67,12 @@ def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurem
         return None
     names = [camera.name for camera in parameters.cameras]
     first, second = scale.cameras
-    if first not in names or second not in names or first == second:
-        raise InputError(
-            f"{loaded.path}: calibration.scale.cameras: expected two of the cameras {', '.join(names)}, "
-            f"found {first}, {second}"
-        )
+    where = f"{loaded.path}: calibration.scale.cameras"
+    for name in (first, second):
+        if name not in names:
+            raise InputError(f"{where}: {unknown_camera(name, names)}")
+    if first == second:
+        raise InputError(f"{where}: expected two cameras, found {first} twice")
     return ScaleMeasurement("baseline", scale.distance, scale.std, (names.index(first), names.index(second)))
 
 

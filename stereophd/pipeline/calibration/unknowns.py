@@ -14,7 +14,7 @@ from stereophd.core.calibration.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.quantities.base import IMAGES, Quantity
 from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -49,9 +49,7 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
         raise InputError(f"{loaded.path}: cameras: expected two or more to calibrate, found {len(cameras)}")
     for key, name in [("reference", section.reference), *((f"priors.{n}", n) for n in section.priors)]:
         if name not in names:
-            raise InputError(
-                f"{loaded.path}: calibration.{key}: expected one of the cameras {', '.join(names)}, found {name}"
-            )
+            raise InputError(f"{loaded.path}: calibration.{key}: {unknown_camera(name, names)}")
     for camera in cameras:
         _check_priors(loaded, section, camera)
     parameters = [

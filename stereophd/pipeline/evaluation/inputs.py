@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.alignment import Events, Truth
 from stereophd.core.metrics.assignment import FloatArray, IntArray
 from stereophd.core.metrics.events import EventKeys, find_events, first_repeated, first_rows_of_events
+from stereophd.core.metrics.truth_interpolation import Events, Truth
 from stereophd.core.metrics.visibility import Sightings
 from stereophd.errors import InputError
 from stereophd.io.provenance import from_metadata, length_unit

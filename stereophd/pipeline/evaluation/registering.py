@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.geometry.pose import rotation_to_vector
-from stereophd.core.metrics.alignment import Truth, in_window
 from stereophd.core.metrics.registration import Freedom, Registration, register
+from stereophd.core.metrics.truth_interpolation import Truth, in_window
 from stereophd.core.metrics.visibility import Sightings
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks

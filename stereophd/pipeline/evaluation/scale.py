@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from stereophd.core.metrics.alignment import Truth
+from stereophd.core.metrics.truth_interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.provenance import origin
 from stereophd.pipeline.evaluation.inputs import Tracks

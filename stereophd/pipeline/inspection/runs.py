@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.alignment import Truth
+from stereophd.core.metrics.truth_interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.provenance import file_sha256
 from stereophd.io.table_reading import read_table

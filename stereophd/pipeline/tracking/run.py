@@ -34,7 +34,7 @@ TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", 
 
 @dataclass(frozen=True)
 class Tracking:
-    """What tracks the objects of a log.
+    """Everything that tracking a log needs.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: in
     """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
     config = loaded.config
     if not isinstance(config.filter, SingleSettings):
-        multi_filter = build_filter(config, cameras, loaded.path, threads)
+        multi_filter = replace(build_filter(config, cameras, loaded.path, threads), claims=True)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
     motion = build_motion(config, loaded.path)
     estimator = build_single(config, motion, cameras, loaded.path)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.adjustment import Observations
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.problem import Observations
 from stereophd.core.calibration.quantities.center import CENTER
 from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.geometry.camera import Camera, Detector

@@ -8,8 +8,10 @@ from scipy.optimize import least_squares
 
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import SQUARED, Adjustment, Linearisation, Loss, Problem, adjust
+from stereophd.core.calibration.adjustment import Adjustment, adjust
+from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED, observability, pose_spread
+from stereophd.core.calibration.problem import SQUARED, Loss, Problem
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
 from stereophd.core.calibration.trajectories import (
     fit_states,

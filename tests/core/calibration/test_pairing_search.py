@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.annealed import run_start
-from stereophd.core.calibration.pairing import TrackPairs, make_pairs
 from stereophd.core.calibration.pairing_search import behind, distinct_pairings
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.task import PAIRING, WIDE, Task
+from stereophd.core.calibration.track_pairs import TrackPairs, make_pairs
 from stereophd.core.calibration.tracking_scale import depth_ratio, enlarged, reduced
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import Loss, Observations, Problem, adjust
+from stereophd.core.calibration.adjustment import adjust
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.problem import Loss, Observations, Problem
 from stereophd.core.calibration.quantities.center import CENTER
 from stereophd.core.calibration.selection import STRETCHES, choice, compare, stretches_of
 from stereophd.core.calibration.unknown_sets import candidates, default_stages, stages_named

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stereophd.core.calibration.adjustment import Linearisation, Observations, Problem, adjust
+from stereophd.core.calibration.adjustment import adjust
+from stereophd.core.calibration.linearisation import Linearisation
+from stereophd.core.calibration.problem import Observations, Problem
 from stereophd.core.calibration.shared_errors import cells_of, shared_errors, variance_components
 from tests.core.calibration.scenes import MadeUp, make_problem
 from tests.core.calibration.test_adjustment import solve

@@ -7,9 +7,11 @@ import pytest
 
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import SQUARED, Linearisation, Loss, Observations, Problem, adjust
+from stereophd.core.calibration.adjustment import adjust
+from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.problem import SQUARED, Loss, Observations, Problem
 from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.calibration.recording import Recording, Scans
 from stereophd.core.calibration.track_rays import RawTracks, rays_of

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stereophd.core.geometry.pose import rotation_from_vector
-from stereophd.core.metrics.alignment import Truth
 from stereophd.core.metrics.registration import Freedom, register
+from stereophd.core.metrics.truth_interpolation import Truth
 
 
 def two_objects():

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.adjustment import SQUARED, Problem, adjust
+from stereophd.core.calibration.adjustment import adjust
+from stereophd.core.calibration.problem import SQUARED, Problem
 from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots, positions
 from stereophd.core.disparity.events import Event, Rig, make_event, make_rig
 from stereophd.core.disparity.moments import world_moments

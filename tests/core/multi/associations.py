@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from stereophd.core.multi.belief import association_marginals
+from stereophd.core.multi.belief import propagate_beliefs
 
 Array = np.ndarray
 
@@ -46,9 +46,7 @@ def enumerate_associations(odds: Array) -> Marginals:
 def propagate(odds: Array) -> Marginals:
     """The package's answer, from a matrix with 0 for "no pair"."""
     tracks, detections = np.nonzero(odds)
-    pair, missed, unclaimed, log_evidence = association_marginals(
-        tracks, detections, odds[tracks, detections], *odds.shape
-    )
+    pair, missed, unclaimed, log_evidence = propagate_beliefs(tracks, detections, odds[tracks, detections], *odds.shape)
     dense = np.zeros_like(odds)
     dense[tracks, detections] = pair
     return Marginals(dense, missed, unclaimed, log_evidence)

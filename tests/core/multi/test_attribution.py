@@ -1,11 +1,11 @@
-"""Labels that an event detected, against their definition in plain NumPy."""
+"""Labels that an event detected, and the detections of each, against their definition in plain NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from stereophd.core.multi.attribution import detected_labels
+from stereophd.core.multi.attribution import UNDECIDED, detected_labels
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -14,15 +14,29 @@ def test_labels_detected_more_probably_than_not(seed: int) -> None:
     labels = rng.integers(-1, 20, 80)
     weights = rng.gamma(0.5, 0.5, 80)
     n_missed = int(rng.integers(30, 50))
-    missed = np.arange(80) < n_missed
-    expected = [
-        label
-        for label in range(20)
-        if weights[(labels == label) & ~missed].sum() > weights[(labels == label) & missed].sum()
-    ]
-    assert detected_labels(labels, weights, n_missed).tolist() == expected
+    updated = rng.integers(0, 8, 80 - n_missed - 8)
+    detections = np.concatenate([np.full(n_missed, -1), updated, np.arange(8)])
+    missed = detections < 0
+    expected, made = [], []
+    for label in range(20):
+        own = labels == label
+        if weights[own & ~missed].sum() > weights[own & missed].sum():
+            expected.append(label)
+            sums = np.array([weights[own & (detections == j)].sum() for j in range(8)])
+            made.append(int(sums.argmax()) if sums.max() > 0.5 * weights[own].sum() else UNDECIDED)
+    found, by = detected_labels(labels, weights, n_missed, updated)
+    assert found.tolist() == expected
+    assert by.tolist() == made
     assert 0 < len(expected) < 20
 
 
+def test_an_undecided_label_has_no_detection() -> None:
+    labels, weights = np.array([3, 3, 3, 4]), np.array([0.2, 0.35, 0.45, 0.9])
+    found, by = detected_labels(labels, weights, 1, np.array([5, 6]))
+    assert found.tolist() == [3, 4]
+    assert by.tolist() == [UNDECIDED, 0]
+
+
 def test_no_components() -> None:
-    assert len(detected_labels(np.empty(0, dtype=np.int64), np.empty(0), 0)) == 0
+    nothing = np.empty(0, dtype=np.int64)
+    assert [len(found) for found in detected_labels(nothing, np.empty(0), 0, nothing)] == [0, 0]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.multi.belief import association_marginals
+from stereophd.core.multi.belief import propagate_beliefs
 from tests.core.multi.associations import Marginals, enumerate_associations, propagate, random_tree, worst
 
 EXACT = 1e-10
@@ -33,7 +33,7 @@ def test_enumeration_by_hand() -> None:
 
 @pytest.mark.parametrize("odds", [0.0, 1e-300, 1e-9, 0.3, 1.0, 40.0, 1e9, 1e300])
 def test_a_single_pair(odds: float) -> None:
-    pair, missed, unclaimed, log_evidence = association_marginals(np.array([1]), np.array([0]), np.array([odds]), 3, 2)
+    pair, missed, unclaimed, log_evidence = propagate_beliefs(np.array([1]), np.array([0]), np.array([odds]), 3, 2)
     assert pair[0] == pytest.approx(odds / (1.0 + odds), rel=EXACT)
     np.testing.assert_allclose(missed, [1.0, 1.0 / (1.0 + odds), 1.0], rtol=EXACT)
     np.testing.assert_allclose(unclaimed, [1.0 / (1.0 + odds), 1.0], rtol=EXACT)

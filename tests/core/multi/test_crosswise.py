@@ -16,8 +16,16 @@ from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi import crosswise as crosswise_module
-from stereophd.core.multi.crosswise import CrosswiseTest, NewObjects, crosswise_pairs
-from stereophd.core.multi.history import KEPT_EVENTS, ClaimedDetections, ClaimedRows, History
+from stereophd.core.multi.crosswise import CrosswiseTest
+from stereophd.core.multi.epipolar_pairs import NewObjects, crosswise_pairs
+from stereophd.core.multi.history import (
+    KEPT_EVENTS,
+    ClaimedDetections,
+    ClaimedRows,
+    DeferredPairs,
+    History,
+    no_deferred_pairs,
+)
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.io.checkpoints import read_checkpoint, write_checkpoint
 from tests.core.multi.scenes import make_mixture
@@ -57,7 +65,7 @@ def exchange_of(multi_filter: PmbFilter) -> CrosswiseTest:
     return multi_filter.crosswise_test
 
 
-@pytest.mark.parametrize("kernel", ["crosswise_pairs", "filter_again"])
+@pytest.mark.parametrize("kernel", ["crosswise_pairs", "explain_rows"])
 def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
     steps: list[Step], kernel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,7 +108,7 @@ def fitting(test: CrosswiseTest, history: History, label: int, prior: NewObjects
     """Detections of a label without those that it claimed before it had settled."""
     rows = history.rows_of(label, label)
     rows = rows.take(np.arange(len(rows.times))[::-1])
-    return rows.take(np.flatnonzero(test._filter_again(rows, prior).fits)[::-1])
+    return rows.take(np.flatnonzero(test.filter_again(rows, prior).fits)[::-1])
 
 
 def test_filtering_again_is_what_a_plain_filter_does(steps: list[Step]) -> None:
@@ -112,7 +120,7 @@ def test_filtering_again_is_what_a_plain_filter_does(steps: list[Step]) -> None:
     prior = test.prior(multi_filter.rig.packed)
     rows = fitting(test, state.history, label, prior)
     assert len(rows.times) > 20
-    found = test._filter_again(rows, prior)
+    found = test.filter_again(rows, prior)
 
     space = multi_filter.rig.packed[rows.cameras[0]]
     (mean,), (covariance,) = multi_filter.event_arrays(_event(multi_filter, rows))[4:6]
@@ -147,7 +155,7 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     wrong, (first, second) = crosswise(steps, multi_filter)
     state, test = steps[-1][0], exchange_of(multi_filter)
     prior = test.prior(multi_filter.rig.packed)
-    ghosts = [test._filter_again(fitting(test, wrong, label, prior), prior) for label in (first, second)]
+    ghosts = [test.filter_again(fitting(test, wrong, label, prior), prior) for label in (first, second)]
     mixture = make_mixture(
         [0.99, 0.98], [one.mean for one in ghosts], [one.covariance for one in ghosts],
         [one.camera for one in ghosts], [one.time_s for one in ghosts], [first, second], [0, 1], [True, True],
@@ -164,10 +172,10 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     errors = np.linalg.norm(estimates.states[:, None, :3] - truth, axis=2)
     assert errors.min(axis=1).max() < 2.0
     assert set(errors.argmin(axis=1).tolist()) == {0, 1}
-    assert len(history.tests.due) == 1
+    assert len(history.deferred.due) == 1
     again, same = test.put_right(after, history, state.time_s, 41)
     np.testing.assert_array_equal(again.means, after.means)
-    assert len(same.tests.due) == 1
+    assert len(same.deferred.due) == 1
 
 
 def _own(history: History | None, label: int) -> ClaimedRows:
@@ -191,7 +199,13 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     means = space.from_world(np.concatenate([places, np.zeros_like(places)], axis=1))
     mixture = make_mixture(np.ones(40), means, reported=np.ones(40, dtype=bool))
     prior = NewObjects(np.full(2, 7.0), np.full(2, 1e3), 1.5)
-    found = crosswise_pairs(mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), np.stack(spaces), prior, 8.0)
+    homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
+
+    def pairs(deferred: DeferredPairs, most: int) -> list[tuple[int, int]]:
+        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, deferred, 5, most)
+        return [(first, second) for first, second in found.tolist()]
+
+    found = pairs(nothing, 1000)
     expected = set()
     for i in range(40):
         for j in range(i + 1, 40):
@@ -199,7 +213,11 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
             if near and _ghost(rig.cameras, places, i, j) and _ghost(rig.cameras, places, j, i):
                 expected.add((i, j))
     assert len(expected) > 5
-    assert {tuple(pair) for pair in found.tolist()} == expected
+    assert len(found) == len(expected)
+    assert set(found) == expected
+    assert pairs(nothing, 2) == found[:2]
+    # until an event, and with the second camera
+    assert pairs(nothing.add((*found[0], 1), 6).add((*found[1], 0), 6).add((*found[2], 1), 5), 2) == found[1:3]
 
 
 def _off_plane(cameras: Sequence[Camera], places: np.ndarray, i: int, j: int) -> float:
@@ -247,7 +265,7 @@ def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> No
     write_checkpoint(tmp_path / "state.npz", "one", {"state": state})
     found = read_checkpoint(tmp_path / "state.npz", "one", [type(state)])["state"]
     assert state.history is not None
-    assert found.history.tests.due.tolist() == state.history.tests.due.tolist()
+    assert found.history.deferred.due.tolist() == state.history.deferred.due.tolist()
     for one, other in zip(found.history.sightings, state.history.sightings, strict=True):
         assert (one.camera, one.time_s, one.delays) == (other.camera, other.time_s, other.delays)
         np.testing.assert_array_equal(one.points, other.points)

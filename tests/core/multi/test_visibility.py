@@ -39,12 +39,12 @@ def test_it_fades_where_no_camera_has_the_mean_in_view() -> None:
         ConstantVelocity([0.0] * 3).arrays(np.full(len(points), 2.0)),
     )
     status = np.full(len(points), OUT_OF_VIEW)
-    fade_out_of_view(weights, status, means, homes, motion, packed, 1.5, 5.0)
+    fade_out_of_view(weights, status, means, homes, motion.reach, motion.drift, packed, 1.5, 5.0)
     np.testing.assert_allclose(weights, np.where(seen, 1.0, np.exp(-1.5 / 5.0)), rtol=1e-12)
     weights = np.ones(len(points))
-    fade_out_of_view(weights, np.full(len(points), IN_VIEW), means, homes, motion, packed, 1.5, 5.0)
+    fade_out_of_view(weights, np.full(len(points), IN_VIEW), means, homes, motion.reach, motion.drift, packed, 1.5, 5.0)
     np.testing.assert_array_equal(weights, 1.0)
-    fade_out_of_view(weights, status, means, homes, motion, packed, 1.5, np.inf)
+    fade_out_of_view(weights, status, means, homes, motion.reach, motion.drift, packed, 1.5, np.inf)
     np.testing.assert_array_equal(weights, 1.0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from stereophd.core.metrics.following import follow
+from stereophd.core.metrics.clear_mot import follow
 from stereophd.core.metrics.hota import THRESHOLDS, hota
 from stereophd.core.metrics.identity import identity_switches
 from stereophd.core.metrics.idf1 import identity_score

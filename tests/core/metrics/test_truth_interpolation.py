@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.metrics.alignment import (
+from stereophd.core.metrics.events import EventKeys, find_events, first_repeated, first_rows_of_events
+from stereophd.core.metrics.scans import PointSets
+from stereophd.core.metrics.truth_interpolation import (
     Events,
     Truth,
     add_truth_times,
     align_truth,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.events import EventKeys, find_events, first_repeated, first_rows_of_events
-from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.visibility import Sightings, cameras_that_saw, leave_out_unseen
 
 
