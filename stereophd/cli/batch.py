@@ -1,4 +1,4 @@
-"""What a command over many inputs prints, and how it ends."""
+"""Summary and exit code of a command over many inputs."""
 
 from __future__ import annotations
 

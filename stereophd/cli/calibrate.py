@@ -14,7 +14,7 @@ from stereophd.errors import GateError
 
 
 class Require(StrEnum):
-    """What the data must determine."""
+    """How much of the cameras the data must determine."""
 
     DETERMINED = "determined"
     PARTLY = "partly"

@@ -16,7 +16,7 @@ _NO_FILE = "there is no such file"
 _LINE = re.compile(r"^(?P<file>.+?):(?P<line>\d+)$")
 # A word that ends like this names a file although it does not exist.
 _SUFFIX = re.compile(r"\.[A-Za-z0-9]{1,8}$")
-# What stands before "expected" and names a place in a file or on the command line.
+# The part before "expected" names a place in a file or on the command line.
 _PLACE = re.compile(r"^(--?[a-z]|`|row \d|column |line \d|camera|[A-Za-z_0-9]+(\.[A-Za-z_0-9]+)*$)")
 
 

@@ -29,7 +29,7 @@ class Alignment(StrEnum):
 
 
 class At(StrEnum):
-    """What is scored once."""
+    """Unit that is scored once."""
 
     TIMES = "times"
     EVENTS = "events"

@@ -13,7 +13,7 @@ from stereophd.cli.terminal import begin, exit_if_strict, print_data, print_repo
 
 
 class ObjectKind(StrEnum):
-    """What the objects are."""
+    """Kind of the objects."""
 
     ANIMALS = "animals"
     DRONES = "drones"

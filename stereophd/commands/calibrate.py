@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
 FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, "report.json", *PLOTS)
-# What is required -> the statuses of a report that meet it.
+# Requirement -> the statuses of a report that meet it.
 ACCEPTED = {
     None: (DETERMINED, PARTLY, UNDETERMINED),
     "partly": (DETERMINED, PARTLY),

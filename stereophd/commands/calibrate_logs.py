@@ -11,6 +11,7 @@ from stereophd.commands.calibrate import FILES, calibrate, checkpoint_path
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import FLOAT, INTEGER, STRING
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
+from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.progress import Progress
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ COLUMNS = {
     "calibration": STRING,
     **dict.fromkeys(("frames", "detections"), INTEGER),
     **dict.fromkeys(("information_bits", "rotation_std_deg", "center_std"), FLOAT),
+    "warnings": INTEGER,
 }
 
 
@@ -103,4 +105,5 @@ def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:
         "information_bits": report.get("observability", {}).get("information_bits"),
         "rotation_std_deg": max((camera["rotation_std_deg"] for camera in cameras), default=None),
         "center_std": max((camera["center_std"] for camera in cameras), default=None),
+        "warnings": count_warnings(report),
     }

@@ -68,7 +68,7 @@ def _check_experiment(loaded: LoadedConfig) -> None:
     check_experiment(loaded)
 
 
-# What each command needs. The commands themselves check the same, and then the log.
+# Needs of each command. The commands themselves check the same, and then the log.
 COMMANDS: Mapping[str, Callable[[LoadedConfig], None]] = {
     "track": _check_track,
     "calibrate": _check_calibrate,

@@ -1,4 +1,4 @@
-"""What a file or an output folder holds, and where it comes from."""
+"""Contents and origin of a file or an output folder."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 DETECTIONS_FILE = "detections.parquet"
 TRUTH_FILE = "truth.parquet"
 CAMERAS_FILE = "cameras.yaml"
-# Of a scenario with a calibration section: cameras about which the true ones are a draw from the prior.
+# Written for a scenario with a calibration section: cameras about which the true ones are a draw from the prior.
 GUESS_FILE = "guess.yaml"
 FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
 

@@ -1,4 +1,4 @@
-"""What the configuration models share: their base, the sections that exist in several kinds, units and boxes."""
+"""Shared parts of the configuration models: their base, sections of several kinds, units and boxes."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ ScaleConfig = Annotated[NoScale | BaselineScale | SpeedScale | LengthScale, Fiel
 
 
 class CalibrationConfig(Model):
-    """What `calibrate` estimates and how."""
+    """The unknowns of `calibrate` and its methods."""
 
     method: Literal["annealed", "sequential"] = parameter("how the parameters are found", default="annealed")
     posterior: Literal["laplace", "smc"] = parameter(

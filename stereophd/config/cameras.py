@@ -196,7 +196,7 @@ class PoseConfig(Model):
 
 
 class DetectorConfig(Model):
-    """What the detector of a camera does: noise, misses and false detections."""
+    """The detector of a camera: noise, misses and false detections."""
 
     sigma_px: tuple[Sigma, Sigma] = parameter(
         "standard deviation of a detection along u and v",

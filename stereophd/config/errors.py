@@ -11,7 +11,7 @@ from typing import Any
 from stereophd.config.yaml import KeyPath, Tree
 from stereophd.errors import nearest
 
-# What each kind of pydantic error expects; the braces are filled from the error's context.
+# What pydantic expected, for each kind of error; the braces are filled from the error's context.
 _EXPECTED = {
     "float_type": "a number",
     "float_parsing": "a number",
@@ -37,7 +37,7 @@ _EXPECTED = {
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
-# Of a model, and of a dataclass.
+# Kinds of error for an unknown key of a model and of a dataclass.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 # A lower bound below this means "above 0"; a message names the bound only if the value is below it.
 TINY = 1e-5

@@ -67,7 +67,7 @@ class LoadedConfig:
 
     @property
     def record(self) -> ConfigRecord:
-        """What the provenance of an output keeps of this configuration."""
+        """The record of this configuration for the provenance of an output."""
         return ConfigRecord(self.resolved, self.sha256, self.inputs, self.config.seed, self.config.units.length)
 
     def build_cameras(self) -> tuple[Camera, ...]:

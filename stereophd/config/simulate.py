@@ -50,7 +50,7 @@ class DrawnObjects(Model):
 
 
 class SimulateConfig(Model):
-    """What `simulate` makes."""
+    """The scene that `simulate` makes."""
 
     duration_s: PositiveDuration = parameter("frames lie in [start_s, start_s + duration_s)", unit="s")
     start_s: Time = parameter("true time of the start", default=0.0, unit="s")

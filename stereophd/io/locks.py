@@ -24,7 +24,7 @@ except ImportError:  # not a POSIX system: the process that the file names count
 
 LOCK_NAME = f"{TEMPORARY_PREFIX}lock"
 
-# What a file system without locks answers.
+# Errors of a file system without locks.
 _NO_LOCKS = frozenset({errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL})
 
 # Folders that this process holds (real paths), and whether it made them: a command may take its folder more than once.

@@ -23,7 +23,7 @@ LENGTH_UNIT_KEY = b"length_unit"
 
 @dataclass(frozen=True)
 class ConfigRecord:
-    """What the provenance keeps of a configuration.
+    """The record of a configuration in the provenance.
 
     Attributes
     ----------

@@ -158,7 +158,8 @@ def _array(chunks: list[tuple[Any, int]], field: pa.Field) -> pa.Array:
         np.cumsum([len(text) for text in texts], out=offsets[1:])
         buffers = [None, pa.py_buffer(offsets), pa.py_buffer(b"".join(texts))]
         return pa.Array.from_buffers(kind, len(texts), buffers)
-    dtype = np.dtype(kind.to_pandas_dtype())
+    # (older versions of pyarrow ask pandas for the type)
+    dtype = np.dtype(np.float64 if pa.types.is_floating(kind) else np.int64)
     nulls = None
     # Thousands of small chunks make a row group: the usual kinds are joined without a look at each.
     if all(type(value) in (int, float) for value, _ in chunks):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 BOUND_LABEL = "bound"
 DASHES = (0, (4, 3))
 
-# What a line holds of a summary.
+# Columns of a summary that a line holds.
 STATISTICS = ("mean", "ci_low", "ci_high", "bound")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
@@ -80,7 +80,7 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
         _add_title(figure, results)
         for name, path in paths.items():
             kind = name.rsplit(".", 1)[1]
-            # What the files say about when and by what they were made would differ between runs.
+            # Metadata of the files (date, program) would differ between runs.
             metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
             figure.savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.12, dpi=DPI)
 

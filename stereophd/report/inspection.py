@@ -1,4 +1,4 @@
-"""What `stereophd.commands.info` found, as text."""
+"""The findings of `stereophd.commands.info` as text."""
 
 from __future__ import annotations
 

@@ -37,6 +37,6 @@ def write_plots(pictures: Pictures, paths: Mapping[str, Path]) -> None:
         }
         for name, path in paths.items():
             plot, kind = name.rsplit(".", 1)
-            # What the files say about when and by what they were made would differ between runs.
+            # Metadata of the files (date, program) would differ between runs.
             metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
             figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.15)

@@ -1,4 +1,4 @@
-"""What the plots have in common: the data, colours, legends, labels."""
+"""Shared parts of the plots: the data, colours, legends, labels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
 # Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.
 TRACK_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#b8a800")
-# What is wrong in a picture: false tracks and missed objects.
+# Colour of errors in a picture: false tracks and missed objects.
 WRONG = "#cf222e"
 # Tracks of one colour differ in their marks and line styles.
 TRACK_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")

@@ -1,4 +1,4 @@
-"""What a run of `track` or `calibrate` found, as tables for people: rounded, with units.
+"""Results of a run of `track` or `calibrate` as tables for readers: rounded, with units.
 
 The terminal and the page print the same tables.
 """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # More than this cannot be distinguished on a page, and makes the files large.
 MOST_SCANS_DRAWN = 1500
 
-# Of a short run every scan gets a dot.
+# A run with at most this many scans gets a dot for every scan.
 MOST_SCANS_MARKED = 150
 
 # A largest value this many times the median, of at least so many values, is a spike.

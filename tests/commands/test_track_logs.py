@@ -195,13 +195,15 @@ def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
             raise InputError(f"{log}: no log")
         out.mkdir(parents=True)
         cameras = {"a": {"rotation_std_deg": 0.5, "center_std": 2.0}}
-        report = {"status": "determined", "input": {"frames": 8}, "cameras": cameras}
+        checks = [{"status": "warning"}, {"status": "ok"}]
+        report = {"status": "determined", "input": {"frames": 8}, "cameras": cameras, "checks": checks}
         (out / "report.json").write_text("{}")
         return report
 
     monkeypatch.setattr(calibrate_logs, "calibrate", calibrate)
     found = calibrate_logs.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out")
     assert [row["calibration"] for row in summary(tmp_path / "out")] == ["determined", "", "determined"]
+    assert [row["warnings"] for row in summary(tmp_path / "out")] == [1, None, 1]
     assert found["logs"][0]["rotation_std_deg"] == 0.5
     assert found["exit_code"] == 2
 

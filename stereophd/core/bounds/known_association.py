@@ -65,7 +65,7 @@ class AssociatedDetections:
 
 @dataclass(frozen=True)
 class _Paths:
-    """What is known of the n objects before all other data: where and when each was first seen."""
+    """First sightings of the n objects, known before all other data: place and time of each."""
 
     start_s: Array
     to_world: Array

@@ -55,7 +55,7 @@ class BridgeState:
 
 @dataclass(frozen=True)
 class BridgeInfo:
-    """What a step did.
+    """Diagnostics of a step.
 
     Attributes
     ----------

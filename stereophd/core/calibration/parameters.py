@@ -1,4 +1,4 @@
-"""What a calibration estimates: named parameters with priors, and the map from their values to cameras.
+"""Unknowns of a calibration: named parameters with priors, and the map from their values to cameras.
 
 The values of a parameter set are offsets from the cameras at the prior mean, so the prior is
 

@@ -1,4 +1,4 @@
-"""What a calibration knows: spreads of poses, and which directions of the parameter space the data determine."""
+"""The posterior of a calibration: spreads of poses, and which directions of the parameter space the data determine."""
 
 from __future__ import annotations
 

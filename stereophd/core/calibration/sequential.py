@@ -69,7 +69,7 @@ class SequentialState:
 
 @dataclass(frozen=True)
 class SequentialInfo:
-    """What an event did.
+    """Diagnostics of an event.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a filter is fed with: the cameras, and events of one camera at one time."""
+"""The input of a filter: the cameras, and events of one camera at one time."""
 
 from __future__ import annotations
 

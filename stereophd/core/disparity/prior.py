@@ -54,7 +54,7 @@ def disparity_moments(
 
 @settings
 class InitialPrior:
-    """What is known of the object when a camera first sees it (paper V-A)."""
+    """The prior of an object that a camera sees for the first time (paper V-A)."""
 
     disparity: DisparityPrior | None = parameter("prior of the disparity, px at the baseline", default=None)
     depth_range: DepthRange | None = parameter(

@@ -19,7 +19,7 @@ Time = TypeVar("Time", float, FloatArray)
 
 @dataclass(frozen=True, init=False, eq=False)
 class Detector:
-    """What a camera's detector does: noise, misses and false detections.
+    """A camera's detector: noise, misses and false detections.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from stereophd.core.metrics.assignment import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class EventKeys:
-    """What names an event, one row each: time, index of the camera, frame; arrays (k,)."""
+    """Names of events, one row each: time, index of the camera, frame; arrays (k,)."""
 
     time_s: FloatArray
     camera: IntArray

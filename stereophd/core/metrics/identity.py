@@ -22,7 +22,7 @@ from stereophd.core.metrics.consistency import UNLABELLED
 
 @dataclass(frozen=True)
 class TrackTable:
-    """What each track did, arrays (t,) in order of identity.
+    """Figures of each track, arrays (t,) in order of identity.
 
     Attributes
     ----------

@@ -196,7 +196,7 @@ def _base_distances(run: _Run, chunk: _Chunk) -> tuple[FloatArray, NDArray[np.bo
         _add_steps(both, run, chunk, scan, cell, np.ones(len(scan), dtype=np.int64))
         _add_steps(near, run, chunk, scan, cell, np.minimum(_distances(run, estimate, true_point) / run.cutoff, 1.0))
     together = both.cumsum(axis=0)
-    # What leaves the window is subtracted, which leaves rounding errors where nothing should be left.
+    # Scans that leave the window are subtracted; rounding errors remain where the sum should be zero.
     located = np.clip(near.cumsum(axis=0), 0.0, together).reshape(shape)
     together = together.reshape(shape)
     either = lives[0][:, :, None] + lives[1][:, None, :] - together

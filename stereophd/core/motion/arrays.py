@@ -1,4 +1,4 @@
-"""What compiled code reads of a motion model: a few numbers for each interval."""
+"""A motion model for compiled code: a few numbers for each interval."""
 
 from __future__ import annotations
 

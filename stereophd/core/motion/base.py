@@ -1,4 +1,4 @@
-"""What every motion model offers: `Motion`, and what it derives from a model's equations.
+"""Motion models: `Motion`, their interface, and what it derives from a model's equations.
 
 States are (x, y, z, vx, vy, vz) in the world, length and length/s. A model is a linear stochastic differential
 equation that does not depend on the place, driven by white acceleration on the axes of the world. Over an interval of

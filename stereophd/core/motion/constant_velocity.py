@@ -29,7 +29,8 @@ POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
 @lru_cache(maxsize=64)
 def _constants(count: int) -> tuple[Array, Array, Array, Array]:
-    """What `MotionArrays` holds for any intervals: `keep`, `drift`, `with_velocity`, `alone`. Only to be read."""
+    """Fields of `MotionArrays` that are the same for all intervals: `keep`, `drift`, `with_velocity`, `alone`. Read
+    only."""
     flags = np.ones(count)
     return flags, np.zeros((count, 6)), POSITION_WITH_VELOCITY * flags, POSITION_ALONE * flags
 

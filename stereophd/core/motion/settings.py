@@ -1,4 +1,4 @@
-"""What the settings of every motion model hold, and where they are found: one module of this package each."""
+"""Common settings of motion models, and the search for the models: one module of this package each."""
 
 from __future__ import annotations
 

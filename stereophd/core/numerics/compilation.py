@@ -31,7 +31,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None, pipeline_class: Any = None) -> None:
         options = {**(targetoptions or {}), "no_cpython_wrapper": True}
-        super().__init__(py_func, locals, options, pipeline_class or KernelCompiler)
+        super().__init__(py_func, locals or {}, options, pipeline_class or KernelCompiler)
         self._cache = KernelCache(py_func, for_python=False)
 
     @cached_property

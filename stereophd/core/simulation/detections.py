@@ -1,4 +1,4 @@
-"""What the cameras of a scene report: detections with noise and misses, and clutter."""
+"""Detections of the cameras of a scene: with noise, misses and clutter."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""One object seen by several cameras, without clutter: what all estimators have in common.
+"""One object seen by several cameras, without clutter: the interface of all estimators.
 
-An estimator is ``init / step / estimate`` over a frozen state: `SingleEstimator.step` takes a state and the event of
-one camera (at most one detection) to the next state, `SingleEstimator.estimate` returns where the object is, in the
-world. Nothing is kept outside the state: the same state and event give the same result, also in estimators that draw
-random numbers.
+An estimator is ``init / step / estimate`` over a frozen state: `SingleEstimator.step` returns the next state, given a
+state and the event of one camera (at most one detection). `SingleEstimator.estimate` returns the estimate of the object
+in the world. Nothing is kept outside the state: the same state and event give the same result, also in estimators that
+draw random numbers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SingleState:
-    """What the states of all estimators have.
+    """Fields of the states of all estimators.
 
     Attributes
     ----------

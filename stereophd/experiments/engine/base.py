@@ -1,4 +1,4 @@
-"""What a kind of scenario is: one run of it, and the bound that no method can beat."""
+"""A kind of scenario: one run of it, and the bound that no method can beat."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ LOGGER = logging.getLogger("stereophd")
 
 @dataclass
 class _Ledger:
-    """What is done, what is missing, and how often each run failed."""
+    """Finished and missing runs, and how often each run failed."""
 
     parts: Mapping[tuple[str, str], Part]
     missing: dict[tuple[str, str], list[int]]

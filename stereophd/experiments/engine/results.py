@@ -44,7 +44,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Results:
-    """What an experiment found.
+    """The results of an experiment.
 
     Attributes
     ----------

@@ -39,7 +39,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What became of one run: its series, or the error that ended it.
+    """The outcome of one run: its series, or the error that ended it.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""What the scenarios of one object share."""
+"""Shared parts of the scenarios of one object."""

@@ -1,4 +1,4 @@
-"""What the scenarios of one object share: the section they need, and errors and bounds as series."""
+"""Shared parts of the scenarios of one object: the section they need, and errors and bounds as series."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from stereophd.io.interchange.text_tables import first_lines, read_batches, read
 
 COEFFICIENTS = 11
 PROFILE_COLUMNS = 12
-# Of a header: the point and the camera of a column.
+# Header of a column: the point and the camera.
 _COLUMN = re.compile(r"(?P<point>.+?)_cam_?(?P<camera>\d+)_(?P<axis>[xy])", re.IGNORECASE)
 # Points of which the handedness is decided.
 POINTS_TRIED = 200

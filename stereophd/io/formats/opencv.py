@@ -49,7 +49,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "views": ("rvecs", "tvecs"),
     "unit": ("lengthunit",),
 }
-# What makes a part of a name the name of a camera where no separator divides them (K1, mtxL).
+# Endings that name a camera where no separator divides them from the rest (K1, mtxL).
 _TAG = r"(?:cam(?:era)?)?\d+|left|right|l|r"
 # Matrices of a rectified pair: their R1, R2 are rectifying rotations, no poses.
 _RECTIFICATION = ("Q", "P1", "P2")

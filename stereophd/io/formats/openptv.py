@@ -33,7 +33,7 @@ STEPS, CONVERGED = 50, 1e-14
 
 @dataclass(frozen=True)
 class _Control:
-    """What ``ptv.par`` states."""
+    """Contents of ``ptv.par``."""
 
     images: list[str]
     calibrations: list[str]
@@ -43,7 +43,7 @@ class _Control:
 
 @dataclass(frozen=True)
 class _Orientation:
-    """What an ``.ori`` and its ``.addpar`` state; lengths of the sensor in mm."""
+    """Contents of an ``.ori`` and its ``.addpar``; lengths of the sensor in mm."""
 
     center: Floats
     rotation: Floats

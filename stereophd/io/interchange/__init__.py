@@ -1,1 +1,1 @@
-"""What all foreign formats share: their registry, recordings in memory, and the way into a native log."""
+"""Shared parts of all foreign formats: their registry, recordings in memory, and the way into a native log."""

@@ -33,7 +33,7 @@ LEAST_FRAMES_OF_A_STEP = 10
 
 @dataclass
 class CameraSummary:
-    """What became of a camera's rows; keys of the import's report."""
+    """Counts of a camera's rows; keys of the import's report."""
 
     frames: int = 0
     empty_frames: int = 0

@@ -1,4 +1,4 @@
-"""What a foreign format is: what its reader returns, what its writer receives, and the options of both."""
+"""A foreign format: the result of its reader, the input of its writer, and the options of both."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PerCamera(Generic[Value]):
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user states about a foreign source; a format uses what it needs.
+    """Statements of the user about a foreign source; each format uses those that it needs.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class Piece:
 
 @dataclass
 class ForeignRecording:
-    """What a foreign source holds.
+    """Contents of a foreign source.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class ForeignRecording:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What the user wants of an exported file.
+    """Options of an exported file.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ class Decomposed:
 
     @property
     def skew_slope(self) -> float:
-        """What u gains by the skew in a row below the principal point, px per px."""
+        """Shift of u by the skew per row below the principal point, px per px."""
         return float(self.matrix[0, 1] / self.matrix[1, 1])
 
     def depth(self, points: Floats) -> Floats:

@@ -18,7 +18,7 @@ from stereophd.io.checkpoints import is_checkpoint, read_checkpoint, write_check
 # Seconds between two checkpoints.
 CHECKPOINT_EVERY_S = 60.0
 
-# What the methods keep.
+# Classes whose objects the methods keep.
 KEPT = (Start, SequentialState, SequentialInfo, BridgeState, BridgeInfo)
 
 

@@ -27,7 +27,7 @@ class HistoryRow:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a method found.
+    """The result of a method.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 # An alternative is named if it raises the excess by this much, to this multiple.
 LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
-# The same of a clock offset or rate: slow objects meet nearly as well at other times.
+# The same for a clock offset or rate: rays of slow objects meet nearly as well at other times.
 LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
 # Clock offsets that are tried: up to this many seconds, in this many steps; ratios of usual frame rates.
 LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160

@@ -16,10 +16,11 @@ from stereophd.pipeline.checks.rays import signed_distances
 
 Array = NDArray[np.float64]
 
-# What a cause must explain of the squared distances, its size in standard deviations of a detection, and its size in
-# standard errors.
+# Least share of the squared distances that a cause must explain, its least size in standard deviations of a detection,
+# and in standard errors.
 LEAST_EXPLAINED, LEAST_EFFECT, LEAST_SCORE = 0.15, 0.4, 6.0
-# The same of a pose, which has six numbers and therefore explains more of anything; and pairs of tracks it needs.
+# The same for a pose, which has six numbers and therefore explains more of any distances; and pairs of tracks that it
+# needs.
 POSE_EXPLAINED, POSE_EFFECT, POSE_TRACKS = 0.3, 0.6, 8
 # Steps of numerical derivatives: s, radians, and of k1.
 STEP_S, STEP_ANGLE, STEP_K1 = 1e-3, 1e-6, 1e-5

@@ -27,7 +27,7 @@ INTEGER_COLUMNS = frozenset({"n_truth", "n_estimates", "n_matched", "identity_sw
 
 @dataclass(frozen=True)
 class Scored:
-    """What was scored, and how it came out.
+    """The scored scans and their scores.
 
     Attributes
     ----------

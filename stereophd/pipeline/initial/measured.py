@@ -1,4 +1,5 @@
-"""What a log shows of the scene: roughly from rays and one-camera tracks, then from tracks of a first filter run."""
+"""Figures of the scene measured from a log: roughly from rays and one-camera tracks, then from tracks of a first filter
+run."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a file holds: summaries of logs, tables and cameras as JSON-able dictionaries."""
+"""Contents of files: summaries of logs, tables and cameras as JSON-able dictionaries."""

@@ -22,7 +22,7 @@ GAP_INTERVALS = 1.5
 
 @dataclass
 class _CameraState:
-    """What is counted of one camera."""
+    """Counts of one camera."""
 
     rows: int = 0
     frames: int = 0

@@ -32,7 +32,7 @@ STATE_FILE = "state.npz"
 KEEP_EVERY_S = 60.0
 MOST_SHARE = 0.01
 
-# What only the loop needs is not kept.
+# Fields that only the loop needs; a checkpoint leaves them out.
 LEFT_OUT = frozenset({"event", "claims"})
 
 # A chunk has at most so many records, or estimates in them: some megabytes.

@@ -102,7 +102,7 @@ class Record:
 
 
 class EstimatorState(Protocol):
-    """What the loop needs to know of the state of an estimator."""
+    """The part of an estimator's state that the loop reads."""
 
     @property
     def next_label(self) -> int:
@@ -117,7 +117,7 @@ State = TypeVar("State", bound=EstimatorState)
 
 
 class Estimator(Protocol[State]):
-    """What runs in the loop."""
+    """An estimator that the loop runs."""
 
     @property
     def rig(self) -> Rig:
@@ -134,7 +134,7 @@ class Estimator(Protocol[State]):
 
 
 class Attribution:
-    """Whose detections were whose: counts by label until the label is reported as a track."""
+    """Detections of each label: counts until the label is reported as a track."""
 
     def __init__(self, pending: Mapping[int, Mapping[str, int]] | None = None) -> None:
         self._pending: dict[int, dict[str, int]] = {label: dict(counts) for label, counts in (pending or {}).items()}

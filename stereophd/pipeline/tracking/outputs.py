@@ -1,4 +1,4 @@
-"""What `stereophd.commands.track` writes: rows of events and estimates, figures of each identity, smoothed tracks."""
+"""Outputs of `stereophd.commands.track`: rows of events and estimates, figures of each identity, smoothed tracks."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", 
 
 @dataclass(frozen=True)
 class Tracking:
-    """What tracks the objects of a log.
+    """Everything that tracking a log needs.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the page's script draws of each run, as JSON-able values."""
+"""The data of each run that the page's script draws, as JSON-able values."""
 
 from __future__ import annotations
 

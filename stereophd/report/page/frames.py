@@ -1,4 +1,4 @@
-"""What each camera saw and should have seen: detections and reprojected tracks of frames, and residuals."""
+"""Frames of each camera: detections, reprojected tracks, and residuals."""
 
 from __future__ import annotations
 

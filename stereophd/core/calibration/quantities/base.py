@@ -1,4 +1,4 @@
-"""What a calibration quantity is, and what its derivatives are computed from.
+"""Calibration quantities: their interface, and the inputs of their derivatives.
 
 A quantity is one kind of unknown of a camera (its centre, its focal length, the offset of its clock, ...) with one or
 more components. Values are offsets from the camera at the prior mean. Values of several quantities commute: the camera
@@ -31,13 +31,13 @@ SUFFIXES = {
     LENGTH_PER_SECOND: ("_per_s", 1.0),
     RADIANS_PER_SECOND: ("_deg_s", 180.0 / np.pi),
 }
-# What of an event depends on a quantity: nothing (the camera only moves), its undistorted pixels, or its times.
+# The part of an event that depends on a quantity: none (the camera only moves), its undistorted pixels, or its times.
 MOVES, IMAGES, TIMES = "moves", "images", "times"
 
 
 @dataclass(frozen=True)
 class CameraView:
-    """What one camera sees of n points of trajectories at the times of its detections.
+    """The view of one camera on n points of trajectories at the times of its detections.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a camera sees of trajectories: raw pixels and their derivatives with respect to points and time."""
+"""The view of a camera on trajectories: raw pixels and their derivatives with respect to points and time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a lens model is, and what several of them need."""
+"""Lens models: their common interface and shared functions."""
 
 from __future__ import annotations
 
