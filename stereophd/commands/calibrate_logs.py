@@ -37,7 +37,7 @@ def calibrate_logs(
     dask: str | None = None,
     **options: Any,
 ) -> dict[str, Any]:
-    """Calibrate cameras from many detection logs, each by itself.
+    """Calibrate cameras from many detection logs, each separately.
 
     A log that fails is a row of the summary with the reason; the others are used.
 
