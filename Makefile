@@ -29,7 +29,7 @@ demo: $(VENV)/.installed-plot
 	@find $(DEMO)/evaluated $(DEMO)/report.html -type f | sort | sed 's/^/  /'
 
 test: $(VENV)/.installed-all
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(VENV)/.installed-all
 	$(BIN)/ruff check .

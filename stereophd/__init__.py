@@ -7,7 +7,14 @@ without notice.
 
 from __future__ import annotations
 
+import os
+
 __version__ = "0.1.0"
+
+# One target of compiled code for every processor: numba, NumPy and OpenBLAS read theirs when they are first imported.
+if os.environ.get("STEREOPHD_TARGET") == "portable":
+    os.environ.setdefault("NUMBA_CPU_NAME", "generic")
+    os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
 # As in `typing`, whose import would cost more than all the rest.
 TYPE_CHECKING = False

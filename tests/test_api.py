@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -135,3 +136,18 @@ def test_settings_in_memory_are_checked_as_those_of_a_file() -> None:
         stereophd.make_filter(cameras, "pmb", birth={"depth_range": (3, 14), "velocity_std": 1}, survival=0.9)
     with pytest.raises(InputError, match=r"filter\.birth\.velocity_std"):
         stereophd.make_filter(cameras, "phd", birth={"depth_range": np.array([3.0, 14.0])})
+
+
+def test_the_portable_target_is_set_for_numba_and_blas() -> None:
+    """One switch in the environment; a variable that is set already keeps its value."""
+    code = "import os, stereophd; print(os.environ.get('NUMBA_CPU_NAME'), os.environ.get('OPENBLAS_CORETYPE'))"
+    plain = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CPU_NAME", "OPENBLAS_CORETYPE")}
+    for more, expected in (
+        ({}, "None None"),
+        ({"STEREOPHD_TARGET": "portable"}, "generic Haswell"),
+        ({"STEREOPHD_TARGET": "portable", "NUMBA_CPU_NAME": "haswell"}, "haswell Haswell"),
+    ):
+        found = subprocess.run(
+            [sys.executable, "-c", code], env={**plain, **more}, capture_output=True, text=True, check=True
+        )
+        assert found.stdout.strip() == expected

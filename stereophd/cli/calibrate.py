@@ -36,7 +36,9 @@ def calibrate_command(
     plots: options.Plots = None,
     require: Annotated[
         Require | None,
-        typer.Option("--require", help="Exit with 1 if the data determine less of the cameras.", show_default=False),
+        typer.Option(
+            "--require", help="Exit with 1 if the data determine the cameras less than this.", show_default=False
+        ),
     ] = None,
     strict: options.Strict = False,
     overrides: options.Set = None,

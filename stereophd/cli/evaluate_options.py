@@ -52,7 +52,7 @@ Cutoff = Annotated[
         "for files in centimetres.",
     ),
 ]
-BaseDistance = Annotated[Base, typer.Option("--base", help="Base distance.")]
+BaseDistance = Annotated[Base, typer.Option("--base", help="Base distance of OSPA and GOSPA.")]
 From = Annotated[float | None, option("--from", "T", "First time, s.")]
 To = Annotated[float | None, option("--to", "T", "Last time, s.")]
 MaxGap = Annotated[
@@ -62,9 +62,10 @@ MaxGap = Annotated[
 ScoredAt = Annotated[At, typer.Option("--at", help="Score each time once, after its last event, or every event.")]
 Log = Annotated[Path | None, option("--log", "FILE", "Detection log, for --seen-by.")]
 SeenBy = Annotated[
-    int | None, option("--seen-by", "N", "Score only objects that N cameras detected within --within seconds.", min=1)
+    int | None,
+    option("--seen-by", "N", "Score only objects that N cameras detected in the last --within seconds.", min=1),
 ]
-Within = Annotated[float | None, option("--within", "S", "Seconds of --seen-by.")]
+Within = Annotated[float | None, option("--within", "S", "Time span of --seen-by, s.")]
 Ospa2Window = Annotated[
     int, typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2).")
 ]
@@ -73,8 +74,8 @@ Align = Annotated[
     Alignment,
     typer.Option(
         "--align",
-        help="Score the tracks after the motion (and the scale) that brings them nearest to the truth: for cameras "
-        "that calibrated themselves.",
+        help="Before scoring, align the tracks with the truth by a rigid motion (and a scale): for calibrated cameras "
+        "whose frame differs from that of the truth.",
     ),
 ]
 AlignClock = Annotated[

@@ -1,7 +1,7 @@
 """Options in messages: the package names parameters of its functions, the command line its options.
 
-A message from below names a parameter in backquotes, such as ``use `force=True` to replace it``. Whoever calls the
-function from Python reads it as it stands; here it becomes ``use --force to replace it``.
+A message from below names a parameter in backquotes, such as ``use `force=True` to replace it``. A caller from Python
+reads it unchanged; here it becomes ``use --force to replace it``.
 """
 
 from __future__ import annotations

@@ -26,11 +26,13 @@ def import_command(
     ],
     out: options.Out,
     cameras: Annotated[
-        Path | None, options.option("--cameras", "FILE", "Cameras, native or foreign, for detections without any.")
+        Path | None, options.option("--cameras", "FILE", "Cameras, native or foreign, if the source has none.")
     ] = None,
     columns: Annotated[
         list[str] | None,
-        options.option("--column", "NAME=COLUMN", "Column of a table for a native one: u_px=x (repeatable)."),
+        options.option(
+            "--column", "NAME=COLUMN", "Read a native column from a column of the table: u_px=x (repeatable)."
+        ),
     ] = None,
     fps: Annotated[list[str] | None, options.option("--fps", "[CAM=]HZ", "Frame rate: times are frame / rate.")] = None,
     offset: Annotated[
@@ -51,7 +53,9 @@ def import_command(
     pixel_origin: Annotated[
         str | None,
         options.option(
-            "--pixel-origin", "WHERE", "Pixel (0, 0) is the center or corner of the top-left pixel; one: (1, 1) is."
+            "--pixel-origin",
+            "WHERE",
+            "Pixel (0, 0) is the center or the corner of the top-left pixel; one: its center is (1, 1).",
         ),
     ] = None,
     rows_from: Annotated[
@@ -66,9 +70,12 @@ def import_command(
     sigma_px: Annotated[
         float | None, options.option("--sigma-px", "PX", "Noise of the detections; default: estimated.")
     ] = None,
-    p_detect: Annotated[float, typer.Option("--p-detect", metavar="P", help="With --sigma-px.")] = 0.9,
+    p_detect: Annotated[
+        float, typer.Option("--p-detect", metavar="P", help="With --sigma-px: detection probability.")
+    ] = 0.9,
     clutter: Annotated[
-        float, typer.Option("--clutter", metavar="N", help="With --sigma-px: false detections a frame.")
+        float,
+        typer.Option("--clutter", metavar="N", help="With --sigma-px: mean number of false detections per frame."),
     ] = 1.0,
     force: options.Force = False,
     json: options.Json = False,

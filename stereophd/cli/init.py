@@ -50,7 +50,7 @@ def init_command(
         ObjectKind | None,
         typer.Option(
             "--kind",
-            help="What the objects are, for values that the log does not give; default lab.",
+            help="Kind of the objects, for values that the log does not give; default lab.",
             show_default=False,
         ),
     ] = None,
@@ -61,7 +61,7 @@ def init_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Write a commented configuration, its values estimated from a log and cameras where they are informative."""
+    """Write a commented configuration; estimate its values from a log and cameras where these are informative."""
     session = begin(context)
     from stereophd.commands.init import init
 

@@ -87,7 +87,7 @@ Quiet = Annotated[
     typer.Option(
         "--quiet",
         "-q",
-        help="No progress or messages, and no summary: only errors, and what --json prints.",
+        help="Print errors only, and the document of --json.",
         callback=_to_session("quiet"),
         is_eager=True,
     ),

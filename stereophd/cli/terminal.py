@@ -99,7 +99,9 @@ def print_run(session: Session, report: Mapping[str, Any]) -> None:
 
 def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:
     """Exit with code 1 if `strict` and a check of a report warns."""
-    if strict and any(found["status"] == "warning" for found in report["checks"]):
+    from stereophd.pipeline.checks.finding import count_warnings
+
+    if strict and count_warnings(report):
         raise typer.Exit(1)
 
 

@@ -31,7 +31,7 @@ def track_command(
         ),
     ] = None,
     overlap: Annotated[
-        float, typer.Option("--overlap", metavar="S", help="Seconds before its own span from which a piece is tracked.")
+        float, typer.Option("--overlap", metavar="S", help="Seconds before its own span that each piece also tracks.")
     ] = 60.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted run; keep what is finished.")

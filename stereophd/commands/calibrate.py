@@ -15,6 +15,7 @@ from stereophd.core.calibration.posterior import DETERMINED, PARTLY, UNDETERMINE
 from stereophd.errors import GateError, InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
+from stereophd.io.checkpoints import is_checkpoint
 from stereophd.io.json_text import write_json
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
 from stereophd.io.tables import TableWriter, history_schema, posterior_schema
@@ -129,6 +130,8 @@ def calibrate(
     problem = read_problem(loaded, log_path)
     record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
     if resume and (done := finished_report(out_dir, record, force)) is not None:
+        if is_checkpoint(checkpoint_path(out_dir)):  # of a run that was killed at its very end
+            checkpoint_path(out_dir).unlink()
         return _accepted(done, require, log_path)
     drawn = whether_to_draw(plots)
     identity = f"{loaded.sha256} {file_sha256(log_path)}"

@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.calibrate import FILES, calibrate, checkpoint_path
+from stereophd.io.atomic import tidy
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import FLOAT, INTEGER, STRING
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
+from stereophd.pipeline.checks.finding import count_warnings
+from stereophd.pipeline.finished import REPORT_FILE
 from stereophd.pipeline.progress import Progress
 
 if TYPE_CHECKING:
@@ -21,6 +24,7 @@ COLUMNS = {
     "calibration": STRING,
     **dict.fromkeys(("frames", "detections"), INTEGER),
     **dict.fromkeys(("information_bits", "rotation_std_deg", "center_std"), FLOAT),
+    "warnings": INTEGER,
 }
 
 
@@ -35,7 +39,7 @@ def calibrate_logs(
     dask: str | None = None,
     **options: Any,
 ) -> dict[str, Any]:
-    """Calibrate cameras from many detection logs, each by itself.
+    """Calibrate cameras from many detection logs, each separately.
 
     A log that fails is a row of the summary with the reason; the others are used.
 
@@ -89,7 +93,8 @@ def _calibrate(
     progress: Progress | None,
 ) -> Mapping[str, Any]:
     """Calibrate from one log."""
-    again = resume and (checkpoint_path(out).exists() or out.exists())
+    tidy(out)  # of a run that was killed while it moved its files, or before its first checkpoint
+    again = resume and (checkpoint_path(out).exists() or (out / REPORT_FILE).exists())
     return calibrate(loaded, item.paths[0], out, force, resume=again, progress=progress, **options)
 
 
@@ -103,4 +108,5 @@ def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:
         "information_bits": report.get("observability", {}).get("information_bits"),
         "rotation_std_deg": max((camera["rotation_std_deg"] for camera in cameras), default=None),
         "center_std": max((camera["center_std"] for camera in cameras), default=None),
+        "warnings": count_warnings(report),
     }

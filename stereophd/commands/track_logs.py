@@ -11,6 +11,7 @@ from stereophd.commands.track import FILES, track
 from stereophd.io.provenance import provenance, to_metadata
 from stereophd.io.tables import FLOAT, INTEGER
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
+from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.tracking.pieces import OVERLAP_S
 from stereophd.pipeline.unfinished import UNFINISHED_FILES
@@ -106,5 +107,5 @@ def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:
         "estimates": report["estimates"],
         "duration_s": report["duration_s"],
         "log_likelihood": report["log_likelihood"],
-        "warnings": sum(found["status"] == "warning" for found in report["checks"]),
+        "warnings": count_warnings(report),
     }

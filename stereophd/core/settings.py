@@ -100,7 +100,7 @@ def parameter(
     Parameters
     ----------
     meaning : str
-        What the value stands for: the description in the schema and on the reference page.
+        The description of the value in the schema and on the reference page.
     default : object, optional
         Without it the value is required.
     default_factory : callable, optional

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import chain, pairwise
-from operator import attrgetter
+from operator import attrgetter, methodcaller
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,7 @@ def _field_names(kind: type) -> tuple[str, ...] | None:
     return getattr(kind, "_fields", None) if issubclass(kind, tuple) else None
 
 
-def _column(values: list[Any], name: str, leave_out: frozenset[str]) -> dict[str, Any]:
+def _column(values: Sequence[Any], name: str, leave_out: frozenset[str]) -> dict[str, Any]:
     """Return the column of one field; thousands of values a second pass here, so that loops are those of built-ins."""
     kinds = set(map(type, values))
     if type(None) in kinds:
@@ -102,23 +102,23 @@ def _column(values: list[Any], name: str, leave_out: frozenset[str]) -> dict[str
     raise TypeError(f"no column for the values of {name}")
 
 
-def _lengths(values: list[Any]) -> NDArray[np.int64]:
+def _lengths(values: Sequence[Any]) -> NDArray[np.int64]:
     return np.fromiter(map(len, values), dtype=np.int64, count=len(values))
 
 
-def _counts(values: list[Mapping[int, Mapping[str, int]]]) -> dict[str, Any]:
+def _counts(values: Sequence[Mapping[int, Mapping[str, int]]]) -> dict[str, Any]:
     """Return the column of mappings number -> text -> count."""
-    rows = [
-        (place, key, word, count)
-        for place, value in enumerate(values)
-        if value
-        for key, counts in value.items()
-        for word, count in counts.items()
-    ]
-    places, keys, texts, counts = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [], [])
+    inner = list(chain.from_iterable(map(methodcaller("values"), values)))
+    sizes = _lengths(inner)
+    texts = list(chain.from_iterable(inner))
     words = sorted(set(texts))
     codes = {word: code for code, word in enumerate(words)}
-    table = np.array([places, keys, [codes[text] for text in texts], counts], dtype=np.int64).reshape(4, len(rows))
+    table = np.empty((4, len(texts)), dtype=np.int64)
+    table[0] = np.repeat(np.repeat(np.arange(len(values)), _lengths(values)), sizes)
+    table[1] = np.repeat(np.fromiter(chain.from_iterable(values), dtype=np.int64, count=len(inner)), sizes)
+    table[2] = np.fromiter(map(codes.__getitem__, texts), dtype=np.int64, count=len(texts))
+    numbers = chain.from_iterable(map(methodcaller("values"), inner))
+    table[3] = np.fromiter(numbers, dtype=np.int64, count=len(texts))
     return {_KIND: "counts", "words": words, _VALUES: table}
 
 

@@ -1,8 +1,8 @@
 """Put the files of a run in their places in one step.
 
-The files of a run are staged in a folder of their own. A folder that this run made is exchanged for the staged one, in
-one call of the operating system. In a folder that existed before, the files are moved one by one under a journal. The
-old files are kept until all new ones are in place. If a move fails, all moves are undone. If the process is killed in
+The files of a run are staged in a separate folder. A folder that this run made is exchanged for the staged one, in one
+call of the operating system. In a folder that existed before, the files are moved one by one under a journal. The old
+files are kept until all new ones are in place. If a move fails, all moves are undone. If the process is killed in
 between, the next command that reads or writes the folder completes the moves (`complete`).
 
 The staged folder holds::

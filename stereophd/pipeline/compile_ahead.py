@@ -35,7 +35,7 @@ def compiling_ahead(kind: str) -> Iterator[bool]:
     nothing = subprocess.DEVNULL
     try:
         process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
-    except OSError:  # no more processes, or no memory for one: the run compiles by itself
+    except OSError:  # no more processes, or no memory for one: the run compiles alone
         yield False
         return
     try:

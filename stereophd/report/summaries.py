@@ -14,7 +14,7 @@ from stereophd.report.inspection import table
 
 # Tracks that the terminal lists.
 TRACKS_SHOWN = 20
-# Cameras that have a column of their own in the table of tracks.
+# Cameras that have their own column in the table of tracks.
 CAMERAS_SHOWN = 6
 # Numbers from here on are written with powers of ten.
 LARGEST_PLAIN = 1e7

@@ -24,7 +24,7 @@ MOST_SCANS_DRAWN = 1500
 # A run with at most this many scans gets a dot for every scan.
 MOST_SCANS_MARKED = 150
 
-# A largest value this many times the median, of at least so many values, is a spike.
+# A largest value of this many times the median is a spike, if there are at least this many values.
 SPIKE = 10.0
 LEAST_FOR_LOG = 5
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Points of one track, and residuals of one camera, that are drawn.
 MOST_ROWS = 2000
 MOST_RESIDUALS = 3000
-# Tracks that have a label of their own.
+# Tracks that are labelled.
 MOST_LABELS = 60
 
 

@@ -18,6 +18,7 @@ from stereophd.commands.track import track
 from stereophd.commands.track_logs import track_logs
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
+from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.pipeline.batch.names import expand, folder_names
 
 SCENE = """
@@ -195,15 +196,38 @@ def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
             raise InputError(f"{log}: no log")
         out.mkdir(parents=True)
         cameras = {"a": {"rotation_std_deg": 0.5, "center_std": 2.0}}
-        report = {"status": "determined", "input": {"frames": 8}, "cameras": cameras}
+        checks = [{"status": "warning"}, {"status": "ok"}]
+        report = {"status": "determined", "input": {"frames": 8}, "cameras": cameras, "checks": checks}
         (out / "report.json").write_text("{}")
         return report
 
     monkeypatch.setattr(calibrate_logs, "calibrate", calibrate)
     found = calibrate_logs.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out")
     assert [row["calibration"] for row in summary(tmp_path / "out")] == ["determined", "", "determined"]
+    assert [row["warnings"] for row in summary(tmp_path / "out")] == [1, None, 1]
     assert found["logs"][0]["rotation_std_deg"] == 0.5
     assert found["exit_code"] == 2
+
+
+def test_calibrate_of_logs_that_was_killed_before_its_first_checkpoint_begins_anew(
+    loaded: LoadedConfig, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only a lock file is there: nothing to resume from, and no error."""
+    resumed = []
+
+    def calibrate(loaded: LoadedConfig, log: Path, out: Path, force: bool, resume: bool, **words: Any) -> Any:
+        resumed.append((out.name, resume))
+        return {"status": "determined", "input": {}, "cameras": {}, "checks": []}
+
+    monkeypatch.setattr(calibrate_logs, "calibrate", calibrate)
+    logs = sorted(scenes.glob("run-*/detections.parquet"))[:2]
+    names = [log.parent.name for log in logs]
+    for name in names:
+        (tmp_path / "out" / name).mkdir(parents=True)
+        (tmp_path / "out" / name / f"{TEMPORARY_PREFIX}lock").touch()
+    (tmp_path / "out" / names[1] / "report.json").write_text("{}")
+    calibrate_logs.calibrate_logs(loaded, logs, tmp_path / "out", resume=True)
+    assert resumed == [(names[0], False), (names[1], True)]
 
 
 @pytest.fixture

@@ -48,13 +48,20 @@ CONFIG: dict[str, Any] = {
 
 Load = Callable[..., LoadedConfig]
 
+# What `experiment` asks before it draws.
+CAN_DRAW = "stereophd.commands.experiment.can_draw"
+
+
+def write_config(target: Path) -> Path:
+    """Write the small experiment to a file."""
+    target.write_text(yaml.safe_dump(CONFIG, sort_keys=False))
+    return target
+
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """The small experiment as a file."""
-    target = tmp_path / "small.yaml"
-    target.write_text(yaml.safe_dump(CONFIG, sort_keys=False))
-    return target
+    return write_config(tmp_path / "small.yaml")
 
 
 @pytest.fixture
@@ -70,4 +77,4 @@ def load(path: Path) -> Load:
 @pytest.fixture
 def without_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     """Experiments in this process draw no figure, which takes longer than their runs."""
-    monkeypatch.setattr("stereophd.commands.experiment.can_draw", lambda: False)
+    monkeypatch.setattr(CAN_DRAW, lambda: False)

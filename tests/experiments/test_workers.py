@@ -14,10 +14,11 @@ import psutil
 import pytest
 
 from stereophd.commands.experiment import experiment
+from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.pipeline import workers
 
-from .conftest import Load
+from .conftest import CAN_DRAW, Load, write_config
 from .test_experiment import contents
 
 pytestmark = pytest.mark.usefixtures("without_figure")
@@ -29,18 +30,23 @@ GIVE_UP_S = 60
 MANY = "experiment.runs=25"
 
 
-@pytest.fixture
-def expected(load: Load, tmp_path: Path) -> dict[str, bytes]:
-    """The tables from this process."""
-    experiment(load(), tmp_path / "one")
-    return contents(tmp_path / "one")
+def tables(folder: Path, *overrides: str) -> dict[str, bytes]:
+    """The tables of the small experiment from this process."""
+    config = write_config(folder / "small.yaml")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CAN_DRAW, lambda: False)
+        experiment(load_config(config, overrides), folder / "out")
+    return contents(folder / "out")
 
 
-@pytest.fixture
-def expected_of_many(load: Load, tmp_path: Path) -> dict[str, bytes]:
-    """The tables of many runs from this process."""
-    experiment(load(MANY), tmp_path / "many")
-    return contents(tmp_path / "many")
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    return tables(tmp_path_factory.mktemp("one"))
+
+
+@pytest.fixture(scope="module")
+def expected_of_many(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    return tables(tmp_path_factory.mktemp("many"), MANY)
 
 
 def kill_one(pids: Callable[[], list[int]], done_before: int = 3) -> tuple[Callable[[int, int], None], list[int]]:

@@ -88,8 +88,9 @@ def test_what_keeps_pace_with_the_readout_is_not_seen() -> None:
 def test_tracks_of_fast_objects(tmp_path: Path) -> None:
     """Without the readout every camera sees the object elsewhere than it was: 15 ms at some 10 m/s, 0.15 m.
 
-    Eight runs of two objects. With it the errors are those of the noise (0.03 m) and the NEES that of a consistent
-    filter: 3. The means of single runs deviate by 0.43, so five standard errors of the mean of eight are 0.75.
+    Eight runs of two objects, four of them without it too. With it the errors are those of the noise (0.03 m) and the
+    NEES that of a consistent filter: 3. The means of single runs deviate by 0.43, so five standard errors of the mean
+    of eight are 0.75.
     """
     config = tmp_path / "scene.yaml"
     config.write_text(SCENE)
@@ -97,7 +98,7 @@ def test_tracks_of_fast_objects(tmp_path: Path) -> None:
     for seed in range(1, 9):
         loaded = load_config(config, seed=seed)
         simulate(loaded, tmp_path / f"log{seed}")
-        for known in (True, False):
+        for known in (True, False) if seed <= 4 else (True,):
             off = () if known else tuple(f"cameras.{name}.readout_s=0.0" for name in ("south", "east", "west"))
             out = tmp_path / f"out{seed}-{known}"
             track(load_config(config, off, seed), tmp_path / f"log{seed}" / "detections.parquet", out)

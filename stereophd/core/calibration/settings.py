@@ -43,6 +43,12 @@ class AnnealedSettings:
         default=60.0,
         unit="px",
     )
+    one_camera_tracks: Literal["filter", "image"] = parameter(
+        "how the detections of each camera alone are linked: by the filter, or in the image, where a track ends as "
+        "soon as its next detection is ambiguous",
+        default="filter",
+        advice="image for many objects close together, such as corners of a board.",
+    )
     min_tracked: Fraction = parameter(
         "a start succeeds only if tracks that two cameras share explain this part of the detections that are not "
         "expected to be false",

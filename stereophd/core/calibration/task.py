@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.adjustment import Adjustment
 from stereophd.core.calibration.clock_search import ClockOffsets, search_offsets
+from stereophd.core.calibration.image_tracks import image_tracks
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.problem import Observations
 from stereophd.core.calibration.recording import Recording, Scans
@@ -94,7 +95,10 @@ class Task:
         """
         scans = Scans.of(recording, parameters.cameras)
         tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
-        tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
+        if settings.one_camera_tracks == "image":
+            tracks = tuple(image_tracks(tracking, settings.min_detections))
+        else:
+            tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
         pairs = make_pairs(parameters, tracking, tracks)
         clocks = search_offsets(parameters, RawTracks.of(recording, tracks))
         return Task(

@@ -58,7 +58,7 @@ class Registration:
     at_s : float
         The time t_0, s.
     shift_s, rate : float
-        At t_0 the truth's clock shows this much more, s; and goes so many times as fast.
+        What the truth's clock shows more at t_0, s; and its rate relative to the clock of the estimates.
     estimates : int
         How many estimates had a true object at their time.
     """

@@ -43,7 +43,8 @@ Integers = NDArray[np.int64]
 
 # Fewest kept detections of each track in the camera whose detections are exchanged, and in all others together.
 LEAST_DETECTIONS = 3
-MOST_TESTS = 2
+# Each event tests so many pairs at most: with hundreds of objects there is always one that is due.
+MOST_TESTS = 1
 # Events until a pair is tested again: at least the first, and one more for each nat that the exchange is behind, up to
 # the second.
 SOONEST, LATEST = 2, 64.0

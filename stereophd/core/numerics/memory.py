@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-# Assumed where the system does not say, bytes.
+# Assumed where the system does not report it, bytes.
 DEFAULT_MEMORY = 4e9
 
 

@@ -63,7 +63,7 @@ def join_probabilities(
     at_s : float
         Time of the join.
     decay_s : float
-        An event this far from the join counts 1/e.
+        An event this far from the join has the weight 1/e.
     """
     chosen: list[int] = []
     if len(times):

@@ -17,8 +17,8 @@ from stereophd.pipeline.workers import ATTEMPTS, Workers, WorkersLostError, open
 # Called with method, case and series of a run.
 See = Callable[[str, str, Sequence[Series]], None]
 
-# Runs of a chunk: enough chunks that workers share the work evenly and little is lost at an interruption,
-# but not so many that storing them takes longer than the runs.
+# Runs of a chunk: enough chunks that workers share the work evenly and little is lost at an interruption, but few
+# enough that storing them takes less time than the runs.
 CHUNKS_PER_WORKER = 40
 MOST_RUNS_IN_CHUNK = 200
 

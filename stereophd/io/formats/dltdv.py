@@ -34,7 +34,7 @@ COEFFICIENTS = 11
 PROFILE_COLUMNS = 12
 # Header of a column: the point and the camera.
 _COLUMN = re.compile(r"(?P<point>.+?)_cam_?(?P<camera>\d+)_(?P<axis>[xy])", re.IGNORECASE)
-# Points of which the handedness is decided.
+# Points that decide the handedness.
 POINTS_TRIED = 200
 # A skew that moves pixels by less than this is rounding.
 NEGLIGIBLE_SKEW_PX = 1e-6

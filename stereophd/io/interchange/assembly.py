@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 # A camera's log may grow by this factor and number when missing frames are filled in; more is a wrong column.
 LARGEST_GROWTH, FEW_FRAMES = 1000, 1_000_000
-# Frame numbers that have a common divisor by chance: of so many, in one recording of a thousand.
+# With this many frame numbers, one recording of a thousand has a common divisor by chance.
 LEAST_FRAMES_OF_A_STEP = 10
 
 

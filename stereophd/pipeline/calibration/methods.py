@@ -76,14 +76,7 @@ def annealed_outcome(
         why = f"none of {len(starts)} starts agrees with the data; most often: {often}"
         nothing = np.full((size, size), np.nan)
         return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
-    if details["agreeing_starts"] < min(task.settings.agreeing_starts, task.settings.starts):
-        LOGGER.warning(
-            "only %d of %d starts found these cameras: another optimum may be the right one; narrower priors or more "
-            "starts (calibration.annealed.starts) show it", details["agreeing_starts"], len(starts),
-        )  # fmt: skip
-    doubt = ""
-    if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
-        doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
+    doubt = doubt_of_starts(section, task, starts, best)
     task, fit = _at_known_scale(section, task, best.fit, details)
     fit = marginal_fit(task, selected(section, task, fit, details))
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
@@ -107,6 +100,26 @@ def annealed_outcome(
     draws = laplace_draws(problem.parameters, problem.reference, mean, covariance, LAPLACE_DRAWS, rng)
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(mean, covariance, draws, weights, history, "", doubt, fit, details)
+
+
+def doubt_of_starts(section: CalibrationConfig, task: Task, starts: list[Start], best: Start) -> str:
+    """Why the best start is not to be trusted beside the others; empty if it is.
+
+    Where poses alone are unknown, starts that find the right cameras end at one optimum. A best start that stands alone
+    although others were run may be a wrong one that happens to explain the log. With further unknowns optima are flat,
+    and this is a warning only. The full posterior decides by itself.
+    """
+    found, wanted = agreeing_with_best(starts), min(task.settings.agreeing_starts, task.settings.starts)
+    doubt = ""
+    if found < wanted:
+        why = f"only {found} of {len(starts)} starts found these cameras: another optimum may be the right one"
+        if section.posterior == "laplace" and task.parameters.only_moves:
+            doubt = f"{why}; narrower priors show it, or more starts (calibration.annealed.starts)"
+        else:
+            LOGGER.warning("%s; narrower priors or more starts (calibration.annealed.starts) show it", why)
+    if section.posterior == "laplace" and (rival := rival_of(starts)) is not None:
+        doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
+    return doubt
 
 
 def _all_starts(

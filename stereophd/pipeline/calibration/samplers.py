@@ -131,7 +131,7 @@ def _doubt(
 ) -> str:
     """Why particles are not to be trusted: tracks that two cameras share move the cameras far away, or are missing.
 
-    Particles that settled on wrong cameras are narrow, and still far from the optimum next to them.
+    Particles that settled on wrong cameras are narrow, and still far from the nearest optimum.
     """
     task = annealed_task(loaded, section, problem)
     fit = fit_from(task, values)

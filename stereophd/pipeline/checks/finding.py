@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -46,3 +47,8 @@ class Finding:
 def warnings_of(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Return the findings that are warnings."""
     return tuple(finding for finding in findings if finding.status == "warning")
+
+
+def count_warnings(report: Mapping[str, Any]) -> int:
+    """Return how many checks of a report (its ``checks``, as JSON) warn."""
+    return sum(found["status"] == "warning" for found in report["checks"])

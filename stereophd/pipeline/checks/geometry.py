@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.6, 4.0
 # From this score on rays meet beyond doubt.
 LEAST_SCORE = 6.0
-# Where chance alone gives so many partners, shifted times show nothing.
+# Above this share of partners by chance, shifted times show nothing.
 MOST_CHANCE = 0.6
 # Rays that meet within one standard deviation over those that meet within three (0.68 if all is right), below which
 # something is slightly wrong, and the tolerance at which alternatives are then compared.

@@ -57,7 +57,7 @@ def warn_of_another_scene(inputs: Mapping[str, Path], tracks: Tracks, truth: Tru
     """Warn where provenance or times show that tracks and truth belong to different scenes."""
     of_log = ((tracks.metadata or {}).get("origins") or {}).get("detections")
     of_truth = origin(inputs["truth"])
-    # logs of other commands, such as `import`, carry a provenance of their own
+    # logs of other commands, such as `import`, carry their own provenance
     made = [one.get("command") for one in (of_log, of_truth) if isinstance(one, dict)]
     if made == ["simulate", "simulate"] and of_log != of_truth:
         LOGGER.warning(

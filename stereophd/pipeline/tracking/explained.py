@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 # A detection that belongs to a track more probably than not has a residual.
 PROBABLE = 0.5
-# Residuals are computed so many at a time.
+# Residuals computed at a time.
 BATCH = 2048
 
 

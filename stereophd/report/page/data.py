@@ -36,7 +36,7 @@ FRUSTUM = 0.12
 
 
 def run_data(run: Run, runs: int) -> dict[str, Any]:
-    """Return what is drawn of one of so many runs."""
+    """Return the drawn data of one of `runs` runs."""
     paths = None if run.tracks is None else paths_of_run(run)
     truth = _truth(run)
     start, end = _period(run, paths)

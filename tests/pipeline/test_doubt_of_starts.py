@@ -1,0 +1,58 @@
+"""A best start that no other one confirms is not trusted, where poses alone are unknown."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from stereophd.config.loading import load_config
+from stereophd.core.calibration.adjustment import Adjustment
+from stereophd.core.calibration.task import SUCCEEDED, Fit, Start, Task
+from stereophd.pipeline.calibration.inputs import calibration_section
+from stereophd.pipeline.calibration.methods import doubt_of_starts
+
+CONFIG = Path(__file__).parents[2] / "configs" / "paper" / "calibration.yaml"
+SIZE = 6
+
+
+def start(number: int, place: float | None, evidence: float = -100.0) -> Start:
+    """A start that ended at a place, in standard deviations, or failed."""
+    values = np.full(SIZE, place or 0.0)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(SIZE), 0.0, np.empty(0), 1, True)
+    fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
+    outcome = "residuals are 3.0 times the detector's noise" if place is None else SUCCEEDED
+    return Start(number, outcome, values, np.empty((0, SIZE)), fit, evidence, 0.0, 1.0, "pairing 0")
+
+
+def doubt(starts: list[Start], only_moves: bool = True, changes: tuple[str, ...] = ()) -> str:
+    section = calibration_section(load_config(CONFIG, changes))
+    task = SimpleNamespace(settings=section.annealed, parameters=SimpleNamespace(only_moves=only_moves))
+    return doubt_of_starts(section, cast("Task", task), starts, starts[0])
+
+
+def test_starts_that_agree_are_trusted() -> None:
+    assert doubt([start(0, 0.0), start(1, 0.5)]) == ""
+
+
+def test_a_best_start_that_stands_alone_is_doubted() -> None:
+    found = doubt([start(0, 0.0), *(start(k, None) for k in range(1, 8))])
+    assert found.startswith("only 1 of 8 starts found these cameras")
+    # one that is asked for alone is not, and neither is one beside the full posterior
+    assert doubt([start(0, 0.0)], changes=("calibration.annealed.starts=1",)) == ""
+    assert doubt([start(0, 0.0), start(1, None)], changes=("calibration.posterior=smc",)) == ""
+
+
+def test_with_other_unknowns_a_lone_start_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, logger="stereophd"):
+        assert doubt([start(0, 0.0), start(1, 3.0, -200.0)], only_moves=False) == ""
+    assert "only 1 of 2 starts found these cameras" in caplog.text
+
+
+def test_a_rival_is_named() -> None:
+    found = doubt([start(0, 0.0), start(1, 0.1), start(2, 9.0, -102.0)])
+    assert found.startswith("starts 0 and 2 agree with the data alike")
