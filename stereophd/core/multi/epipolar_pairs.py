@@ -87,7 +87,9 @@ def crosswise_pairs(
     order = stable_order(angles)
     out = np.empty((most, 2), dtype=np.int64)
     found = 0
-    for m in range(count):
+    for k in range(count):
+        # another beginning at every event: among hundreds of objects a pair is always due, and each has its turn
+        m = (k + event) % count
         i = order[m]
         for n in range(m + 1, count):
             j = order[n]
