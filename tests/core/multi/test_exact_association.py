@@ -76,7 +76,7 @@ def test_where_belief_propagation_decides_it_does_not() -> None:
     odds = np.array([[1e3, 1e3 / 3.0], [1e3, 1e3]])
     assert solve(odds).pair[0, 0] == pytest.approx(0.75, abs=0.002)
     tracks, detections = np.nonzero(odds)
-    pair, _, _, _ = belief.association_marginals(tracks, detections, odds[tracks, detections], 2, 2)
+    pair, _, _, _ = belief.propagate_beliefs(tracks, detections, odds[tracks, detections], 2, 2)
     assert pair[0] > 0.99
 
 
@@ -89,7 +89,7 @@ def test_a_long_chain_is_exact() -> None:
     odds = 10.0 ** rng.uniform(-1.0, 5.0, 2 * count)
     found = association_marginals(tracks, detections, odds, count, count + 1)
     # a chain has no loop: belief propagation is exact on it
-    expected = belief.association_marginals(tracks, detections, odds, count, count + 1)
+    expected = belief.propagate_beliefs(tracks, detections, odds, count, count + 1)
     for one, other in zip(found[:3], expected[:3], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-7)
     assert found[3] == pytest.approx(expected[3], rel=1e-9)
@@ -127,7 +127,7 @@ def test_a_cluster_too_large_is_propagated() -> None:
     table, _ = make_table(tracks, detections, values, 30, 30)
     assert make_plan(table, 12).cost > max(MOST_COST, MOST_COST_A_PAIR * len(values))
     found = association_marginals(tracks, detections, values, 30, 30)
-    expected = belief.association_marginals(tracks, detections, values, 30, 30)
+    expected = belief.propagate_beliefs(tracks, detections, values, 30, 30)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, other)
 

@@ -94,7 +94,7 @@ def test_state_windows_hold_each_object_only_while_it_lives() -> None:
     for window in state_windows(items, grid(1000.0), NO_NOISE):
         lengths.append(window.times_s.size)
         for row, identifier in enumerate(window.object_id):
-            seen[int(identifier)].extend(window.times_s[window.alive[row]])
+            seen[int(identifier)].extend(window.times_s[~np.isnan(window.states[row, :, 0])])
     assert len(lengths) > 1
     np.testing.assert_allclose(seen[0], np.arange(10000) / 10, atol=1e-9)
     np.testing.assert_allclose([seen[1][0], seen[1][-1]], [250.0, 700.0])
