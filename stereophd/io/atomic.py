@@ -134,7 +134,7 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
     except OSError as error:
         raise InputError(f"output folder {folder}: {error.strerror or error}") from error
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"output folder {folder}: Permission denied; expected a folder that can be written to")
+        raise InputError(f"output folder {folder}: Permission denied; expected a writable folder")
     ours = [relative for relative in existing if not _is_temporary(relative)]
     if ours and not force:
         raise InputError(f"output folder {folder} already holds {ours[0]}; use `force=True` to replace it")

@@ -67,7 +67,7 @@ def output_lock(path: Path | str) -> Iterator[bool]:
             folder.mkdir(parents=True, exist_ok=True)
             descriptor = _locked(folder)
         except PermissionError as error:
-            raise InputError(f"output folder {folder}: Permission denied; expected a folder that can be written to") from error
+            raise InputError(f"output folder {folder}: Permission denied; expected a writable folder") from error
         except OSError as error:
             raise write_error(error, folder) from error
         _HELD[key] = folder in made
