@@ -208,7 +208,10 @@ def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarr
         (("calibration.priors={rihgt: {center_std: 1, rotation_std_deg: 1}}",), "expected one of the cameras"),
         (("calibration.reference=middle",), "expected one of the cameras"),
         (("calibration=null",), "expected a section"),
-        (("calibration.scale={kind: baseline, cameras: [left, left], distance: 40, std: 1}",), "two cameras, found left twice"),
+        (
+            ("calibration.scale={kind: baseline, cameras: [left, left], distance: 40, std: 1}",),
+            "two cameras, found left twice",
+        ),
         (("filter=null",), "expected a filter section"),
     ],
 )
