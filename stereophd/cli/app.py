@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import io
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -97,6 +98,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     session = Session()
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
+        _check_environment()
         result = app(
             args=words,
             prog_name="stereophd",
@@ -123,6 +125,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
         session.json = session.json or "--json" in words
         return _explain(error, session)
     return code
+
+
+def _check_environment() -> None:
+    """Refuse a misspelt target: results would depend on the processor without a word."""
+    target = os.environ.get("STEREOPHD_TARGET", "")
+    if target not in ("", "portable"):
+        raise InputError(f"environment variable STEREOPHD_TARGET: expected portable or nothing, found {target!r}")
 
 
 def _interrupted(session: Session | None = None, code: int = EXIT_INTERRUPTED) -> int:

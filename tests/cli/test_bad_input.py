@@ -215,3 +215,9 @@ class TestOutput:
             pytest.skip("no permission to mount a small tmpfs")
         yield folder
         subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_misspelt_target(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEREOPHD_TARGET", "portabel")
+    words = (write_config(tmp_path / "config.yaml"), write_log(tmp_path / "log.parquet"), "--out", tmp_path / "out")
+    check(call("track", *words), "STEREOPHD_TARGET: expected portable or nothing, found 'portabel'", tmp_path / "out")
