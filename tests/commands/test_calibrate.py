@@ -170,23 +170,29 @@ def test_an_interrupted_run_continues_to_the_same_result(
 
 def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None:
     log = scene / "detections.parquet"
-    with pytest.raises(InputError, match="expected a checkpoint"):
-        calibrate(loaded(scene), log, tmp_path / "out", resume=True)
     checkpoint_path(tmp_path / "out").write_bytes(b"not a checkpoint")
-    with pytest.raises(InputError, match="expected a checkpoint"):
-        calibrate(loaded(scene), log, tmp_path / "out", resume=True)
-    with pytest.raises(InputError, match="found another file; move it away"):
-        calibrate(loaded(scene), log, tmp_path / "out", force=True)
+    for words in ({"resume": True}, {"force": True}, {"resume": True, "force": True}):
+        with pytest.raises(InputError, match="found another file; move it away"):
+            calibrate(loaded(scene), log, tmp_path / "out", **words)
     assert checkpoint_path(tmp_path / "out").read_bytes() == b"not a checkpoint"
     checkpoint_path(tmp_path / "out").unlink()
 
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
+    # without a checkpoint, a run that may resume begins at the start
     with pytest.raises(KeyboardInterrupt):
-        calibrate(loaded(scene), log, tmp_path / "out", progress=stop)
+        calibrate(loaded(scene), log, tmp_path / "out", resume=True, progress=stop)
+    kept = checkpoint_path(tmp_path / "out").read_bytes()
+    other = loaded(scene, (*QUICK, "seed=2"))
     with pytest.raises(InputError, match="found another's"):
-        calibrate(loaded(scene, (*QUICK, "seed=2")), log, tmp_path / "out", resume=True)
+        calibrate(other, log, tmp_path / "out", resume=True)
+    with pytest.raises(InputError, match="an unfinished run; use `resume=True`"):
+        calibrate(loaded(scene), log, tmp_path / "out")
+    assert checkpoint_path(tmp_path / "out").read_bytes() == kept
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(other, log, tmp_path / "out", resume=True, force=True, progress=stop)
+    assert checkpoint_path(tmp_path / "out").read_bytes() != kept
 
 
 def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:

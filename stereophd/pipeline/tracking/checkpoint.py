@@ -33,7 +33,7 @@ KEEP_EVERY_S = 60.0
 MOST_SHARE = 0.01
 
 # Fields that only the loop needs; a checkpoint leaves them out.
-LEFT_OUT = frozenset({"event", "claims"})
+LEFT_OUT = frozenset({"event", "claims", "detected"})
 
 # A chunk has at most so many records, or estimates in them: some megabytes.
 CHUNK_RECORDS = 20_000

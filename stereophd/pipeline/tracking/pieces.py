@@ -45,6 +45,9 @@ DONE_FILE = "done.npz"
 # when two did, so that the time is that for which objects stay in one view.
 OVERLAP_S = 60.0
 
+# More pieces than this are a slip: of the length, or a pause of years in the log.
+MOST_PIECES = 100_000
+
 # Frames between two calls of `progress` while a log is read.
 TICK_EVERY = 5000
 
@@ -138,6 +141,11 @@ def plan_pieces(
     before = [0]  # events before what is tracked of each piece
     for number, frame in enumerate(frames):
         first_s = frame.time_s if number == 0 else first_s
+        if frame.time_s - first_s > MOST_PIECES * length_s:
+            raise InputError(
+                f"`pieces_s`: expected at most {MOST_PIECES} pieces, found {(frame.time_s - first_s) / length_s:.3g} "
+                f"of {length_s:g} s from {first_s:g} s to {frame.time_s:g} s: choose longer pieces, or cut the log"
+            )
         while frame.time_s >= first_s + len(before) * length_s - overlap_s:
             before.append(number)
         last_s = frame.time_s
