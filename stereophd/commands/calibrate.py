@@ -180,7 +180,7 @@ def _outcome(
     except InputError:
         raise
     except BaseException:
-        # whatever it is called: compiled code may turn the exception of a signal into one of its own
+        # of any class: compiled code may turn the exception of a signal into one of its own
         if checkpoint.holds_anything:
             checkpoint.save()
             LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)

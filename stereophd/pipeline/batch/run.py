@@ -1,6 +1,6 @@
 """Run a command on many inputs: a folder for each, ``summary.parquet``, and one row for what failed.
 
-A fault of one input, whatever it is, is a row of the summary and stops no other. The files do not depend on where and
+Any fault of one input is a row of the summary and stops no other. The files do not depend on where and
 in which order the inputs are done, nor on workers that die.
 """
 
@@ -211,7 +211,7 @@ def _attempt(
     collect: bool,
     tick: Progress | None,
 ) -> _Outcome:
-    """Do one item; whatever fails is its outcome."""
+    """Do one item; any failure becomes its outcome."""
     with _collected(collect) as logged:
         try:
             report = work(item, out / item.name, tick)

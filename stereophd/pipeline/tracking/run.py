@@ -77,7 +77,7 @@ def reported_records(
     """Yield the records of events, smoothed and without short tracks if the section ``report`` asks for it.
 
     With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs. With a
-    `journal` the run goes on from there, and what it gives is kept there; without one it begins at `run`, if given.
+    `journal` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
     times, keep_events = report_times(report), keep_events and smooth is not None
