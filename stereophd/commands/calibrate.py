@@ -18,7 +18,8 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.checkpoints import is_checkpoint
 from stereophd.io.json_text import write_json
 from stereophd.io.provenance import file_sha256, provenance, to_metadata
-from stereophd.io.tables import TableWriter, history_schema, posterior_schema
+from stereophd.io.table_schemas import history_schema, posterior_schema
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem

@@ -21,7 +21,8 @@ import pyarrow as pa
 import stereophd
 from stereophd.errors import GateError, InputError, StereophdError
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
-from stereophd.io.tables import FLOAT, INTEGER, STRING, TableWriter
+from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.workers import ATTEMPTS, Workers, complete, open_workers
