@@ -18,7 +18,8 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.checkpoints import is_checkpoint
 from stereophd.io.json_text import write_json
 from stereophd.io.provenance import provenance, sha256_of, to_metadata
-from stereophd.io.tables import TableWriter, history_schema, posterior_schema
+from stereophd.io.table_schemas import history_schema, posterior_schema
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
@@ -179,7 +180,7 @@ def _outcome(
     except InputError:
         raise
     except BaseException:
-        # whatever it is called: compiled code may turn the exception of a signal into one of its own
+        # of any class: compiled code may turn the exception of a signal into one of its own
         if checkpoint.holds_anything:
             checkpoint.save()
             LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from stereophd.commands.calibrate import FILES, calibrate
 from stereophd.io.atomic import tidy
 from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.tables import FLOAT, INTEGER, STRING
+from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.progress import Progress

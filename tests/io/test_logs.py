@@ -21,7 +21,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
 from stereophd.io.log_checks import KINDS
 from stereophd.io.log_rows import decode
-from stereophd.io.logs import Frame, LogReader, LogWriter
+from stereophd.io.log_writing import LogWriter
+from stereophd.io.logs import Frame, LogReader
 
 from .conftest import TYPES, make_camera, row
 

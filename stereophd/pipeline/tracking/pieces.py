@@ -3,7 +3,7 @@
 A piece is tracked from some time before its own span, so that its filter has forgotten the beginning when the span
 begins. The tracks of two successive pieces are paired in that overlap by the probability that they are one object
 (`stereophd.core.trajectories.joining`); a pair that is more probable than not becomes one track. Smoothed pieces also
-go on beyond their spans: the smoother looks ahead.
+continue beyond their spans: the smoother looks ahead.
 
 A piece is finished when its last file is there; what a piece holds does not depend on who made it, nor when.
 """
@@ -133,7 +133,7 @@ def plan_pieces(
         Of the log, which is read once, with all its checks.
     length_s, overlap_s : float
     ahead : bool
-        Whether pieces go on beyond their spans too.
+        Whether pieces continue beyond their spans too.
     progress : callable, optional
         Called now and then.
     """

@@ -15,7 +15,8 @@ from stereophd.errors import InputError
 from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.tables import TRACKS, TableWriter
+from stereophd.io.table_schemas import TRACKS
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.inspection.tables import summarise_objects
 
 from .conftest import rig
