@@ -115,7 +115,7 @@ def test_empty_mixture() -> None:
     assert (chosen.next_label, chosen.next_track) == (5, 2)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32), count=st.integers(1, 12))
 def test_order_of_components_does_not_matter(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
