@@ -126,6 +126,9 @@ def test_other_things_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (tmp_path / "text.yaml").write_text("hello: 3\n")
     with pytest.raises(InputError, match="cameras: expected this key"):
         info(tmp_path / "text.yaml")
+    (tmp_path / "page.html").write_text("<!doctype html>\x1a")
+    with pytest.raises(InputError, match=r"page\.html: expected a log, a table, cameras"):
+        info(tmp_path / "page.html")
     pq.write_table(pa.table({"a": [1]}), tmp_path / "t.parquet")
     assert "  a  int64" in info_text(info(tmp_path / "t.parquet"))
     assert run(["info", str(tmp_path / "t.parquet"), "--json"]) == 0
