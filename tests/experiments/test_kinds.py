@@ -124,7 +124,7 @@ class TestLocalisation:
     @pytest.mark.parametrize(
         ("override", "message"),
         [
-            ("experiment.scenario.sequence=[left, middle]", r"expected names of cameras \(left, right\), found middle"),
+            ("experiment.scenario.sequence=[left, middle]", r"expected one of the cameras left, right, found middle"),
             ("experiment.cases={}", None),
             ("experiment.scenario.position=[0, 0, -5]", "expected an object in view of left"),
             ("filter=null", "expected a filter of kind single for one object, found none"),
