@@ -22,11 +22,11 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.multi.birth import birth_moments
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import select_objects
+from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.history import History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
-from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, view_overlap
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.multi.filter_settings.common import Hysteresis
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
-from stereophd.core.multi.settings import Hysteresis
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.sorting import picked, places, stable_order
 

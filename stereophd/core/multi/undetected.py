@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.geometry.camera import Detector
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 
 Array = NDArray[np.float64]
 

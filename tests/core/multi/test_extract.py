@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.multi.extract import Selection, select_objects
+from stereophd.core.multi.filter_settings.common import Hysteresis
 from stereophd.core.multi.mixture import empty_mixture
-from stereophd.core.multi.settings import Hysteresis
 from tests.core.multi.scenes import make_mixture
 
 HALF = Hysteresis(confirm=0.5, release=0.5)

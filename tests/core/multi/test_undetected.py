@@ -10,7 +10,7 @@ import pytest
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.undetected import LEAST_INITIAL, Undetected, expected_births, view_overlap
 from tests.core.disparity.cases import make_camera
 
