@@ -66,7 +66,7 @@ def crosswise_pairs(
     event : int
         Number of the event.
     most : int
-        So many pairs at most.
+        Largest number of pairs to return.
     """
     labels, first, second = mixture.labels, views[cameras[0]], views[cameras[1]]
     heads, places = _reported_places(mixture, homes)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.multi.attribution import UNDECIDED, Claims, claims_of, detected_labels
+from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.crosswise import CrosswiseTest
@@ -95,8 +95,13 @@ class PmbFilter(DisparityFilter):
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):
-            history = (history or History()).add(_sighting(event, labels, detections))
-            reduced, history = self.crosswise_test.put_right(reduced, history, event.time_s, state.n_events)
+            claimed = ClaimedDetections(
+                event.camera, event.time_s, labels, detections, event.points, event.covariances, event.delays
+            )
+            history = (history or History()).add(claimed)
+            reduced, history = self.crosswise_test.put_right(
+                reduced, history, event.camera, event.time_s, state.n_events
+            )
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:
@@ -125,14 +130,3 @@ def _update(
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
     reduced, expected = reduce_tracks(updated, reduction)
     return reduced, log_likelihood, expected, labels, detections, claims
-
-
-def _sighting(event: Event, labels: Integers, detections: Integers) -> ClaimedDetections:
-    """Return the detections that labels have made more probably than not."""
-    decided = detections != UNDECIDED
-    if not decided.all():
-        labels, detections = labels[decided], detections[decided]
-    return ClaimedDetections(
-        event.camera, event.time_s, labels, event.points[detections], event.covariances[detections],
-        None if event.delays is None else event.delays[detections],
-    )  # fmt: skip

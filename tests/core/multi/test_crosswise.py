@@ -85,7 +85,7 @@ def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
     state, test = steps[-1][0], exchange_of(multi_filter)
     assert state.time_s is not None
     test.explain(history, first, second, 1, test.prior(multi_filter.rig.views(0.0)))
-    test.put_right(state.mixture, history, state.time_s, state.n_events)
+    test.put_right(state.mixture, history, 1, state.time_s, state.n_events)
     assert len(types) > 0
     assert set(types) == beforehand
 
@@ -161,9 +161,9 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
         [one.camera for one in ghosts], [one.time_s for one in ghosts], [first, second], [0, 1], [True, True],
     )  # fmt: skip
     assert state.time_s is not None
-    before, _ = test.put_right(mixture, state.history or History(), state.time_s, 40)
+    before, _ = test.put_right(mixture, state.history or History(), 1, state.time_s, 100)
     np.testing.assert_array_equal(before.means, mixture.means)
-    after, history = test.put_right(mixture, wrong, state.time_s, 40)
+    after, history = test.put_right(mixture, wrong, 1, state.time_s, 100)
     np.testing.assert_array_equal(after.labels, mixture.labels)
     np.testing.assert_array_equal(after.weights, mixture.weights)
     np.testing.assert_array_equal(history.rows_of(first, first).points, _own(state.history, first).points)
@@ -173,7 +173,7 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     assert errors.min(axis=1).max() < 2.0
     assert set(errors.argmin(axis=1).tolist()) == {0, 1}
     assert len(history.deferred.due) == 1
-    again, same = test.put_right(after, history, state.time_s, 41)
+    again, same = test.put_right(after, history, 1, state.time_s, 101)
     np.testing.assert_array_equal(again.means, after.means)
     assert len(same.deferred.due) == 1
 
@@ -201,8 +201,8 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     prior = NewObjects(np.full(2, 7.0), np.full(2, 1e3), 1.5)
     homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
 
-    def pairs(deferred: DeferredPairs, most: int) -> list[tuple[int, int]]:
-        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, deferred, 5, most)
+    def pairs(deferred: DeferredPairs, most: int, event: int = 5) -> list[tuple[int, int]]:
+        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, deferred, event, most)
         return [(first, second) for first, second in found.tolist()]
 
     found = pairs(nothing, 1000)
@@ -218,6 +218,14 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     assert pairs(nothing, 2) == found[:2]
     # until an event, and with the second camera
     assert pairs(nothing.add((*found[0], 1), 6).add((*found[1], 0), 6).add((*found[2], 1), 5), 2) == found[1:3]
+    # the pairs take turns: another event lists the same ones from another beginning
+    beginnings = set()
+    for event in range(40):
+        turned = pairs(nothing, 1000, event)
+        start = found.index(turned[0])
+        assert turned == found[start:] + found[:start]
+        beginnings.add(start)
+    assert len(beginnings) > 5
 
 
 def _off_plane(cameras: Sequence[Camera], places: np.ndarray, i: int, j: int) -> float:
@@ -254,8 +262,9 @@ def test_the_history_is_bounded_and_keeps_every_camera() -> None:
 def _sighting(time_s: float, camera: int, labels: list[int]) -> ClaimedDetections:
     count = len(labels)
     return ClaimedDetections(
-        camera, float(time_s), np.array(labels, dtype=np.int64), np.zeros((count, 2)), np.zeros((count, 2, 2)), None
-    )
+        camera, float(time_s), np.array(labels, dtype=np.int64), np.arange(count), np.zeros((count, 2)),
+        np.zeros((count, 2, 2)), None,
+    )  # fmt: skip
 
 
 def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> None:
@@ -270,3 +279,4 @@ def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> No
         assert (one.camera, one.time_s, one.delays) == (other.camera, other.time_s, other.delays)
         np.testing.assert_array_equal(one.points, other.points)
         np.testing.assert_array_equal(one.labels, other.labels)
+        np.testing.assert_array_equal(one.detections, other.detections)
