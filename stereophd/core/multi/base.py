@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.birth import birth_moments
 from stereophd.core.multi.estimates import Estimates, Info
-from stereophd.core.multi.extract import select_objects
+from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.history import History
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
@@ -211,8 +211,15 @@ class DisparityFilter(ABC):
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
+        mixture = state.mixture
         chosen = select_objects(
-            state.mixture, self.settings.extraction, state.next_label, state.next_track, self.labels_may_split
+            mixture,
+            self.settings.extraction,
+            Counters(state.next_label, state.next_track),
+            self.rig.spaces(mixture.cameras, mixture.times),
+            self.motion.arrays((0.0 if state.time_s is None else state.time_s) - mixture.times),
+            self.sets.turn(state.n_events),
+            self.labels_may_split,
         )
         # `replace` takes longer
         state = FilterState(
@@ -225,24 +232,13 @@ class DisparityFilter(ABC):
             state.history,
         )
         mixture, index = chosen.mixture, chosen.index
-        cameras, times = mixture.cameras[index], mixture.times[index]
-        means, covariances = world_moments(
-            mixture.means[index],
-            mixture.covariances[index],
-            self.rig.spaces(cameras, times),
-            (0.0 if state.time_s is None else state.time_s) - times,
-            self.motion,
-            self.sets,
-            state.n_events,
+        estimates = Estimates(
+            mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
         )
-        estimates = Estimates(mixture.tracks[index], means, covariances, chosen.existence, mixture.labels[index])
-        finite = np.isfinite(means)
-        if finite.all() and not chosen.tentative.any():
+        confirmed = chosen.confirmed
+        if confirmed == len(index):
             return state, estimates
-        # an object at infinity has no position
-        placed = np.asarray(finite.all(axis=1))
-        tentative = estimates.take(placed & chosen.tentative)
-        return state, replace(estimates.take(placed & ~chosen.tentative), tentative=tentative)
+        return state, replace(estimates.take(slice(confirmed)), tentative=estimates.take(slice(confirmed, None)))
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""
