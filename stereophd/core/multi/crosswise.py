@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.sample_move import Look
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, crosswise_pairs
+from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, crosswise_pairs
 from stereophd.core.multi.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
 from stereophd.core.multi.history import ClaimedRows, History, no_deferred_pairs
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
@@ -79,6 +79,10 @@ class CrosswiseTest:
         return [COPLANAR_SIGMAS * float(np.max(one.detector.sigma)) for one in self.rig.cameras]
 
     @cached_property
+    def _acceleration_std(self) -> float:
+        return float(self.motion.noise_std.max())
+
+    @cached_property
     def _look(self) -> Look:
         return Look(self.samples, np.ones(self.samples.shape[1]), FEWEST)
 
@@ -96,7 +100,7 @@ class CrosswiseTest:
         views, none, one = self.rig.views(0.0), np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
         prior, homes = self.prior(views), self.rig.spaces(none, np.empty(0))
         empty, nothing = empty_mixture(self.motion.state_size), no_deferred_pairs()
-        crosswise_pairs(empty, homes, (0, 0), views, prior, 1.0, nothing, 0, MOST_TESTS)
+        crosswise_pairs(empty, homes, (0, 0), views, prior, 1.0, Past(0.0, 0.0), nothing, 0, MOST_TESTS)
         self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
 
     def put_right(
@@ -111,8 +115,10 @@ class CrosswiseTest:
         cameras = (event // len(self.rig.cameras) % camera, camera)
         views, homes = self.rig.views(time_s), self.rig.spaces(mixture.cameras, mixture.times)
         prior = self.prior(views) if self.rig.moving else self._prior_at_rest
+        began = history.sightings[max(-RECENT, -len(history.sightings))].time_s if history.sightings else time_s
+        past = Past(time_s - began, self._acceleration_std)
         pairs = crosswise_pairs(
-            mixture, homes, cameras, views, prior, self.tolerances[camera], history.deferred, event, MOST_TESTS
+            mixture, homes, cameras, views, prior, self.tolerances[camera], past, history.deferred, event, MOST_TESTS
         )
         if not len(pairs):
             return mixture, history

@@ -17,7 +17,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi import crosswise as crosswise_module
 from stereophd.core.multi.crosswise import CrosswiseTest
-from stereophd.core.multi.epipolar_pairs import NewObjects, crosswise_pairs
+from stereophd.core.multi.epipolar_pairs import NewObjects, Past, crosswise_pairs
 from stereophd.core.multi.history import (
     KEPT_EVENTS,
     ClaimedDetections,
@@ -202,7 +202,7 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
 
     def pairs(deferred: DeferredPairs, most: int, event: int = 5) -> list[tuple[int, int]]:
-        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, deferred, event, most)
+        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, Past(0.0, 0.0), deferred, event, most)
         return [(first, second) for first, second in found.tolist()]
 
     found = pairs(nothing, 1000)
@@ -210,7 +210,8 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     for i in range(40):
         for j in range(i + 1, 40):
             near = max(_off_plane(rig.cameras, places, i, j), _off_plane(rig.cameras, places, j, i)) <= 8.0
-            if near and _ghost(rig.cameras, places, i, j) and _ghost(rig.cameras, places, j, i):
+            apart = np.linalg.norm(np.subtract(*rig.cameras[1].project(places[[i, j]]))) > 8.0
+            if near and apart and _ghost(rig.cameras, places, i, j) and _ghost(rig.cameras, places, j, i):
                 expected.add((i, j))
     assert len(expected) > 5
     assert len(found) == len(expected)
