@@ -119,7 +119,8 @@ def world_components(
 ) -> None:
     """Mean and covariance in the world (x, y, z, vx, vy, vz) of the components `which` (m,), moved by their intervals.
 
-    They fill the first m rows of `out_means` and `out_covariances`. Components whose mean disparity is not positive (an object at infinity has no position) are left as NaN.
+    They fill the first m rows of `out_means` and `out_covariances`. Components whose mean disparity is not positive (an
+    object at infinity has no position) are left as NaN.
     """
     size = means.shape[1]
     count = samples.shape[1]

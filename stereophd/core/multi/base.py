@@ -19,15 +19,15 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.birth import birth_moments
+from stereophd.core.multi.birth import birth_moments, newborn_prior
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.history import History
-from stereophd.core.multi.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.inputs import Detections, EventArrays, EventNumbers, NewbornPrior
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.settings import FilterSettings
-from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, view_overlap
+from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, undetected_shares
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
@@ -195,8 +195,9 @@ class DisparityFilter(ABC):
         return Prediction(mixture.with_weights(weights), moved, births, undetected, burst)
 
     @cached_property
-    def _overlap(self) -> Array:
-        return view_overlap(self.rig, self.settings.birth)
+    def _left(self) -> list[Array]:
+        """Of the objects in view of each camera, the share (c,) that a frame leaves, for the frames of each camera."""
+        return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
     def expected_births(
         self, undetected: Undetected | None, elapsed: float, event: Event, known: float = 0.0
@@ -207,7 +208,7 @@ class DisparityFilter(ABC):
         """
         detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
         burst = burst_of(event, known, prior)
-        return *expected_births(undetected, prior, self._overlap, elapsed, event, detector, burst), burst
+        return *expected_births(undetected, prior, self._left[event.camera], elapsed, event, detector, burst), burst
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
@@ -273,18 +274,31 @@ class DisparityFilter(ABC):
         means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
         return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
 
+    def detections(self, event: Event) -> tuple[Detections, NewbornPrior]:
+        """Return an event's detections, and the prior of the objects that they may have given birth to."""
+        found = Detections(event.points, event.covariances, event.areas, event.delays)
+        if not self.rig.moving:
+            return found, self._newborns[event.camera]
+        return found, newborn_prior(self.rig.space(event.camera, event.time_s), self.settings.birth)
+
+    @cached_property
+    def _newborns(self) -> list[NewbornPrior]:
+        return [newborn_prior(space, self.settings.birth) for space in self.rig.packed]
+
     def event_numbers(self, event: Event, next_label: int, births: float, burst: int = 0) -> EventNumbers:
         """Return the place of an event, its rates, and the first unused label, for compiled code.
 
         A `burst` of detections is clutter, whatever the rate of the detector is.
         """
-        camera = self.rig.cameras[event.camera]
+        p_detect, clutter, area = self._detectors[event.camera]
         return EventNumbers(
-            camera=int(event.camera),
-            time_s=float(event.time_s),
-            next_label=next_label,
-            p_detect=float(camera.detector.p_detect),
-            clutter=max(float(camera.detector.clutter_per_frame), float(burst)),
-            births=births,
-            area=float(camera.width * camera.height),
+            int(event.camera), float(event.time_s), next_label, p_detect, max(clutter, float(burst)), births, area
         )
+
+    @cached_property
+    def _detectors(self) -> list[tuple[float, float, float]]:
+        """Probability of detection, clutter a frame and area of the image of each camera."""
+        return [
+            (float(one.detector.p_detect), float(one.detector.clutter_per_frame), float(one.width * one.height))
+            for one in self.rig.cameras
+        ]

@@ -106,7 +106,7 @@ class CrosswiseTest:
     def put_right(
         self, mixture: GaussianMixture, history: History, camera: int, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
-        """Return a mixture after an event of a camera, and the history, with tracks exchanged that were paired crosswise.
+        """Return a mixture after an event of a camera, and the history, with exchanges of tracks paired crosswise.
 
         The camera is the one whose detections are exchanged, with each camera before it in turn.
         """

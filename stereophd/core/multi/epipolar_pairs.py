@@ -227,9 +227,7 @@ def _reported_places(mixture: GaussianMixture, homes: Array, past: Past) -> Trac
 
 
 @compiled
-def _meet(
-    one: Array, other: Array, views: Array, cameras: tuple[int, int], prior: NewObjects, ghost: Array
-) -> bool:
+def _meet(one: Array, other: Array, views: Array, cameras: tuple[int, int], prior: NewObjects, ghost: Array) -> bool:
     """Whether the ray of the first camera to one place and that of the second to another meet where objects may be.
 
     Fills in where they do (3,).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class Selection(NamedTuple):
+@dataclass(frozen=True)
+class Selection:
     """Outcome of `select_objects`: the mixture, and one row for each object that has a position.
 
     Attributes
@@ -100,9 +102,10 @@ def select_objects(
         mixture.weights, mixture.labels, levels, counters, split, mixture.means, mixture.covariances, homes, motion,
         samples, changed, room,
     )  # fmt: skip
+    components, existence, means, covariances = room
     return Selection(
-        GaussianMixture(*mixture[:5], *changed), confirmed, *(rows[:placed].copy() for rows in room), next_label,
-        next_track,
+        GaussianMixture(*mixture[:5], *changed), confirmed, components[:placed].copy(), existence[:placed].copy(),
+        means[:placed].copy(), covariances[:placed].copy(), next_label, next_track,
     )  # fmt: skip
 
 
@@ -115,9 +118,9 @@ class Identities(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Room for the rows of a `Selection`: index and existence (n,), means (n, 6), covariances (n, 6, 6)."""
+    """Room for the rows of a `Selection`: components and existence (n,), means (n, 6), covariances (n, 6, 6)."""
 
-    index: Integers
+    components: Integers
     existence: Array
     means: Array
     covariances: Array
@@ -151,7 +154,8 @@ def _place(
     placed, confirmed, in_place = 0, 0, True
     for tentative in (False, True):
         for i in range(found):
-            if unsure[i] == tentative and _has_position(world_means[i]):
+            # the mean of an object at infinity is NaN throughout
+            if unsure[i] == tentative and math.isfinite(world_means[i, 0]):
                 in_place = in_place and i == placed
                 order[placed] = i
                 placed += 1
@@ -160,15 +164,6 @@ def _place(
     if not in_place:
         _reorder(order[:placed], index, existence, world_means, world_covariances)
     return placed, confirmed, next_label, next_track
-
-
-@compiled
-def _has_position(mean: Array) -> bool:
-    """Whether a mean in the world (6,) is finite: that of an object at infinity is NaN."""
-    for a in range(len(mean)):
-        if not math.isfinite(mean[a]):
-            return False
-    return True
 
 
 @compiled

@@ -106,7 +106,9 @@ class History:
             labels[found],
             np.concatenate([_NO_POINT, *(one.points[row] for one, row in rows)]),
             np.concatenate([_NO_NOISE, *(one.noises[row] for one, row in rows)]),
-            np.concatenate([[0.0] if one.delays is None else one.delays[row] for one, row in rows]) if delayed else None,
+            np.concatenate([[0.0] if one.delays is None else one.delays[row] for one, row in rows])
+            if delayed
+            else None,
         )
 
     def exchanged(self, first: int, second: int, camera: int) -> History:

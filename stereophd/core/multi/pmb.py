@@ -32,7 +32,7 @@ from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
-from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
+from stereophd.core.multi.inputs import Detections, EventNumbers, NewbornPrior, compiled_settings, with_newborns
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
@@ -90,7 +90,7 @@ class PmbFilter(DisparityFilter):
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, expected, labels, detections, claims = _update(
-            prediction.mixture, prediction.moved, self.event_arrays(event),
+            prediction.mixture, prediction.moved, *self.detections(event),
             self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         history = state.history
@@ -119,12 +119,14 @@ class PmbFilter(DisparityFilter):
 def _update(
     mixture: GaussianMixture,
     moved: Moved,
-    event: EventArrays,
+    detected: Detections,
+    prior: NewbornPrior,
     numbers: EventNumbers,
     reduction: PmbReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None]:
     """`update_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
+    event = with_newborns(detected, prior, mixture.means.shape[1])
     updated, log_likelihood, by = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     labels, detections = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None

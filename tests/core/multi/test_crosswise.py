@@ -11,10 +11,11 @@ import numba
 import numpy as np
 import pytest
 
-from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose
 from stereophd.core.multi import crosswise as crosswise_module
 from stereophd.core.multi.crosswise import CrosswiseTest
 from stereophd.core.multi.epipolar_pairs import NewObjects, Past, crosswise_pairs
@@ -202,7 +203,9 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
 
     def pairs(deferred: DeferredPairs, most: int, event: int = 5) -> list[tuple[int, int]]:
-        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, Past(0.0, 0.0), deferred, event, most)
+        found = crosswise_pairs(
+            mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, Past(0.0, 0.0), deferred, event, most
+        )
         return [(first, second) for first, second in found.tolist()]
 
     found = pairs(nothing, 1000)
@@ -227,6 +230,38 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
         assert turned == found[start:] + found[:start]
         beginnings.add(start)
     assert len(beginnings) > 5
+
+
+@pytest.mark.parametrize(
+    ("velocity", "third", "expected"),
+    [
+        ((0.0, 0.0, 0.0), None, True),
+        ((0.5, 0.0, -0.5), None, True),  # within the plane
+        ((0.0, 1.0, 0.0), None, False),  # into the plane
+        ((0.0, 0.0, 0.0), (0.0, 30.0, 0.0), False),  # a third camera sees both tracks where the ghosts are not
+        ((0.0, 0.0, 0.0), (0.0, -1000.0, 0.0), True),  # it has neither in view
+        ((0.0, 0.0, 0.0), (-20.0, 0.0, 0.0), True),  # it has them on the rays of the first camera
+    ],
+)
+def test_pairs_that_were_in_one_plane_and_that_no_third_camera_tells_apart(
+    velocity: tuple[float, float, float], third: tuple[float, float, float] | None, expected: bool
+) -> None:
+    multi_filter = make_pmb()
+    cameras = list(multi_filter.rig.cameras)
+    if third is not None:
+        pose = cameras[0].pose if third[1] == 0.0 else Pose(np.eye(3), np.array(third))
+        cameras.append(replace(cameras[0], name="third", pose=pose))
+    rig = make_rig(cameras, multi_filter.rig.baseline, "horizontal")
+    space = DisparitySpace(rig.cameras[0], rig.baseline, rig.rectification)
+    states = np.concatenate([PLACES, np.zeros((2, 3))], axis=1)
+    states[1, 3:] = velocity
+    mixture = make_mixture(np.ones(2), space.from_world(states), [1e-6 * np.eye(6)] * 2, reported=[True, True])
+    count = len(cameras)
+    found = crosswise_pairs(
+        mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), rig.packed,
+        NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5), 8.0, Past(10.0, 0.01), no_deferred_pairs(), 0, 1,
+    )  # fmt: skip
+    assert found.tolist() == ([[0, 1]] if expected else [])
 
 
 def _off_plane(cameras: Sequence[Camera], places: np.ndarray, i: int, j: int) -> float:
