@@ -288,7 +288,7 @@ class DisparityFilter(ABC):
     def event_numbers(self, event: Event, next_label: int, births: float, burst: int = 0) -> EventNumbers:
         """Return the place of an event, its rates, and the first unused label, for compiled code.
 
-        A `burst` of detections is clutter, whatever the rate of the detector is.
+        A `burst` of detections is clutter, regardless of the rate of the detector.
         """
         p_detect, clutter, area = self._detectors[event.camera]
         return EventNumbers(

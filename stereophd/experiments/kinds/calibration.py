@@ -66,7 +66,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
-        outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False), 1, None)
+        outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False, False), 1, None)
     found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
     limits = _scene_bounds(loaded, number)
     return [found, *_errors(loaded, parameters, reference, true, outcome.history, limits)]

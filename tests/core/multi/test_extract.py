@@ -149,7 +149,7 @@ def test_objects_are_placed_and_confirmed_ones_come_first() -> None:
     np.testing.assert_array_equal(chosen.covariances, covariances)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32), count=st.integers(1, 12))
 def test_order_of_components_does_not_matter(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

@@ -510,7 +510,7 @@ def assert_sound(step: Step) -> None:
     np.linalg.cholesky(estimates.covariances)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1), method=st.sampled_from(["qmc", "particle", "unscented", "linear"]),
     p_detect=st.sampled_from([0.3, 0.95, 1.0]), cap=st.sampled_from([3, 1000]),
