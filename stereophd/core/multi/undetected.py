@@ -37,8 +37,8 @@ OVERLAP_GRID = (12, 9)
 OVERLAP_DISPARITIES = 8
 # Fewest objects at the start where their number is estimated: the first frame may have missed some.
 LEAST_INITIAL = 0.1
-# Newborns of frames that follow each other closely are light: the pruning weight is at most this share of theirs, down
-# to this part of what the settings say.
+# The pruning weight is at most NEWBORN_SHARE of the weight of a newborn, which is small at high frame rates, and at
+# least LEAST_PRUNING times the pruning weight of the settings.
 NEWBORN_SHARE = 0.1
 LEAST_PRUNING = 1e-3
 

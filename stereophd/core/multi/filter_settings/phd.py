@@ -1,4 +1,4 @@
-"""The word ``phd``: settings of the Gaussian-mixture PHD filter."""
+"""Settings of the Gaussian-mixture PHD filter (``filter.kind: phd``)."""
 
 from __future__ import annotations
 
