@@ -77,7 +77,7 @@ def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
 def expected_births(
     before: Undetected | None,
     prior: BirthPrior,
-    overlap: Array,
+    left: Array,
     elapsed: float,
     event: Event,
     detector: Detector,
@@ -90,8 +90,8 @@ def expected_births(
     before : Undetected or None
         After the last event; None before the first.
     prior : BirthPrior
-    overlap : array (c, c)
-        `view_overlap` of the cameras.
+    left : array (c,)
+        Of the objects in view of each camera, the share that the frame leaves: a column of `undetected_shares`.
     elapsed : float
         Time since the last event, s.
     event : Event
@@ -100,8 +100,7 @@ def expected_births(
     burst : int
         `burst_of` the event: nothing is born from a burst of clutter, and the objects remain undetected.
     """
-    cameras = len(overlap)
-    before = before or Undetected(np.zeros(cameras), np.ones(cameras))
+    before = before or Undetected(np.zeros(len(left)), np.ones(len(left)))
     if prior.per_frame is not None:
         return 0.0 if burst else float(prior.per_frame), before
     counts, share = before.counts + prior.per_s * elapsed, before.initial_share
@@ -115,7 +114,6 @@ def expected_births(
         counts[event.camera] += share[event.camera] * initial
         share = share.copy()
         share[event.camera] = 0.0
-    left = 1.0 - detector.p_detect * overlap[:, event.camera]
     return float(counts[event.camera]), Undetected(counts * left, share * left)
 
 
@@ -130,6 +128,12 @@ def reduction_for_births(reduction: Reduction, births: float, detector: Detector
     if weight >= values.prune_weight:
         return reduction
     return cast("Reduction", values._replace(prune_weight=weight))
+
+
+def undetected_shares(rig: Rig, prior: BirthPrior) -> Array:
+    """Of the objects in view of each camera (row), the share (c, c) that a frame of each camera (column) leaves."""
+    p_detect = np.array([camera.detector.p_detect for camera in rig.cameras])
+    return np.asarray(1.0 - p_detect * view_overlap(rig, prior))
 
 
 def view_overlap(rig: Rig, prior: BirthPrior) -> Array:

@@ -29,8 +29,9 @@ def first_detections(prior: BirthPrior, overlap: np.ndarray, rate_hz: float, sec
     for frame in range(round(rate_hz * seconds)):
         for index in range(len(overlap)):
             now = frame / rate_hz
+            left = 1.0 - p_detect * overlap[:, index]
             births, state = expected_births(
-                state, prior, overlap, now - time_s, event(camera, index, now), camera.detector
+                state, prior, left, now - time_s, event(camera, index, now), camera.detector
             )
             total, time_s = total + p_detect * births, now
     return total
@@ -61,7 +62,8 @@ def test_the_first_frame_says_how_many_objects_there_were(n_detections: int, exp
     camera = make_camera(p_detect=0.9, clutter=4.0)
     prior = replace(PRIOR, initial=None)
     first = event(camera, 0, 0.0, n_detections)
-    births, state = expected_births(None, prior, np.array([[1.0, 0.6], [0.6, 1.0]]), 0.0, first, camera.detector)
+    left = 1.0 - 0.9 * np.array([1.0, 0.6])
+    births, state = expected_births(None, prior, left, 0.0, first, camera.detector)
     assert births == pytest.approx(expected)
     np.testing.assert_allclose(state.initial_share, [0.0, 1.0 - 0.9 * 0.6])
     assert state.counts[0] == pytest.approx(0.1 * expected)
