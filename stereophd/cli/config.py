@@ -30,6 +30,8 @@ def show_command(
     overrides: options.Set = None,
     seed: options.Seed = None,
     json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
     """Print the complete configuration: defaults, overrides and cameras filled in."""
@@ -56,6 +58,7 @@ def check_command(
     ] = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
     """Check a configuration, and print ok or every fault with its file, line and key."""
@@ -72,7 +75,12 @@ def check_command(
 
 
 @app.command("schema")
-def schema_command(json: options.Json = False, debug: options.Debug = False) -> None:
+def schema_command(
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = 0,
+    debug: options.Debug = False,
+) -> None:
     """Print the JSON schema of a configuration, which editors use (with or without --json)."""
     from stereophd.config.loading import schema_text
 

@@ -19,6 +19,14 @@ _SUFFIX = re.compile(r"\.[A-Za-z0-9]{1,8}$")
 # The part before "expected" names a place in a file or on the command line.
 _PLACE = re.compile(r"^(--?[a-z]|`|row \d|column |line \d|camera|[A-Za-z_0-9]+(\.[A-Za-z_0-9]+)*$)")
 
+# Usage errors are sentences of typer: INVALID VALUE FOR PLACE: FOUND is not EXPECTED, and a few more.
+_SEE_HELP = re.compile(r" \(see '[^']*--help'\)$")
+_INVALID = re.compile(r"^Invalid value for (?P<place>.+?): (?P<reason>.*)$", re.DOTALL)
+_IS_NOT = re.compile(r"^(?P<found>.+?) is not (?P<expected>.+)$", re.DOTALL)
+_MISSING = re.compile(r"^(?:Missing \w+|Option) '(?P<place>[^']+)'")
+_NO_SUCH = re.compile(r"^No such (?P<what>option|command):? '?(?P<found>[^\s']+)")
+_EXTRA = re.compile(r"^Got unexpected extra arguments? \((?P<found>.+)\)")
+
 
 def error_document(message: str, kind: str, code: int) -> dict[str, Any]:
     """Return the document of an error.
@@ -39,15 +47,36 @@ def error_document(message: str, kind: str, code: int) -> dict[str, Any]:
         found``; further lines are in ``others``.
     """
     first, *others = message.splitlines() or [""]
+    parts = _usage_parts(first) if kind == "usage" else _parts(first)
     return {
         "error": {
             "kind": kind,
             "exit_code": code,
             "message": message,
-            **_parts(first),
+            **parts,
             "others": [{"message": line, **_parts(line)} for line in others],
         }
     }
+
+
+def _usage_parts(sentence: str) -> dict[str, Any]:
+    """Return the parts of a usage error."""
+    text = _SEE_HELP.sub("", sentence)
+    parts = _parts(text)
+    if match := _INVALID.match(text):
+        parts["place"] = match["place"].replace("'", "")
+        if reason := _IS_NOT.match(match["reason"]):
+            expected = reason["expected"]
+            parts["expected"] = f"a value {expected}" if expected.startswith("in ") else expected
+            parts["found"] = reason["found"].strip("'")
+    elif match := _MISSING.match(text):
+        parts |= {"place": match["place"], "expected": "a value", "found": "none"}
+    elif match := _NO_SUCH.match(text):
+        found = match["found"].rstrip(".")
+        parts |= {"place": found, "expected": f"a known {match['what']}", "found": found}
+    elif match := _EXTRA.match(text):
+        parts |= {"expected": "no further argument", "found": match["found"]}
+    return parts
 
 
 def _parts(sentence: str) -> dict[str, Any]:

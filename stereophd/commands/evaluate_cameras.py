@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 Array = NDArray[np.float64]
+
+LOGGER = logging.getLogger("stereophd")
 
 POSTERIOR_NAME, REPORT_NAME = "posterior.parquet", "report.json"
 # Credible interval whose coverage is reported.
@@ -90,7 +93,7 @@ def evaluate_calibration(
         A figure is beyond its limit. Everything has been written; the error carries the report as `report`.
     """
     estimated, true, unit = _read_pair(cameras_path, true_path)
-    posterior = read_posterior(Path(cameras_path).with_name(POSTERIOR_NAME))
+    posterior = _posterior_of(Path(cameras_path), [camera.name for camera in true])
     chosen = _reference(estimated, true, posterior, reference, true_path)
     report: dict[str, Any] = {
         "report_version": 1,
@@ -135,6 +138,24 @@ def _read_pair(cameras_path: Path | str, true_path: Path | str) -> tuple[list[Ca
         [true.cameras[name].build(name) for name in names],
         true.units.length,
     )
+
+
+def _posterior_of(cameras_path: Path, names: list[str]) -> Posterior | None:
+    """Return the posterior beside a file of cameras; None if there is none, or one of other cameras."""
+    path = cameras_path.with_name(POSTERIOR_NAME)
+    posterior = read_posterior(path)
+    if posterior is None:
+        return None
+    found = [camera.name for camera in posterior.parameters.cameras]
+    if set(found) == set(names):
+        return posterior
+    LOGGER.warning(
+        "%s: expected the posterior of the cameras %s, found that of %s: it is ignored",
+        path,
+        ", ".join(names),
+        ", ".join(found),
+    )
+    return None
 
 
 def _reference(

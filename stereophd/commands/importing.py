@@ -17,6 +17,7 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.camera_files import read_camera_file
+from stereophd.io.interchange.reading import read_foreign
 from stereophd.io.interchange.registry import find
 from stereophd.io.json_text import write_json
 from stereophd.io.logs import LogReader
@@ -72,15 +73,13 @@ def import_recording(
         An unknown format, a source that is not of it, a statement that is missing, or an unusable output folder.
     """
     options = options or ImportOptions()
-    read = find(form).read
-    if read is None:
-        raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
+    find(form)  # an unknown format is named before a missing source
     paths = [Path(source) for source in sources]
     for path in paths:
         if not path.exists():
             raise InputError(f"{path}: there is no such file or folder")
     with OutputFolder(out_dir, FILES, force) as out:
-        recording = _read(read(paths, options), options, cameras_path)
+        recording = _read(read_foreign(form, paths, options), options, cameras_path)
         inputs = {f"source.{index}": path for index, path in enumerate(recording.files)}
         config = {"format": form, **options.plain()}
         record = provenance("import", config, inputs=inputs, length_unit=recording.length_unit)

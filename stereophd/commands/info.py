@@ -71,9 +71,9 @@ def _report(path: Path) -> dict[str, Any] | None:
     """Describe a ``report.json``; None if the file is no report."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
-    if not isinstance(document, dict) or "provenance" not in document:
+    if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
         return None
     values = {k: v for k, v in document.items() if isinstance(v, (str, int, float)) and k != "report_version"}
     return {"path": str(path), "kind": "report", "origin": _origin(document["provenance"]), "values": values}

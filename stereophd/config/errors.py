@@ -157,6 +157,11 @@ def _is_misspelt(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Map
     return any(difflib.get_close_matches(key, known, n=1, cutoff=0.6) == [path[-1]] for key in unknown)
 
 
+def _discriminator(error: Mapping[str, Any]) -> str:
+    """Return the key that selects the branch of a union; pydantic writes it as 'kind', or as kind() of a function."""
+    return str(error["ctx"]["discriminator"]).strip("'()")
+
+
 def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mapping[str, Any]) -> str:
     kind = error["type"]
     if kind == "missing" and path:
@@ -168,7 +173,7 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
         known = known_keys(schema, path[:-1], _value(data, path[:-1]))
         return f"unknown key{nearest(str(path[-1]), known)}"
     if kind == "union_tag_not_found":
-        return f"expected a key {error['ctx']['discriminator']} that selects the kind, found none"
+        return f"expected a key {_discriminator(error)} that selects the kind, found none"
     if kind == "value_error":
         return re.sub(r"^Value error, ", "", str(error["msg"]))
     found = _value(data, path)
@@ -203,7 +208,7 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
             tags = (*tags, "")
         if error["type"] == "union_tag_invalid":
             # the fault is the value of the key that selects the kind, not the mapping around it
-            path = (*path, str(error["ctx"]["discriminator"]).strip("'()"))
+            path = (*path, _discriminator(error))
         if _is_misspelt(error, path, data, schema):
             continue
         by_path.setdefault(path, []).append({**error, "tagged": bool(tags)})

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from stereophd.io.log_rows import Floats
-from stereophd.io.table_reading import check_texts, damaged_is_input_error, open_parquet
+from stereophd.io.table_reading import cast_column, check_texts, damaged_is_input_error, open_parquet
 from stereophd.io.table_schemas import FLOAT, STRING
 
 # Two narrow columns: larger pieces than a reader of all columns takes.
@@ -24,15 +24,16 @@ def is_by_camera(path: Path) -> bool:
     Raises
     ------
     InputError
-        The file is damaged.
+        The file is damaged, or a value does not fit the type of its column.
     """
     return not _is_ordered(path) and _is_ordered_within_cameras(path)
 
 
 def _is_ordered(path: Path) -> bool:
-    latest = -np.inf
+    latest, start = -np.inf, 0
     for batch in _pieces(path, ["time_s"]):
-        times = _times(batch)
+        times = _times(batch, path, start)
+        start += len(batch)
         times = times[np.isfinite(times)]
         if not len(times):
             continue
@@ -46,8 +47,8 @@ def _is_ordered_within_cameras(path: Path) -> bool:
     latest: dict[str, float] = {}
     start = 0
     for batch in _pieces(path, ["time_s", "camera"]):
-        times = _times(batch)
-        names = batch.column("camera").cast(STRING)
+        times = _times(batch, path, start)
+        names = cast_column(batch.column("camera"), "camera", STRING, path, start)
         check_texts(names, "camera", path, start)
         start += len(batch)
         cameras = names.dictionary_encode()
@@ -62,8 +63,8 @@ def _is_ordered_within_cameras(path: Path) -> bool:
     return True
 
 
-def _times(batch: pa.RecordBatch) -> Floats:
-    times: Floats = batch.column("time_s").cast(FLOAT).to_numpy(zero_copy_only=False)
+def _times(batch: pa.RecordBatch, path: Path, start: int) -> Floats:
+    times: Floats = cast_column(batch.column("time_s"), "time_s", FLOAT, path, start).to_numpy(zero_copy_only=False)
     return times
 
 

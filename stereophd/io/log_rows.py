@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from stereophd.io.table_reading import check_texts
+from stereophd.io.table_reading import cast_column, check_texts
 from stereophd.io.table_schemas import DETECTIONS, FLOAT, INTEGER
 
 Floats = NDArray[np.float64]
@@ -94,12 +94,10 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: 
     Raises
     ------
     InputError
-        The name of a camera is not text.
-    pyarrow.ArrowException
-        A value does not fit the type of its column.
+        The name of a camera is not text, or a value does not fit the type of its column.
     """
     kinds = {**REQUIRED, **OPTIONAL}
-    column = {name: batch.column(name).cast(kinds[name]) for name in batch.schema.names}
+    column = {name: cast_column(batch.column(name), name, kinds[name], path, start) for name in batch.schema.names}
     check_texts(column["camera"], "camera", path, start)
     null = {name: _is_null(array) for name, array in column.items()}
     sigma = object_id = None

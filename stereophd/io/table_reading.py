@@ -93,6 +93,49 @@ def check_texts(column: pa.Array | pa.ChunkedArray, name: str, path: Path | str,
         start += len(chunk)
 
 
+def cast_column(
+    column: pa.Array | pa.ChunkedArray, name: str, kind: pa.DataType, path: Path | str, start: int = 0
+) -> pa.Array | pa.ChunkedArray:
+    """Return a column as another type, without loss.
+
+    Parameters
+    ----------
+    column
+        Values of a type that `check_columns` accepts for `kind`.
+    name, path, start
+        The column, the file, and the index of the first row in it, for the message.
+
+    Raises
+    ------
+    InputError
+        A value does not fit the type.
+    """
+    try:
+        return column.cast(kind)
+    except pa.ArrowInvalid:
+        row, value = _first_misfit(column, kind)
+    expected, hint = f"a value of type {kind}", ""
+    if pa.types.is_integer(kind):
+        expected = f"a whole number of type {kind}"
+    elif name == "time_s":
+        expected, hint = "seconds as float64", " (nanoseconds?)"
+    raise InputError(f"{path}: row {start + row}: column {name}: expected {expected}, found {value}{hint}")
+
+
+def _first_misfit(column: pa.Array | pa.ChunkedArray, kind: pa.DataType) -> tuple[int, object]:
+    """Return index and value of the first row that does not fit a type, by halving."""
+    low, count = 0, len(column)
+    while count > 1:
+        half = count // 2
+        try:
+            column.slice(low, half).cast(kind)
+        except pa.ArrowInvalid:
+            count = half
+        else:
+            low, count = low + half, count - half
+    return low, column[low].as_py()
+
+
 def _is_utf8(text: bytes | None) -> bool:
     try:
         (text or b"").decode()
@@ -108,7 +151,9 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _fits(found: pa.DataType, expected: pa.DataType) -> bool:
-    """Whether a column can be read as `expected` without loss: wider numbers, other kinds of text."""
+    """Whether a column can be read as `expected` without loss: wider numbers, other kinds of text, nulls alone."""
+    if pa.types.is_null(found):
+        return True
     if pa.types.is_floating(expected):
         return bool(pa.types.is_floating(found) or pa.types.is_integer(found))
     if pa.types.is_integer(expected):
@@ -153,7 +198,9 @@ def check_columns(
             raise InputError(f"{path}: column {name}: expected one column of this name, found several")
         expected = _data_type(required[name] if name in required else optional[name])
         found = schema.field(name).type
-        if not _fits(found, expected):
+        # pandas keeps whole numbers with gaps as floats
+        is_whole = name in present and pa.types.is_integer(expected) and pa.types.is_floating(found)
+        if not (is_whole or _fits(found, expected)):
             raise InputError(f"{path}: column {name}: expected type {expected}, found {found}")
     return present
 
@@ -203,7 +250,8 @@ def read_table(
             row = table.column(name).is_null().index(True).as_py()
             raise InputError(f"{path}: row {row}: column {name}: expected a value, found null")
     try:
-        table = table.cast(pa.schema(fields, metadata=schema.metadata))
+        columns = [cast_column(table.column(field.name), field.name, field.type, path) for field in fields]
+        table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=schema.metadata))
         for field in fields:
             if pa.types.is_string(field.type):
                 check_texts(table.column(field.name), field.name, path)

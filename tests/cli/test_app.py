@@ -117,6 +117,22 @@ def test_parts_of_an_error(message: str) -> None:
     assert tuple(found[key] for key in ("file", "line", "place", "expected", "found")) == ERRORS[message]
 
 
+@pytest.mark.parametrize(
+    ("words", "place", "expected", "found"),
+    [
+        (["track", "a", "b", "--out", "c", "--jobs", "0"], "--jobs", "a value in the range x>=1", "0"),
+        (["simulate", "a", "--out", "b", "--seed", "x"], "--seed", "a valid integer", "x"),
+        (["track", "a", "b"], "--out", "a value", "none"),
+        (["track", "a", "b", "--out", "c", "--treads"], "--treads", "a known option", "--treads"),
+        (["trakc"], "trakc", "a known command", "trakc"),
+        (["simulate", "a", "b", "--out", "d"], None, "no further argument", "b"),
+    ],
+)
+def test_parts_of_a_usage_error(call: Call, words: list[str], place: str | None, expected: str, found: str) -> None:
+    document = json.loads(call(*words, "--json").out)["error"]
+    assert (document["place"], document["expected"], document["found"]) == (place, expected, found)
+
+
 def test_errors_with_json_are_one_document(call: Call, config: Path, tmp_path: Path) -> None:
     for words, kind, file in (
         (["config", "show", tmp_path / "none.yaml", "--json"], "input", str(tmp_path / "none.yaml")),
@@ -191,6 +207,15 @@ class TestConfig:
         assert values["input"] == {"on_bad_row": "error", "image_margin_px": 10.0}
         (tmp_path / "copy.yaml").write_text(shown.out)
         assert call("config", "show", tmp_path / "copy.yaml").out == shown.out
+
+    @pytest.mark.parametrize("flag", ["-q", "-v", "-vv"])
+    def test_common_flags(self, call: Call, config: Path, flag: str) -> None:
+        assert call("config", "show", config, flag).out.startswith("# sha256 ")
+        assert call("config", "schema", flag).code == call("config", "check", config, flag).code == 0
+
+    def test_a_kind_is_missing(self, call: Call, config: Path) -> None:
+        sentence = call("config", "show", config, "--set", "filter={}").sentence
+        assert "expected a key kind that selects the kind, found none" in sentence
 
     def test_show_json(self, call: Call, config: Path) -> None:
         values = json.loads(call("config", "show", config, "--json").out)

@@ -129,6 +129,17 @@ def test_other_things_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (tmp_path / "page.html").write_text("<!doctype html>\x1a")
     with pytest.raises(InputError, match=r"page\.html: expected a log, a table, cameras"):
         info(tmp_path / "page.html")
+    (tmp_path / "foreign.json").write_text('{"provenance": "x", "a": 1}')
+    (tmp_path / "deep.json").write_text("[" * 20000 + "]" * 20000)
+    (tmp_path / "deep.yaml").write_text("a: " + "[" * 3000 + "]" * 3000)
+    for name in ("foreign.json", "deep.json", "deep.yaml"):
+        with pytest.raises(InputError, match=name):
+            info(tmp_path / name)
+    # of an experiment: a value of a whole run has no time
+    runs = {"experiment": ["e"] * 2, "run": [0, 1], "time_s": [None, 1.0], "quantity": ["q"] * 2, "value": [1.0, 2.0]}
+    pq.write_table(pa.table(runs), tmp_path / "runs.parquet")
+    found = info(tmp_path / "runs.parquet")
+    assert (found["kind"], found["rows"], found["first_s"], found["last_s"]) == ("runs", 2, 1.0, 1.0)
     pq.write_table(pa.table({"a": [1]}), tmp_path / "t.parquet")
     assert "  a  int64" in info_text(info(tmp_path / "t.parquet"))
     assert run(["info", str(tmp_path / "t.parquet"), "--json"]) == 0

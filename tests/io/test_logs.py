@@ -23,6 +23,7 @@ from stereophd.io.log_checks import KINDS
 from stereophd.io.log_rows import decode
 from stereophd.io.log_writing import LogWriter
 from stereophd.io.logs import Frame, LogReader
+from stereophd.pipeline.inspection.log import summarise_log
 
 from .conftest import TYPES, make_camera, row
 
@@ -136,6 +137,38 @@ def test_other_types_of_columns_are_read(cameras: list[Camera], write_rows: Call
     }
     (frame,) = LogReader(write_rows([row(3, "right", 9, 1.5, 2)], types), cameras)
     assert plain(frame) == (3.0, 1, 9, [[1.5, 2.0]])
+
+
+def test_columns_as_pandas_writes_them_are_read(cameras: list[Camera], write_rows: Callable[..., Path]) -> None:
+    rows = [row(0.0, "left", 0, 1.0, 1.0, object_id=2.0), row(0.0, "right", 0, 1.0, 1.0, object_id=None)]
+    left, right = LogReader(write_rows(rows, {"object_id": pa.float64()}), cameras)
+    assert (left.object_id.tolist(), right.object_id.tolist()) == ([2], [-1])
+    path = write_rows([row(0.0, "left", 0, None, None)], {"u_px": pa.null(), "v_px": pa.null()})
+    (frame,) = LogReader(path, cameras)
+    assert plain(frame) == (0.0, 0, 0, [])
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "kind", "message"),
+    [
+        ("time_s", [1, 1_700_000_000_000_000_001], pa.int64(), "seconds as float64, found 17.*01 .nanoseconds"),
+        ("frame", [1, 2**63 + 5], pa.uint64(), "a whole number of type int64, found 9223372036854775813"),
+        ("object_id", [1.0, 1.5], pa.float64(), "a whole number of type int64, found 1.5"),
+    ],
+)
+def test_a_value_that_does_not_fit_its_type_is_named(
+    cameras: list[Camera], write_rows: Callable[..., Path], name: str, values: list[Any], kind: Any, message: str
+) -> None:
+    rows = [{**row(float(k), "left", k, 1.0, 1.0), name: value} for k, value in enumerate(values)]
+    path = write_rows(rows, {name: kind})
+    for read in (lambda: list(LogReader(path, cameras)), lambda: summarise_log(path)):
+        with pytest.raises(InputError, match=f"row 1: column {name}: expected {message}"):
+            read()
+
+
+def test_a_log_without_cameras_has_no_summary(write_rows: Callable[..., Path]) -> None:
+    with pytest.raises(InputError, match="expected rows with a camera and a finite time, found none in 1 rows"):
+        summarise_log(write_rows([row(0.0, None, 0, 1.0, 1.0)]))
 
 
 def test_cameras_that_never_appear_are_counted(cameras: list[Camera], write_rows: Callable[..., Path]) -> None:

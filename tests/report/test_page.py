@@ -136,6 +136,12 @@ def test_what_is_no_output_is_refused(folders: Path, tmp_path: Path) -> None:
     simulate(load_config(folders / "scene.yaml", seed=9), tmp_path / "other")
     with pytest.raises(InputError, match="none of the runs"):
         report([folders / "pmb"], tmp_path / "page.html", logs=[tmp_path / "other" / "detections.parquet"])
+    for record in ({"command": "track"}, {"command": "evaluate", "config": {}, "inputs": {}, "seed": None}):
+        foreign = tmp_path / str(record["command"])
+        foreign.mkdir()
+        (foreign / "report.json").write_text(json.dumps({"provenance": record}))
+        with pytest.raises(InputError, match=r"report\.json: .*expected this key of a report of"):
+            report([foreign], tmp_path / "page.html")
     assert not (tmp_path / "page.html").exists()
 
 

@@ -42,6 +42,8 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
             yield from _split(path, images, annotations, options, recording)
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except InputError:
+            raise
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(f"{path}: expected COCO's images and annotations, found: {error!r}") from error
 

@@ -6,12 +6,14 @@ native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_p
 frame without detections. Without a column of cameras, each file is a camera, named as the file. Pixels are native
 (pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
 
-Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ... Numbers
-have 17 digits, which is exact.
+Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ..., after
+``existence`` ``status`` and ``std_x``, ``std_y``, ``std_z`` where the table has them. Numbers have 17 digits, which is
+exact; names of cameras are quoted where they need it.
 """
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,7 +69,7 @@ def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: Impor
             recording.assumed.append(
                 f"{path.name}: all rows are of one camera, {options.name(path.stem)}, named as the file"
             )
-        for batch in _batches(path, separator, columns):
+        for batch in _batches(path, separator, header, columns):
             yield from _split(path, batch, columns, options, recording)
 
 
@@ -103,12 +105,12 @@ def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> 
     return {name: columns[name] for name in USUAL_NAMES if name in columns}
 
 
-def _batches(path: Path, separator: str, columns: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
+def _batches(path: Path, separator: str, header: Sequence[str], columns: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
     """Yield the table in pieces, numbers as float64."""
     import pyarrow as pa
 
     kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
-    yield from read_batches(path, separator, kinds, str(path))
+    yield from read_batches(path, separator, kinds, str(path), list(header), skip=1)
 
 
 def _split(
@@ -142,7 +144,7 @@ def _split(
 
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:
     """Write tracks as a table."""
-    from stereophd.io.interchange.tracks import batches
+    from stereophd.io.interchange.tracks import batches, optional_columns
 
     upper = [(i, j) for i in range(6) for j in range(i, 6)]
     names = [
@@ -153,18 +155,16 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
         *AXES,
         *(f"cov_{AXES[i]}_{AXES[j]}" for i, j in upper),
         "existence",
+        *(more := optional_columns(tracks)),
     ]
     with open(target, "w", encoding="utf-8", newline="\n") as stream:
-        stream.write(",".join(names) + "\n")
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(names)
         for rows in batches(tracks, options):
-            numbers: list[Any] = [rows[axis].tolist() for axis in AXES]
-            numbers += [rows["covariance"][:, 6 * i + j].tolist() for i, j in upper]
-            numbers.append(rows["existence"].tolist())
-            keys = zip(
-                rows["time_s"].tolist(), rows["camera"], rows["frame"].tolist(), rows["track_id"].tolist(), strict=True
-            )
-            for (time, camera, frame, track), values in zip(keys, zip(*numbers, strict=True), strict=True):
-                stream.write(f"{time!r},{camera},{frame},{track},{','.join(map(repr, values))}\n")
+            columns: list[Any] = [rows[name] for name in ("time_s", "camera", "frame", "track_id", *AXES)]
+            columns += [rows["covariance"][:, 6 * i + j] for i, j in upper]
+            columns += [rows[name] for name in ("existence", *more)]
+            table.writerows(zip(*(c if isinstance(c, list) else c.tolist() for c in columns), strict=True))
     return []
 
 

@@ -42,6 +42,8 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
                 transform = step @ transform
             name = options.name(str(key))
             recording.cameras[name] = _camera(name, values, transform, options, where)
+        except InputError:
+            raise
         except (KeyError, ValueError, TypeError) as error:
             raise InputError(f"{where}: expected a camera of a camchain, found: {error!r}") from error
     return recording

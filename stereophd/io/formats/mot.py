@@ -24,12 +24,14 @@ from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches, separator_of, split_line
 from stereophd.io.interchange.tracks import on_grid, trajectories
 
+# Number of the first frame: at time 0.
+FIRST_FRAME = 1
 COLUMNS = ("frame", "id", "left", "top", "width", "height", "score")
 
 
 def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read detections, a file or folder for each camera."""
-    recording = ForeignRecording()
+    recording = ForeignRecording(first_frame=FIRST_FRAME)
     files: dict[str, Path] = {}
     for source in sources:
         path = _file_of(source)
@@ -67,7 +69,7 @@ def _read_sequence_info(path: Path, camera: str, recording: ForeignRecording) ->
         sequence = parser["Sequence"]
         recording.rates[camera] = float(sequence["frameRate"])
         if "seqLength" in sequence:
-            recording.frames[camera] = (1, int(sequence["seqLength"]))
+            recording.frames[camera] = (FIRST_FRAME, int(sequence["seqLength"]))
     except (configparser.Error, KeyError, ValueError) as error:
         raise InputError(f"{info}: expected [Sequence] with frameRate and seqLength, found: {error}") from error
     recording.files.append(info)
@@ -102,9 +104,8 @@ def _piece(
     extra = {"object_id": np.where(row["id"] >= 0, row["id"], np.nan)}
     if "score" in row:
         extra["score"] = row["score"]
-    rate = options.rates.get(camera) or recording.rates[camera]
     native = native_pixels(pixels, camera, options, recording, origin="one")
-    return Piece(camera, native, row["frame"], (row["frame"] - 1.0) / rate, extra)
+    return Piece(camera, native, row["frame"], extra=extra)
 
 
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:

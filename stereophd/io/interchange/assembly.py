@@ -112,6 +112,7 @@ class _Camera:
         if stated is not None and not stated > 0:
             raise InputError(f"rate of camera {name}: expected frames per second > 0, found {stated:g}")
         self._is_rate_stated = stated is not None
+        self._first_frame = recording.first_frame
         self._offset = options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
         self._fill = options.fill
@@ -168,7 +169,7 @@ class _Camera:
             return rows
         has_times = np.isfinite(rows[:, TIME]).all()
         if self._rate is not None and (self._is_rate_stated or not has_times):
-            rows[:, TIME] = rows[:, FRAME] / self._rate + self._offset
+            rows[:, TIME] = self._by_rate(rows[:, FRAME], self._rate)
             return rows
         if not has_times:
             raise InputError(
@@ -188,6 +189,9 @@ class _Camera:
                 f"{later[TIME]:.9g} s at frame {later[FRAME]:.0f}, not after the frame before"
             )
         return rows
+
+    def _by_rate(self, frames: Floats, rate: float) -> Floats:
+        return (frames - self._first_frame) / rate + self._offset
 
     def _filled(self, rows: Floats, is_first: bool, is_last: bool) -> Floats:
         """Add a row for each frame that is missing after the last row before, between these, and at the ends."""
@@ -219,7 +223,7 @@ class _Camera:
     def _times_of(self, missing: Floats, frames: Floats, times: Floats) -> Floats:
         """Return times of missing frames: by the rate, between neighbours, and beyond the ends by the mean period."""
         if self._rate is not None and self._is_rate_stated:
-            return missing / self._rate + self._offset
+            return self._by_rate(missing, self._rate)
         result = np.interp(missing, frames, times)
         if len(frames) > 1:
             period = (times[-1] - times[0]) / (frames[-1] - frames[0])

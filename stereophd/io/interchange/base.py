@@ -157,6 +157,8 @@ class ForeignRecording:
         Every file that is read.
     rates, frames
         Frames per second, and first and last recorded frame, of cameras for which the source states them.
+    first_frame
+        Number of a frame at time 0, for times by rate.
     """
 
     pieces: Iterable[Piece] | None = None
@@ -169,6 +171,7 @@ class ForeignRecording:
     files: list[Path] = field(default_factory=list)
     rates: dict[str, float] = field(default_factory=dict)
     frames: dict[str, tuple[int, int]] = field(default_factory=dict)
+    first_frame: int = 0
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from pathlib import Path
 from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
-from stereophd.io.interchange.registry import find, recognise_cameras
+from stereophd.io.interchange.reading import read_foreign
+from stereophd.io.interchange.registry import recognise_cameras
 
 
 def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:
@@ -35,9 +36,7 @@ def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tu
     name = recognise_cameras(path)
     if name is None:
         return None
-    read = find(name).read
-    assert read is not None
-    return name, read([path], options or ImportOptions())
+    return name, read_foreign(name, [path], options or ImportOptions())
 
 
 def read_camera_file(

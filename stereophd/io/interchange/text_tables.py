@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 NULLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "None"]
+_QUOTED = re.compile(r'"[^"]*"')
 BLOCK_BYTES = 1 << 22
 
 
@@ -34,13 +37,16 @@ def first_lines(path: Path, count: int) -> list[str]:
 
 
 def separator_of(line: str) -> str:
-    """Return what separates the columns of a line: comma, semicolon, tab or space."""
-    return next((s for s in (",", ";", "\t") if s in line), " ")
+    """Return what separates the columns of a line, outside quotes: comma, semicolon, tab or space."""
+    bare = _QUOTED.sub("", line)
+    return next((s for s in (",", ";", "\t") if s in bare), " ")
 
 
 def split_line(line: str) -> list[str]:
-    """Return the words of a line of a table."""
-    return [word.strip().strip('"') for word in line.split(separator_of(line))]
+    """Return the words of a line of a table; a word in quotes may hold the separator."""
+    separator = separator_of(line)
+    words = next(csv.reader([line], delimiter=separator, skipinitialspace=separator != " "), [])
+    return [word.strip() for word in words]
 
 
 def read_batches(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +16,27 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.provenance import from_metadata
 from stereophd.io.provenance import length_unit as unit_of
-from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet
-from stereophd.io.table_schemas import CONFIRMED, TRACKS
+from stereophd.io.table_reading import cast_column, check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.table_schemas import CONFIRMED, STD, STRING, TRACKS
 
 Floats = NDArray[np.float64]
 
+TEXTS = ("camera", "status")
+# Columns that a table of tracks may lack.
+OPTIONAL = {"status": STRING, **{field.name: field.type for field in STD}}
 COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "vz", "covariance", "existence")
 # Times within this share of the period count as multiples of it.
 REGULAR = 1e-3
 
 
+def optional_columns(path: Path) -> list[str]:
+    """Return the names of the columns that a table of tracks has beside `COLUMNS`: status, standard deviations."""
+    with open_parquet(path, "table of tracks") as parquet:
+        return [name for name in OPTIONAL if name in parquet.schema_arrow.names]
+
+
 def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
-    """Yield the rows of ``tracks.parquet`` in pieces: arrays by column, the cameras as a list, the covariance (n, 36).
+    """Yield the rows of ``tracks.parquet`` in pieces: arrays by column, texts as lists, the covariance (n, 36).
 
     Raises
     ------
@@ -37,13 +47,14 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
     wanted = None if options.tracks is None else np.asarray(list(options.tracks), dtype=np.int64)
     seen: set[int] = set()
     with open_parquet(path, "table of tracks") as parquet:
-        check_columns(parquet.schema_arrow, kinds, {}, path)
+        present = check_columns(parquet.schema_arrow, kinds, OPTIONAL, path)
+        kinds |= {name: OPTIONAL[name] for name in present}
         with damaged_is_input_error(path):
-            for batch in _wanted_status(parquet, options.tentative):
+            for batch in _wanted_status(parquet, list(kinds), options.tentative):
                 rows: dict[str, Any] = {}
-                for name in COLUMNS:
-                    column = batch.column(batch.schema.get_field_index(name)).cast(kinds[name])
-                    if name == "camera":
+                for name in kinds:
+                    column = cast_column(batch.column(name), name, kinds[name], path)
+                    if name in TEXTS:
                         rows[name] = column.to_pylist()
                     elif name == "covariance":
                         rows[name] = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, 36)
@@ -51,8 +62,10 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
                         rows[name] = column.to_numpy(zero_copy_only=False)
                 if wanted is not None:
                     keep = np.isin(rows["track_id"], wanted)
-                    rows["camera"] = [name for name, is_kept in zip(rows["camera"], keep, strict=True) if is_kept]
-                    rows = {name: values if name == "camera" else values[keep] for name, values in rows.items()}
+                    rows = {
+                        name: list(compress(values, keep)) if name in TEXTS else values[keep]
+                        for name, values in rows.items()
+                    }
                 seen.update(np.unique(rows["track_id"]).tolist())
                 if len(rows["time_s"]):
                     yield rows
@@ -60,13 +73,13 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
         raise InputError(f"{path}: expected the tracks {sorted(missing)}, found none of that identity")
 
 
-def _wanted_status(parquet: ParquetFile, tentative: bool) -> Iterator[RecordBatch]:
+def _wanted_status(parquet: ParquetFile, columns: list[str], tentative: bool) -> Iterator[RecordBatch]:
     """Yield the rows of a table of tracks in pieces: the confirmed ones, or all."""
-    if tentative or "status" not in parquet.schema_arrow.names:
-        yield from parquet.iter_batches(batch_size=16384, columns=list(COLUMNS), use_threads=False)
-        return
-    for batch in parquet.iter_batches(batch_size=16384, columns=[*COLUMNS, "status"], use_threads=False):
-        yield batch.filter(compute.equal(batch.column(batch.schema.get_field_index("status")), CONFIRMED))
+    for batch in parquet.iter_batches(batch_size=16384, columns=columns, use_threads=False):
+        if tentative or "status" not in columns:
+            yield batch
+        else:
+            yield batch.filter(compute.equal(batch.column(batch.schema.get_field_index("status")), CONFIRMED))
 
 
 def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Floats, Floats]]:

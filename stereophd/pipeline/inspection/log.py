@@ -122,18 +122,22 @@ def summarise_log(path: Path) -> dict[str, Any]:
     names: dict[str, int] = {}
     states: list[_CameraState] = []
     latest, backwards = -np.inf, 0
+    start = 0
     for batch in _batches(path, [*REQUIRED, *present]):
         for name in batch.column("camera").unique().to_pylist():
             if name is not None and name not in names:
                 names[name] = len(names)
                 states.append(_CameraState())
         with damaged_is_input_error(path):
-            rows = decode(batch, 0, names).rows
+            rows = decode(batch, start, names, path).rows
+        start += len(batch)
         rows = rows.take((rows.camera >= 0) & np.isfinite(rows.time_s))
         backwards += int((np.diff(rows.time_s, prepend=latest) < 0).sum())
         latest = float(rows.time_s[-1]) if len(rows) else latest
         for k in np.unique(rows.camera).tolist():
             states[k].add(rows.take(rows.camera == k))
+    if not any(state.rows for state in states):
+        raise InputError(f"{path}: expected rows with a camera and a finite time, found none in {rows_of_file} rows")
     cameras = {name: states[k].summary() for name, k in sorted(names.items())}
     first = [camera["first_s"] for camera in cameras.values()]
     last = [camera["last_s"] for camera in cameras.values()]

@@ -34,6 +34,12 @@ SCORES = dict.fromkeys(("time_s", "ospa", "ospa_localisation", "ospa_cardinality
 COUNTS = dict.fromkeys(("n_truth", "n_estimates", "n_matched"), INTEGER)
 
 REPORT = "report.json"
+# What a report page takes from the origin of a run, and from the report by command: keys that must be there.
+RECORD = ("config", "inputs", "seed")
+SHOWN = {
+    "evaluate": ("ospa", "gospa", "rmse", "nees", "identity_switches"),
+    "calibrate": ("parameters", "status"),
+}
 
 
 @dataclass(frozen=True)
@@ -177,10 +183,19 @@ def _report(path: Path) -> dict[str, Any] | None:
         document = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
+    except RecursionError:
+        raise InputError(f"{path}: expected a report of stereophd, found JSON nested too deeply") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
         raise InputError(f"{path}: expected a report of stereophd, found none of its keys")
+    record = document["provenance"]
+    command = record.get("command")
+    missing = [f"provenance.{key}" for key in RECORD if key not in record]
+    missing += [f"provenance.{key}" for key in ("config", "inputs") if not isinstance(record.get(key, {}), dict)]
+    missing += [key for key in SHOWN.get(command if isinstance(command, str) else "", ()) if key not in document]
+    if missing:
+        raise InputError(f"{path}: {missing[0]}: expected this key of a report of {command}, found none")
     return document
 
 

@@ -48,7 +48,12 @@ def summarise_table(path: Path) -> dict[str, Any]:
         "length_unit": length_unit(schema.metadata),
     }
     if rows and "time_s" in schema.names:
-        times = _column(read_table(path, {"time_s": FLOAT}), "time_s")
+        # null where a row belongs to a whole run, as in the tables of an experiment
+        times = _column(read_table(path, {}, {"time_s": FLOAT}), "time_s")
+        times = times[np.isfinite(times)]
+    else:
+        times = np.empty(0)
+    if len(times):
         result |= {"first_s": float(times.min()), "last_s": float(times.max())}
     return result
 

@@ -50,6 +50,19 @@ def test_sequences_of_motchallenge(tmp_path: Path, imported: Import) -> None:
         imported("mot", bare)
 
 
+def test_stated_and_recorded_rates_give_the_same_times(tmp_path: Path, imported: Import) -> None:
+    rows = "1,-1,1,1,1,1,0.9\n4,-1,11,21,4,6,0.4\n"
+    north, south = write_sequence(tmp_path / "north", rows), write_sequence(tmp_path / "south", rows)
+    found = [
+        log_rows(imported("mot", north, south, **stated)[1] / "detections.parquet")
+        for stated in ({}, {"rates": 10.0}, {"rates": {"north": 10.0}})
+    ]
+    assert [time for time, *_ in found[0]] == pytest.approx([0.0, 0.0, 0.1, 0.1, 0.2, 0.2, 0.3, 0.3])
+    for other in found[1:]:
+        assert [rest for _, *rest in other] == [rest for _, *rest in found[0]]
+        assert [time for time, *_ in other] == pytest.approx([time for time, *_ in found[0]])
+
+
 def test_annotations_of_coco(tmp_path: Path, imported: Import) -> None:
     document = {
         "images": [

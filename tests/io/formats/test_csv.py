@@ -66,6 +66,20 @@ def test_times_without_frames(tmp_path: Path, imported: Import) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "camera"),
+    [
+        ("time_s, camera, frame, u_px, v_px\n0.0, left, 0, 1.0, 2.0\n0.1, left, 1, 1.5, 2.5\n", "left"),
+        ('"time_s","camera","frame","u, px","v_px"\n0.0,"le,ft",0,1.0,2.0\n0.1,"le,ft",1,1.5,2.5\n', "le,ft"),
+        ("time_s;camera;frame;u_px;v_px\n0.0;le,ft;0;1.0;2.0\n0.1;le,ft;1;1.5;2.5\n", "le,ft"),
+    ],
+)
+def test_spaces_and_quotes(tmp_path: Path, imported: Import, text: str, camera: str) -> None:
+    stated = {"columns": {"u_px": "u, px"}} if "u, px" in text else {}
+    _, out = imported("csv", write(tmp_path / "c.csv", text), **stated)
+    assert log_rows(out / "detections.parquet") == [(0.0, camera, 0, 1.0, 2.0), (0.1, camera, 1, 1.5, 2.5)]
+
+
+@pytest.mark.parametrize(
     ("stated", "expected"),
     [
         ({"pixel_origin": "corner"}, (9.5, 19.5)),

@@ -60,6 +60,20 @@ def test_csv_is_exact(tracks: Path, tmp_path: Path) -> None:
         assert float(row["cov_vx_vz"]) == (3 * 6 + 5) / 7
 
 
+def test_csv_quotes_names_and_has_the_standard_deviations(tracks: Path, tmp_path: Path) -> None:
+    table = pq.read_table(tracks)
+    names = ['le,ft "1"'] * table.num_rows
+    table = table.set_column(table.schema.get_field_index("camera"), "camera", pa.array(names))
+    for axis in "xyz":
+        table = table.append_column(f"std_{axis}", pa.array(np.full(table.num_rows, 1 / 3)))
+    pq.write_table(table, tracks)
+    export("csv", tracks, tmp_path / "out.csv")
+    with open(tmp_path / "out.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["camera"] for row in rows] == names
+    assert {(row["status"], float(row["std_x"]), float(row["std_z"])) for row in rows} == {("confirmed", 1 / 3, 1 / 3)}
+
+
 def test_tentative_estimates_are_left_out_unless_asked_for(tracks: Path, tmp_path: Path) -> None:
     table = pq.read_table(tracks)
     status = pa.array(["tentative" if row % 2 else "confirmed" for row in range(table.num_rows)])
@@ -68,6 +82,8 @@ def test_tentative_estimates_are_left_out_unless_asked_for(tracks: Path, tmp_pat
     assert len((tmp_path / "confirmed.csv").read_text().splitlines()) == 1 + (table.num_rows + 1) // 2
     report = export("csv", tracks, tmp_path / "all.csv", ExportOptions(tentative=True))
     assert len((tmp_path / "all.csv").read_text().splitlines()) == 1 + table.num_rows
+    with open(tmp_path / "all.csv", newline="") as stream:
+        assert [row["status"] for row in csv.DictReader(stream)] == status.to_pylist()
     summary = summarise_objects(tracks, "track_id")
     assert summary["tentative_rows"] == table.num_rows // 2
     assert sum(row["rows"] for row in summary["rows_by_object"]) == (table.num_rows + 1) // 2

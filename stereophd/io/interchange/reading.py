@@ -1,0 +1,92 @@
+"""Reading foreign files: what a reader stumbles over in a malformed file is an `InputError`."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions, Piece
+from stereophd.io.interchange.registry import find
+
+# Exceptions that readers raise where a file has another structure than its format. RuntimeError includes nesting that
+# is too deep; errors of the operating system are not among them.
+MALFORMED = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    csv.Error,
+    struct.error,
+)
+# A longer reason is cut in the message.
+MAX_SHOWN = 200
+
+
+def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
+    """Read files of a foreign format.
+
+    Parameters
+    ----------
+    form
+        Name of the format.
+    sources
+        Files or folders that exist.
+    options
+        Statements of the user about them.
+
+    Returns
+    -------
+    ForeignRecording
+        Its pieces are read as they are consumed.
+
+    Raises
+    ------
+    InputError
+        No such format, one for export only, or files that are not of it (also while the pieces are consumed).
+    """
+    read = find(form).read
+    if read is None:
+        raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
+    with _malformed_is_input_error(form, sources):
+        recording = read(sources, options)
+    if recording.pieces is not None:
+        recording.pieces = _pieces(recording.pieces, form, sources)
+    return recording
+
+
+def _pieces(pieces: Iterable[Piece], form: str, sources: Sequence[Path]) -> Iterator[Piece]:
+    """Yield pieces; only errors of their reader are translated, not those of the consumer."""
+    with _malformed_is_input_error(form, sources):
+        iterator = iter(pieces)
+    while True:
+        with _malformed_is_input_error(form, sources):
+            piece = next(iterator, None)
+        if piece is None:
+            return
+        yield piece
+
+
+@contextlib.contextmanager
+def _malformed_is_input_error(form: str, sources: Sequence[Path]) -> Iterator[None]:
+    try:
+        yield
+    except InputError:
+        raise
+    except RecursionError as error:
+        raise InputError(f"{_listed(sources)}: cannot be read as {form}: it is nested too deeply") from error
+    except MALFORMED as error:
+        reason = " ".join(str(error).split())[:MAX_SHOWN]
+        reason = f"missing key {reason}" if isinstance(error, KeyError) else reason or type(error).__name__
+        raise InputError(f"{_listed(sources)}: cannot be read as {form}: {reason}") from error
+
+
+def _listed(sources: Sequence[Path]) -> str:
+    return ", ".join(map(str, sources))

@@ -1,0 +1,71 @@
+"""Files that are not what their format says: every reader refuses them, and names the file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stereophd.commands.importing import import_recording
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import ImportOptions, PerCamera
+from stereophd.io.interchange.registry import find, names, recognise_cameras
+
+READERS = [name for name in names() if find(name).read is not None]
+OPTIONS = ImportOptions(rates=PerCamera(other=10.0), image_sizes=PerCamera(other=(100, 100)), length_unit="m")
+EYE = np.eye(3).tolist()
+K = [[100, 0, 50], [0, 100, 50], [0, 0, 1]]
+CAMERA = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]\n"
+FILES = {
+    "empty.txt": b"",
+    "empty.csv": b"",
+    "random.dat": np.random.default_rng(3).bytes(3000),
+    "random.h5": np.random.default_rng(4).bytes(3000),
+    "random.npz": b"PK" + np.random.default_rng(5).bytes(300),
+    "text.json": b'"abc"',
+    "list.json": b'[1, 2, "a"]',
+    "deep.json": b"[" * 20000 + b"]" * 20000,
+    "deep.yaml": b"a: " + b"[" * 2000 + b"]" * 2000,
+    "names.json": b'{"images": ["a"], "annotations": []}',
+    "null.json": b'{"images": [{"id": 1, "file_name": null}], "annotations": [{"image_id": 1, "bbox": [1, 2, 3]}]}',
+    "matrix.json": json.dumps({"K": [[1, 0, 0], [0, 1, "x"], [0, 0, 1]], "R": EYE, "T": [0, 0, 0]}).encode(),
+    "translation.json": json.dumps({"K": K, "R": EYE, "T": ["a", 0, 0]}).encode(),
+    "lens.json": json.dumps({"K": K, "R": EYE, "T": [0, 0, 0], "dist": "abc"}).encode(),
+    "headers.csv": b"scorer,a,a\nbodyparts,x\ncoords,x,y,z\n0,1,2\n",
+    "words.csv": b"a,b,c\nx,y,z\n",
+    "size.toml": f'[cam_0]\nname = "a"\nsize = 5\nmatrix = {K}\ndistortions = [0, 0, 0, 0, 0]\n{CAMERA}'.encode(),
+    "cameras.toml": b'cameras = 3\n[cam_0]\nname = 3\nmatrix = "x"\ndistortions = 1\nrotation = {}\n',
+    "numbers.yaml": b"cam0: 5\ncam1: [1, 2]\n",
+    "chain.yaml": b"cam0: {camera_model: pinhole, intrinsics: [a, b], resolution: 5}\n",
+    "storage.xml": b"<opencv_storage><K type_id='opencv-matrix'><rows>x</rows></K></opencv_storage>",
+    "cameras.txt": b"# Camera list\n1 PINHOLE a b c\n",
+}
+
+
+@pytest.mark.parametrize("form", READERS)
+def test_malformed_files_are_refused(form: str, tmp_path: Path) -> None:
+    for name, content in FILES.items():
+        source = tmp_path / name
+        source.write_bytes(content)
+        with pytest.raises(InputError, match=name.split(".")[0]):
+            import_recording(form, [source], tmp_path / "out", OPTIONS)
+        assert not (tmp_path / "out").exists()
+        recognise_cameras(source)
+
+
+@pytest.mark.parametrize("form", ["deeplabcut", "sleap"])
+def test_malformed_hdf5_is_refused(form: str, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    source = tmp_path / "table.h5"
+    for shape in ((3,), (1, 2, 3, 4)):
+        with h5py.File(source, "w") as file:
+            group = file.create_group("df_with_missing")
+            group.attrs["non_index_axes"] = b"(lp0\n."
+            group["table"] = np.zeros(3)
+            file["tracks"] = np.zeros(shape)
+            file["node_names"] = np.zeros(3)
+            file["track_names"] = np.zeros((2, 2))
+        with pytest.raises(InputError, match=r"table\.h5"):
+            import_recording(form, [source], tmp_path / "out", OPTIONS)
