@@ -112,6 +112,7 @@ class _Camera:
         if stated is not None and not stated > 0:
             raise InputError(f"rate of camera {name}: expected frames per second > 0, found {stated:g}")
         self._is_rate_stated = stated is not None
+        self._is_timed_by_rate = False
         self._first_frame = recording.first_frame
         self._offset = options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
@@ -169,6 +170,7 @@ class _Camera:
             return rows
         has_times = np.isfinite(rows[:, TIME]).all()
         if self._rate is not None and (self._is_rate_stated or not has_times):
+            self._is_timed_by_rate = True
             rows[:, TIME] = self._by_rate(rows[:, FRAME], self._rate)
             return rows
         if not has_times:
@@ -222,7 +224,7 @@ class _Camera:
 
     def _times_of(self, missing: Floats, frames: Floats, times: Floats) -> Floats:
         """Return times of missing frames: by the rate, between neighbours, and beyond the ends by the mean period."""
-        if self._rate is not None and self._is_rate_stated:
+        if self._rate is not None and self._is_timed_by_rate:
             return self._by_rate(missing, self._rate)
         result = np.interp(missing, frames, times)
         if len(frames) > 1:
