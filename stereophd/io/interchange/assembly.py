@@ -111,10 +111,8 @@ class _Camera:
         self._rate = stated if stated is not None else recording.rates.get(name)
         if stated is not None and not stated > 0:
             raise InputError(f"rate of camera {name}: expected frames per second > 0, found {stated:g}")
-        self._is_rate_stated = stated is not None
-        self._is_timed_by_rate = False
-        self._first_frame = recording.first_frame
-        self._offset = options.offsets.get(name) or 0.0
+        self._is_rate_stated, self._is_timed_by_rate = stated is not None, False
+        self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
         self._fill = options.fill
         self._stride = self._measure_stride() if spool.has_frames else 1

@@ -50,7 +50,8 @@ def test_malformed_files_are_refused(form: str, tmp_path: Path) -> None:
     for name, content in FILES.items():
         source = tmp_path / name
         source.write_bytes(content)
-        with pytest.raises(InputError, match=re.escape(str(tmp_path)))  # some formats name a file beside it:
+        # some formats name a file beside it
+        with pytest.raises(InputError, match=re.escape(str(tmp_path))):
             import_recording(form, [source], tmp_path / "out", OPTIONS)
         assert not (tmp_path / "out").exists()
         recognise_cameras(source)
