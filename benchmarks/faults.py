@@ -7,9 +7,7 @@ all do; the next run removes what is left over and gives the bytes of an undistu
 is documented; no traceback is printed; no process is left alive. Exit code 1 if a case was not held. Needs psutil and a
 Unix system.
 
-The cases of `track` with checkpoints, in pieces and of several logs are killed in forks of a process that has loaded
-everything, so that the moments fall into the work and not into the start; checkpoints are made every 50 ms there. Each
-is killed again and again, `--resume` in between, until it ends, or three times.
+`benchmarks/kills.py` kills runs in the middle of their work, many times, and resumes them.
 """
 
 from __future__ import annotations
@@ -32,7 +30,6 @@ import psutil
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 CONFIG = CONFIGS / "quickstart.yaml"
-CALIBRATION = CONFIGS / "paper" / "calibration.yaml"
 EXPERIMENT = CONFIGS / "paper" / "figure4.yaml"
 PREFIX = ".stereophd-partial-"
 GIVE_UP_S = 300
@@ -135,54 +132,6 @@ def twice(command: Command, whole: dict[str, bytes], out: Path) -> str:
     return ", ".join(wrong)
 
 
-def forked(work: Callable[[], object], kill_after_s: float | None) -> bool:
-    """Do work in a fork, killed after a while; return whether it came to its end.
-
-    The fork has an output of its own, and leaves by `os._exit`: nothing of this process is tidied up twice.
-    """
-    pid = os.fork()
-    if pid == 0:
-        os.setpgid(0, 0)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        code = 1
-        try:
-            work()
-            code = 0
-        finally:
-            os._exit(code)
-    end = None if kill_after_s is None else time.monotonic() + kill_after_s
-    while True:
-        done, status = os.waitpid(pid, os.WNOHANG)
-        if done:
-            code = os.waitstatus_to_exitcode(status)
-            if code not in (0, -signal.SIGKILL):
-                raise RuntimeError(f"exit code {code}")
-            return code == 0
-        if end is not None and time.monotonic() >= end:
-            os.kill(pid, signal.SIGKILL)
-            end = None
-        time.sleep(0.002)
-
-
-def killed_and_resumed(work: Callable[[Path, bool], object], whole: Path, length: float, out: Path) -> str:
-    """Kill work at random moments and resume it; return what was wrong."""
-    shutil.rmtree(out, ignore_errors=True)
-    expected, resume = files(whole), False
-    for attempt in range(4):
-        moment = None if attempt == 3 else random.uniform(0.0, length)
-        if forked(lambda: work(out, resume), moment):  # noqa: B023
-            break
-        resume = True
-        for name, text in files(out).items():
-            if not any(part.startswith((PREFIX, "partial-")) for part in Path(name).parts) and text != expected[name]:
-                return f"{name} is there and is not that of a whole run"
-    if files(out) != expected:
-        return "the resumed run gives other files"
-    if [path for path in out.parent.iterdir() if path.name.startswith(PREFIX)]:
-        return "temporary files left behind"
-    return ""
-
-
 def attempts(case: str, attempt: Callable[[], str], times: int) -> int:
     """Try a case some times, print its row of the table, and on stderr what became of each; how many were not held."""
     not_held = 0
@@ -191,54 +140,6 @@ def attempts(case: str, attempt: Callable[[], str], times: int) -> int:
         not_held += bool(wrong)
         print(f"  {case}: {number} of {times}: {wrong or 'held'}", file=sys.stderr, flush=True)
     print(f"| {case} | {times} | {times - not_held} |", flush=True)
-    return not_held
-
-
-def resumable_cases(folder: Path) -> dict[str, Callable[[Path, bool], object]]:
-    """Return the ways to track that can be resumed, on small scenes."""
-    from stereophd.commands.calibrate_logs import calibrate_logs
-    from stereophd.commands.simulate import simulate
-    from stereophd.commands.track import track
-    from stereophd.commands.track_logs import track_logs
-    from stereophd.config.loading import load_config
-    from stereophd.pipeline.tracking import checkpoint
-
-    checkpoint.KEEP_EVERY_S, checkpoint.MOST_SHARE = 0.05, 1e9
-    loaded = load_config(CONFIG, ["simulate.duration_s=4"])
-    simulate(loaded, folder / "scenes", runs=3)
-    logs = sorted((folder / "scenes").glob("*/detections.parquet"))
-    smooth = load_config(CONFIG, ["report.smooth={}", "report.associations=true"])
-    cut = {"pieces_s": 1.5, "overlap_s": 0.5}
-    scene = [
-        "simulate.duration_s=20", "calibration.annealed.starts=2",
-        *(f"cameras.{name}.detector.clutter_per_frame=3" for name in ("left", "right")),
-    ]  # fmt: skip
-    simulate(load_config(CALIBRATION, scene), folder / "calibration")
-    unknown = load_config(CALIBRATION, scene, cameras_path=folder / "calibration" / "guess.yaml")
-    film = [folder / "calibration" / "detections.parquet"]
-    return {
-        "track": lambda out, resume: track(loaded, logs[0], out, resume=resume),
-        "track --smooth --associations": lambda out, resume: track(smooth, logs[0], out, resume=resume),
-        "track --pieces": lambda out, resume: track(loaded, logs[0], out, resume=resume, **cut),
-        "track --pieces --smooth": lambda out, resume: track(smooth, logs[0], out, resume=resume, **cut),
-        "track of three logs": lambda out, resume: track_logs(loaded, logs, out, resume=resume),
-        "calibrate": lambda out, resume: calibrate_logs(unknown, film, out, resume=resume, plots=False),
-    }
-
-
-def try_resumable(options: argparse.Namespace, folder: Path) -> int:
-    """Try the cases that can be resumed; return how many attempts were not held."""
-    not_held = 0
-    for title, work in resumable_cases(folder).items():
-        if options.only not in f"{title}: kill -9 and resume":
-            continue
-        whole, out = folder / title / "whole", folder / title / "out"
-        work(folder / title / "warm", False)
-        start = time.monotonic()
-        forked(lambda: work(whole, False), None)  # noqa: B023
-        length = time.monotonic() - start
-        case = f"`{title}`: kill -9 at random moments, then `--resume`"
-        not_held += attempts(case, lambda: killed_and_resumed(work, whole, length, out), options.times)  # noqa: B023
     return not_held
 
 
@@ -266,7 +167,6 @@ def main() -> int:
             ),
         }
         print("| case | tried | held |\n|---|---|---|", flush=True)
-        not_held += try_resumable(options, folder / "resumable")
         for title, command in commands.items():
             if options.only.split(":")[0] not in title:
                 continue

@@ -10,8 +10,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 
+import hypothesis
 import numpy as np
 import pytest
+
+# No test is timed: the first call of a kernel compiles it, and machines are busy.
+hypothesis.settings.register_profile("stereophd", deadline=None)
+hypothesis.settings.load_profile("stereophd")
 
 # A shell starts what runs in the background with SIGINT ignored, and nohup with SIGHUP; both would be inherited by
 # the processes that tests start and interrupt.

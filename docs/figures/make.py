@@ -31,7 +31,7 @@ from stereophd.core.numerics.samples import Method, draw_sample_sets
 Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).resolve().parent
-# Okabe and Ito's colours, told apart by everybody.
+# Okabe and Ito's colours, which most colour-blind readers can distinguish.
 COLORS = {"qmc": "#0072B2", "particle": "#009E73", "unscented": "#D55E00", "linear": "#CC79A7"}
 STYLES = {"qmc": "-", "particle": "--", "unscented": "-.", "linear": ":"}
 TITLES: dict[Method, str] = {
@@ -41,7 +41,7 @@ TITLES: dict[Method, str] = {
     "linear": "linear",
 }
 SAMPLES = 64
-# The image of the first figure is so many pixels larger on all sides, and its pixels are shown without them.
+# The image of the first figure is this number of pixels larger on all sides, and its pixels are shown without them.
 MARGIN = 1000
 SHIFT = np.array([MARGIN, MARGIN, 0.0])
 MAX_SPEED = 6.0  # cm/s

@@ -17,8 +17,9 @@ from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
 from stereophd.io.checkpoints import is_checkpoint
 from stereophd.io.json_text import write_json
-from stereophd.io.provenance import file_sha256, provenance, to_metadata
-from stereophd.io.tables import TableWriter, history_schema, posterior_schema
+from stereophd.io.provenance import provenance, sha256_of, to_metadata
+from stereophd.io.table_schemas import history_schema, posterior_schema
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
@@ -94,12 +95,12 @@ def calibrate(
         Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
         cameras ``cameras.yaml``, and the tables of ``track`` made with them.
     force : bool
-        Whether the outputs of an earlier run may be replaced.
+        Whether the outputs of an earlier run, and the checkpoint of an unfinished one, may be replaced.
     jobs : int
         Processes (threads, of particles; -1: as many as there are cores); the outputs do not depend on it.
     resume : bool
-        Continue from the checkpoint of an interrupted run; the outputs are those of an uninterrupted one. The results
-        of a finished run stay as they are.
+        Continue from the checkpoint of an interrupted run, or begin where there is none; the outputs are those of an
+        uninterrupted one. The results of a finished run stay as they are.
     plots : bool, optional
         Whether to draw plots; default if matplotlib is installed.
     progress : callable, optional
@@ -134,14 +135,13 @@ def calibrate(
             checkpoint_path(out_dir).unlink()
         return _accepted(done, require, log_path)
     drawn = whether_to_draw(plots)
-    identity = f"{loaded.sha256} {file_sha256(log_path)}"
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
     with OutputFolder(out_dir, FILES, force) as out:
         # Only here, where no other run can be at work on it.
-        checkpoint = Checkpoint(checkpoint_path(out_dir), identity, resume)
+        checkpoint = Checkpoint(checkpoint_path(out_dir), sha256_of(record), resume, force)
         outcome = _outcome(loaded, section, problem, checkpoint, jobs, progress)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, problem, outcome, to_metadata(record))
@@ -180,7 +180,7 @@ def _outcome(
     except InputError:
         raise
     except BaseException:
-        # whatever it is called: compiled code may turn the exception of a signal into one of its own
+        # of any class: compiled code may turn the exception of a signal into one of its own
         if checkpoint.holds_anything:
             checkpoint.save()
             LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)

@@ -7,13 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereophd.commands.calibrate import FILES, calibrate, checkpoint_path
+from stereophd.commands.calibrate import FILES, calibrate
 from stereophd.io.atomic import tidy
 from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.tables import FLOAT, INTEGER, STRING
+from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
-from stereophd.pipeline.finished import REPORT_FILE
 from stereophd.pipeline.progress import Progress
 
 if TYPE_CHECKING:
@@ -94,8 +93,7 @@ def _calibrate(
 ) -> Mapping[str, Any]:
     """Calibrate from one log."""
     tidy(out)  # of a run that was killed while it moved its files, or before its first checkpoint
-    again = resume and (checkpoint_path(out).exists() or (out / REPORT_FILE).exists())
-    return calibrate(loaded, item.paths[0], out, force, resume=again, progress=progress, **options)
+    return calibrate(loaded, item.paths[0], out, force, resume=resume, progress=progress, **options)
 
 
 def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:

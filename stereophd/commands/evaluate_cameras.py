@@ -23,7 +23,7 @@ from stereophd.errors import InputError, unknown_camera
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.json_text import finite_or_none, write_json
 from stereophd.io.provenance import from_metadata, provenance
-from stereophd.io.tables import open_parquet
+from stereophd.io.table_reading import open_parquet
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, raise_if_failed

@@ -11,7 +11,7 @@ from typing import Any
 from stereophd.commands.evaluate import PER_SCAN_NAME, PLOT_NAMES, REPORT_NAME, evaluate
 from stereophd.errors import InputError
 from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.tables import FLOAT, INTEGER
+from stereophd.io.table_schemas import FLOAT, INTEGER
 from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, run_batch
 from stereophd.pipeline.progress import Progress

@@ -12,6 +12,9 @@ from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.pipeline.inspection.tables import kind_of, provenance_of, summarise_objects, summarise_table
 
+# Endings of the files that people write as text: their faults are described as such.
+TEXT = (".yaml", ".yml", ".json", ".toml", ".xml", ".txt")
+
 
 def info(path: Path | str) -> dict[str, Any]:
     """Describe a log, a table, a file of cameras, a configuration, a report, or an output folder.
@@ -93,7 +96,13 @@ def _text(path: Path) -> dict[str, Any]:
         if loaded.cameras:
             result |= summarise_cameras(loaded.cameras, loaded.config.units.length)
         return {**result, "config_sha256": loaded.sha256, "seed": loaded.config.seed}
-    cameras, unit, assumed = read_camera_file(path)
+    try:
+        cameras, unit, assumed = read_camera_file(path)
+    except InputError as error:
+        if path.is_dir() or path.suffix.lower() in TEXT:
+            raise
+        known = "a log, a table, cameras, a configuration, report.json or an output folder"
+        raise InputError(f"{path}: expected {known}, found none of these; as cameras: {error}") from error
     head = {"path": str(path), "kind": "cameras", "origin": None, "assumed": assumed}
     return {**head, **summarise_cameras(cameras, unit)}
 

@@ -19,9 +19,10 @@ from stereophd.core.simulation.timing import FloatArray
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
-from stereophd.io.logs import LogWriter
+from stereophd.io.log_writing import LogWriter
 from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.tables import TRUTH, TableWriter
+from stereophd.io.table_schemas import TRUTH
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.sizes import check_size, size_of_simulation

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.track import FILES, track
 from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.tables import FLOAT, INTEGER
+from stereophd.io.table_schemas import FLOAT, INTEGER
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.progress import Progress

@@ -17,8 +17,9 @@ from stereophd.config.camera_files import read_camera_tree
 from stereophd.config.cameras import CameraConfig, CamerasFile
 from stereophd.config.errors import describe
 from stereophd.config.model import Config
+from stereophd.config.overrides import apply_override, key_path, parse_override
 from stereophd.config.report import CameraTimes
-from stereophd.config.yaml import KeyPath, Place, Tree, parse_yaml, read_yaml
+from stereophd.config.yaml import Place, Tree, read_yaml
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.json_text import infinity_as_text
 from stereophd.io.provenance import ConfigRecord, sha256_of
@@ -26,11 +27,6 @@ from stereophd.io.trajectories import pack_poses, read_trajectory
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
-
-# A longer number in a key path is a name, not the index of a list.
-MAX_INDEX_DIGITS = 9
-# A longer override is shortened in messages.
-MAX_SHOWN_OVERRIDE = 200
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
@@ -113,11 +109,11 @@ def load_config(
     tree, content = read_yaml(source)
     inputs = {"config": hashlib.sha256(content).hexdigest()}
     _require_mapping(tree)
-    changes = [_parse_override(text) for text in overrides]
+    changes = [parse_override(text) for text in overrides]
     # An override `cameras=FILE` decides which cameras are read; all other overrides may reach into them.
     for key, change in changes:
         if key == ("cameras",):
-            _apply(tree, key, change)
+            apply_override(tree, key, change)
     if cameras_path is not None:
         if any(key == ("cameras",) for key, _ in changes):
             raise InputError("expected one of `cameras_path` and `overrides` cameras=..., found both")
@@ -133,10 +129,10 @@ def load_config(
         _inline_trajectories(tree, source.parent)
     for key, change in changes:
         if key != ("cameras",):
-            _apply(tree, key, change)
+            apply_override(tree, key, change)
     _inline_trajectories(tree, Path())  # those that overrides name
     if seed is not None:
-        _apply(tree, ("seed",), Tree(seed, {(): Place("`seed`")}))
+        apply_override(tree, ("seed",), Tree(seed, {(): Place("`seed`")}))
     config = _validate(Config, tree)
     _check_camera_of_reports(config, tree)
     if unit is not None and unit != config.units.length:
@@ -198,7 +194,7 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
     for where, changes in settings:
         for key, value in changes.items():
             change = Tree(copy.deepcopy(value), {(): Place(f"{loaded.path}: {where}")})
-            _apply(tree, _key_path(key), change)
+            apply_override(tree, key_path(key), change)
     _inline_trajectories(tree, loaded.path.parent)
     return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 
@@ -269,7 +265,7 @@ def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
     read = read_camera_tree(path)
     _inline_trajectories(read.tree, path.parent)
     checked = _validate(CamerasFile, read.tree)
-    _apply(tree, ("cameras",), read.tree, ("cameras",))
+    apply_override(tree, ("cameras",), read.tree, ("cameras",))
     return checked.units.length if read.has_unit else None, read.sha256
 
 
@@ -291,27 +287,3 @@ def _inline_trajectories(tree: Tree, folder: Path) -> None:
             where = tree.place(("cameras", name, "pose", "trajectory"))
             raise InputError(f"{where}: cameras.{name}.pose.trajectory: {error}") from None
         pose["trajectory"] = {"file": file.name, "poses": pack_poses(trajectory)}
-
-
-def _parse_override(text: str) -> tuple[KeyPath, Tree]:
-    key, separator, value = text.partition("=")
-    source = f"`overrides` {text}" if len(text) <= MAX_SHOWN_OVERRIDE else f"`overrides` {text[:MAX_SHOWN_OVERRIDE]}..."
-    if not separator or not all(key.strip().split(".")):
-        raise InputError(f"{source}: expected KEY.PATH=VALUE")
-    return _key_path(key), parse_yaml(value, source, numbered=False)
-
-
-def _key_path(key: str) -> KeyPath:
-    return tuple(
-        int(part) if part.isdecimal() and len(part) <= MAX_INDEX_DIGITS else part for part in key.strip().split(".")
-    )
-
-
-def _apply(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:
-    try:
-        tree.graft(path, value, key)
-    except TypeError as error:
-        where = ".".join(map(str, path))
-        raise InputError(
-            f"{value.place(())}: {where}: expected the path of a key, found no mapping or list that has {error}"
-        ) from None

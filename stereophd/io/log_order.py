@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 
 from stereophd.io.log_rows import Floats
-from stereophd.io.table_reading import check_texts
-from stereophd.io.tables import FLOAT, STRING, damaged_is_input_error, open_parquet
+from stereophd.io.table_reading import check_texts, damaged_is_input_error, open_parquet
+from stereophd.io.table_schemas import FLOAT, STRING
 
 # Two narrow columns: larger pieces than a reader of all columns takes.
 PIECE_ROWS = 131_072

@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from stereophd.io.table_reading import check_texts
-from stereophd.io.tables import DETECTIONS, FLOAT, INTEGER
+from stereophd.io.table_schemas import DETECTIONS, FLOAT, INTEGER
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""Detection logs: read frame by frame in the order of true time, and written as a stream.
+"""Detection logs, read frame by frame in the order of true time (writing: `log_writing`).
 
 A log is a Parquet file with one row a detection (see ``docs/formats.md``). It is read in pieces, so
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
@@ -13,8 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -34,15 +33,8 @@ from stereophd.io.log_checks import (
 )
 from stereophd.io.log_order import is_by_camera
 from stereophd.io.log_rows import OPTIONAL, REQUIRED, Booleans, Floats, Integers, Rows, decode
-from stereophd.io.tables import (
-    DETECTIONS,
-    OBJECT_ID,
-    ROW_GROUP_ROWS,
-    TableWriter,
-    check_columns,
-    damaged_is_input_error,
-    open_parquet,
-)
+from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.table_writing import ROW_GROUP_ROWS
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
@@ -286,58 +278,3 @@ class LogReader:
         rate = np.array([c.clock.rate for c in self._cameras])
         true: Floats = offset[camera] + rate[camera] * time_s
         return true
-
-
-class LogWriter:
-    """Write a detection log frame by frame, in the order of its times.
-
-    Parameters
-    ----------
-    path
-        The file; usually a temporary one of `stereophd.io.atomic.OutputFolder`.
-    metadata
-        Key-value metadata, as `stereophd.io.provenance.to_metadata` returns them.
-    object_id
-        Whether the log has the column ``object_id``.
-    """
-
-    def __init__(self, path: Path | str, metadata: Mapping[Any, Any] | None = None, object_id: bool = False) -> None:
-        self._object_id = object_id
-        self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
-
-    def write(self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None) -> None:
-        """Write one frame.
-
-        Parameters
-        ----------
-        time_s
-            Time on the camera's own clock, s.
-        camera, frame
-            Name of the camera and number of the frame.
-        pixels
-            Detections (m, 2), distorted px; with m = 0 the frame becomes one row of nulls.
-        object_id
-            True objects (m,), -1 clutter; required with ``object_id=True``.
-        """
-        columns: dict[str, Any] = {"time_s": time_s, "camera": camera, "frame": frame}
-        if len(pixels):
-            columns |= {"u_px": pixels[:, 0], "v_px": pixels[:, 1]}
-        else:
-            columns |= {"u_px": [None], "v_px": [None]}
-        if self._object_id:
-            if object_id is None:
-                raise ValueError("this log has the column object_id: expected an object_id for each detection")
-            columns["object_id"] = object_id if len(pixels) else [None]
-        self._table.append(columns)
-
-    def close(self) -> None:
-        """Write what is left and the footer."""
-        self._table.close()
-
-    def __enter__(self) -> LogWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._table.__exit__(kind, error, traceback)

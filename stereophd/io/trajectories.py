@@ -57,7 +57,7 @@ def read_trajectory(path: Path | str, unit: str | None = None) -> BodyTrajectory
 
 def _read_table(file: Path, unit: str | None) -> Array:
     from stereophd.io.provenance import length_unit
-    from stereophd.io.tables import read_table
+    from stereophd.io.table_reading import read_table
 
     table = read_table(file, dict.fromkeys(COLUMNS, "float64"), what="trajectory")
     stated = length_unit(table.schema.metadata)

@@ -17,7 +17,8 @@ from stereophd.io import cameras as camera_files
 from stereophd.io.atomic import atomic_write
 from stereophd.io.log_rows import OPTIONAL, REQUIRED
 from stereophd.io.logs import LogReader
-from stereophd.io.tables import DETECTIONS, TableWriter
+from stereophd.io.table_schemas import DETECTIONS
+from stereophd.io.table_writing import TableWriter
 
 # Columns that a frame without detections leaves empty.
 _OF_DETECTIONS = frozenset({"u_px", "v_px", *OPTIONAL})

@@ -45,7 +45,7 @@ class UnfinishedRun:
         Parameters
         ----------
         resume : bool
-            Whether this run goes on with it.
+            Whether this run continues it.
         force : bool
             Whether what belongs to other runs may be removed.
 
@@ -64,7 +64,7 @@ class UnfinishedRun:
                 )
         if folders and not (resume or force):
             raise InputError(
-                f"output folder {self.out} holds an unfinished run; use `resume=True` to go on with it, or "
+                f"output folder {self.out} holds an unfinished run; use `resume=True` to continue it, or "
                 "`force=True` to begin anew"
             )
         others = [folder for folder in folders if folder != self.folder]
@@ -78,7 +78,7 @@ class UnfinishedRun:
 
     @property
     def exists(self) -> bool:
-        """Whether there is anything to go on with."""
+        """Whether there is an unfinished run to continue."""
         return self.folder.is_dir()
 
     def remove(self) -> None:

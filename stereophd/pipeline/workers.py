@@ -1,7 +1,7 @@
 """Where independent work is done: in this process, on the cores of this machine, on a Dask cluster.
 
 All three call a function of a module for each of some arguments and yield the results in any order; what these hold
-does not depend on where they were made. `complete` goes on when workers die.
+does not depend on where they were made. `complete` continues when workers die.
 """
 
 from __future__ import annotations

@@ -72,3 +72,37 @@ def test_a_hundred_cameras(call: Call, tmp_path: Path) -> None:
     log = write(tmp_path / "log.parquet", TIMES[:2], tuple(cameras))
     assert call("track", config, log, "--out", tmp_path / "out", "-q").code == 0
     assert pq.read_table(tmp_path / "out" / "scans.parquet").num_rows == 200
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        pytest.param(
+            ["--set", "filter.survival_per_s=0.5", "--set", "report.times=grid 0.1"], "no object is left at", id="grid"
+        ),
+        pytest.param(
+            ["--set", "report.times=grid 0.1", "--set", "filter.survival_per_s=1.0"],
+            "report.times: grid 0.1 s: expected at most 1000000 times between two events, found 1e+10 from 2 s",
+            id="grid-and-no-death",
+        ),
+        pytest.param(["--pieces", "2", "--overlap", "1"], "expected at most 100000 pieces, found 5e+08", id="pieces"),
+    ],
+)
+def test_a_pause_of_years(call: Call, config: Path, tmp_path: Path, words: Sequence[str], expected: str) -> None:
+    """Its empty times of a grid are left out with a warning; what takes a row at each is an error."""
+    assert call("simulate", config, "--out", tmp_path / "scene", "--set", "simulate.duration_s=3", "-q").code == 0
+    table = pq.read_table(tmp_path / "scene" / "detections.parquet")
+    later = table.set_column(0, "time_s", pa.array(table["time_s"].to_numpy() + 1e9))
+    log = tmp_path / "log.parquet"
+    frames = later["frame"].to_numpy() + int(np.max(table["frame"].to_numpy())) + 1
+    later = later.set_column(later.column_names.index("frame"), "frame", pa.array(frames, pa.int64()))
+    pq.write_table(pa.concat_tables([table, later.cast(table.schema)]), log)
+    outcome = call("track", config, log, "--out", tmp_path / "out", *words)
+    assert "Traceback" not in outcome.err
+    assert expected in " ".join(outcome.err.split())
+    if words[-1] == "report.times=grid 0.1":
+        assert outcome.code == 0
+        assert pq.read_table(tmp_path / "out" / "scans.parquet").num_rows < 50_000
+    else:
+        assert outcome.code == 2
+        assert not (tmp_path / "out").exists()

@@ -26,6 +26,8 @@ QUICK = (
     "calibration.annealed.starts=2",
     *(f"cameras.{name}.detector.clutter_per_frame=3" for name in ("left", "right")),
 )
+# where a test is about something else than which start is right
+ONE_START = ("calibration.annealed.starts=1", "calibration.annealed.agreeing_starts=1")
 
 Made = tuple[Path, tuple[str, ...]]
 
@@ -120,7 +122,8 @@ WAYS = {
     "smc": (
         (
             "calibration.posterior=smc",
-            "calibration.smc={particles: 16, moves: 1}",
+            "calibration.smc={particles: 8, moves: 1}",
+            *ONE_START,
             "calibration.scale={kind: baseline, cameras: [left, right], distance: 40, std: 0.5}",
         ),
         4,
@@ -170,23 +173,29 @@ def test_an_interrupted_run_continues_to_the_same_result(
 
 def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None:
     log = scene / "detections.parquet"
-    with pytest.raises(InputError, match="expected a checkpoint"):
-        calibrate(loaded(scene), log, tmp_path / "out", resume=True)
     checkpoint_path(tmp_path / "out").write_bytes(b"not a checkpoint")
-    with pytest.raises(InputError, match="expected a checkpoint"):
-        calibrate(loaded(scene), log, tmp_path / "out", resume=True)
-    with pytest.raises(InputError, match="found another file; move it away"):
-        calibrate(loaded(scene), log, tmp_path / "out", force=True)
+    for words in ({"resume": True}, {"force": True}, {"resume": True, "force": True}):
+        with pytest.raises(InputError, match="found another file; move it away"):
+            calibrate(loaded(scene), log, tmp_path / "out", **words)
     assert checkpoint_path(tmp_path / "out").read_bytes() == b"not a checkpoint"
     checkpoint_path(tmp_path / "out").unlink()
 
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
+    # without a checkpoint, a run that may resume begins at the start
     with pytest.raises(KeyboardInterrupt):
-        calibrate(loaded(scene), log, tmp_path / "out", progress=stop)
+        calibrate(loaded(scene), log, tmp_path / "out", resume=True, progress=stop)
+    kept = checkpoint_path(tmp_path / "out").read_bytes()
+    other = loaded(scene, (*QUICK, "seed=2"))
     with pytest.raises(InputError, match="found another's"):
-        calibrate(loaded(scene, (*QUICK, "seed=2")), log, tmp_path / "out", resume=True)
+        calibrate(other, log, tmp_path / "out", resume=True)
+    with pytest.raises(InputError, match="an unfinished run; use `resume=True`"):
+        calibrate(loaded(scene), log, tmp_path / "out")
+    assert checkpoint_path(tmp_path / "out").read_bytes() == kept
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(other, log, tmp_path / "out", resume=True, force=True, progress=stop)
+    assert checkpoint_path(tmp_path / "out").read_bytes() != kept
 
 
 def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:
@@ -279,7 +288,8 @@ def test_a_known_scale_is_kept(tmp_path: Path, scale: str) -> None:
             (-10, -10, 200, [0.9, 0.0, -1.2]),
         )
     ]
-    overrides = (*QUICK, "simulate.duration_s=40", "simulate.objects=null", f"simulate.given={json.dumps(given)}")
+    shown = ("simulate.duration_s=40", "simulate.objects=null", f"simulate.given={json.dumps(given)}")
+    overrides = (*QUICK, *ONE_START, *shown)
     simulate(load_config(CONFIG, overrides), tmp_path / "scene")
     chosen = loaded(tmp_path / "scene", (*overrides, f"calibration.scale={scale}"))
     calibrate(chosen, tmp_path / "scene" / "detections.parquet", tmp_path / "out", plots=False)
@@ -291,7 +301,7 @@ def test_a_known_scale_is_kept(tmp_path: Path, scale: str) -> None:
 def test_a_known_length_between_two_objects_is_kept(tmp_path: Path) -> None:
     rod = [{"position": [x, 10, 130], "velocity": [0.9, -0.6, 0.3]} for x in (-25, -10)]
     other = {"position": [15, -15, 180], "velocity": [-1.2, 0.3, -0.6]}
-    overrides = (*QUICK, "simulate.objects=null", f"simulate.given={json.dumps([*rod, other])}")
+    overrides = (*QUICK, *ONE_START, "simulate.objects=null", f"simulate.given={json.dumps([*rod, other])}")
     simulate(load_config(CONFIG, overrides), tmp_path / "scene")
     log, outcomes = tmp_path / "scene" / "detections.parquet", {}
     for length in (18.0, 30.0):
@@ -329,7 +339,7 @@ def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
         "simulate.objects.velocity_std=8",
         "motion.max_speed=40",
         "filter.birth.velocity_std=8",
-        "calibration.annealed.starts=2",
+        *ONE_START,
         *(f"cameras.{name}.detector.clutter_per_frame=1" for name in ("left", "right")),
     )
     rolling = (*overrides, *(f"cameras.{n}.readout_s={s}" for n, s in (("left", 0.15), ("right", -0.15))))
@@ -352,7 +362,7 @@ def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
 
 
 def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:
-    quick = ("simulate.duration_s=40", "calibration.annealed.starts=2")
+    quick = ("simulate.duration_s=40", *ONE_START)
     simulate(load_config(THREE, quick), tmp_path / "scene")
     report = calibrate(
         loaded(tmp_path / "scene", quick, THREE),

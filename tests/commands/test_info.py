@@ -13,7 +13,7 @@ import pytest
 from stereophd.cli.app import run
 from stereophd.commands.info import info
 from stereophd.errors import InputError
-from stereophd.io.logs import LogWriter
+from stereophd.io.log_writing import LogWriter
 from stereophd.report.inspection import info_text
 
 CAMERAS = """units: {length: cm}
@@ -126,6 +126,9 @@ def test_other_things_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (tmp_path / "text.yaml").write_text("hello: 3\n")
     with pytest.raises(InputError, match="cameras: expected this key"):
         info(tmp_path / "text.yaml")
+    (tmp_path / "page.html").write_text("<!doctype html>\x1a")
+    with pytest.raises(InputError, match=r"page\.html: expected a log, a table, cameras"):
+        info(tmp_path / "page.html")
     pq.write_table(pa.table({"a": [1]}), tmp_path / "t.parquet")
     assert "  a  int64" in info_text(info(tmp_path / "t.parquet"))
     assert run(["info", str(tmp_path / "t.parquet"), "--json"]) == 0

@@ -18,7 +18,6 @@ from stereophd.commands.track import track
 from stereophd.commands.track_logs import track_logs
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
-from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.pipeline.batch.names import expand, folder_names
 
 SCENE = """
@@ -207,27 +206,6 @@ def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
     assert [row["warnings"] for row in summary(tmp_path / "out")] == [1, None, 1]
     assert found["logs"][0]["rotation_std_deg"] == 0.5
     assert found["exit_code"] == 2
-
-
-def test_calibrate_of_logs_that_was_killed_before_its_first_checkpoint_begins_anew(
-    loaded: LoadedConfig, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Only a lock file is there: nothing to resume from, and no error."""
-    resumed = []
-
-    def calibrate(loaded: LoadedConfig, log: Path, out: Path, force: bool, resume: bool, **words: Any) -> Any:
-        resumed.append((out.name, resume))
-        return {"status": "determined", "input": {}, "cameras": {}, "checks": []}
-
-    monkeypatch.setattr(calibrate_logs, "calibrate", calibrate)
-    logs = sorted(scenes.glob("run-*/detections.parquet"))[:2]
-    names = [log.parent.name for log in logs]
-    for name in names:
-        (tmp_path / "out" / name).mkdir(parents=True)
-        (tmp_path / "out" / name / f"{TEMPORARY_PREFIX}lock").touch()
-    (tmp_path / "out" / names[1] / "report.json").write_text("{}")
-    calibrate_logs.calibrate_logs(loaded, logs, tmp_path / "out", resume=True)
-    assert resumed == [(names[0], False), (names[1], True)]
 
 
 @pytest.fixture

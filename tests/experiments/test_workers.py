@@ -26,8 +26,8 @@ pytestmark = pytest.mark.usefixtures("without_figure")
 GIVE_UP_S = 60
 
 
-# So many runs that some are left when a worker is killed after the third, however slow this process is.
-MANY = "experiment.runs=25"
+# Some runs are left when a worker is killed after the third, however slow this process is.
+MANY = "experiment.runs=12"
 
 
 def tables(folder: Path, *overrides: str) -> dict[str, bytes]:

@@ -31,7 +31,6 @@ KEYS = sorted({path: node for path, node in leaves(SCHEMA) if path}.items(), key
 EXAMPLES = int(os.environ.get("STEREOPHD_FUZZ_EXAMPLES", "8"))
 BUDGET = settings(
     max_examples=EXAMPLES,
-    deadline=None,
     derandomize=EXAMPLES <= 100,
     database=None,
     suppress_health_check=list(HealthCheck),

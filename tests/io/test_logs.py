@@ -21,7 +21,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
 from stereophd.io.log_checks import KINDS
 from stereophd.io.log_rows import decode
-from stereophd.io.logs import Frame, LogReader, LogWriter
+from stereophd.io.log_writing import LogWriter
+from stereophd.io.logs import Frame, LogReader
 
 from .conftest import TYPES, make_camera, row
 
@@ -67,7 +68,7 @@ def expected_frames(rows: list[dict[str, Any]], cameras: list[Camera]) -> list[t
 
 @pytest.mark.parametrize("exact_clocks", [True, False])
 @given(rows=log_rows(), piece=st.integers(1, 9), group=st.integers(1, 9))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_frames_agree_with_plain_grouping(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -267,7 +268,7 @@ def test_a_block_that_is_not_in_order_is_an_error(write_rows: Callable[..., Path
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_every_row_is_accounted_for(tmp_path: Path, data: st.DataObject) -> None:
     value = st.sampled_from([None, np.nan, np.inf, 1.0, 2.0, 900.0])
     rows = data.draw(

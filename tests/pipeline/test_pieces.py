@@ -16,7 +16,7 @@ from stereophd.core.trajectories.joining import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError
 from stereophd.io.logs import Frame, LogReader
-from stereophd.io.tables import TableWriter
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.tracking import pieces
 from stereophd.pipeline.tracking.pieces import plan_pieces
 from tests.commands.test_track_logs import SCENE

@@ -88,17 +88,17 @@ def test_what_keeps_pace_with_the_readout_is_not_seen() -> None:
 def test_tracks_of_fast_objects(tmp_path: Path) -> None:
     """Without the readout every camera sees the object elsewhere than it was: 15 ms at some 10 m/s, 0.15 m.
 
-    Eight runs of two objects, four of them without it too. With it the errors are those of the noise (0.03 m) and the
+    Six runs of two objects, two of them without it too. With it the errors are those of the noise (0.03 m) and the
     NEES that of a consistent filter: 3. The means of single runs deviate by 0.43, so five standard errors of the mean
-    of eight are 0.75.
+    of six are 0.88.
     """
     config = tmp_path / "scene.yaml"
     config.write_text(SCENE)
     figures: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
-    for seed in range(1, 9):
+    for seed in range(1, 7):
         loaded = load_config(config, seed=seed)
         simulate(loaded, tmp_path / f"log{seed}")
-        for known in (True, False) if seed <= 4 else (True,):
+        for known in (True, False) if seed <= 2 else (True,):
             off = () if known else tuple(f"cameras.{name}.readout_s=0.0" for name in ("south", "east", "west"))
             out = tmp_path / f"out{seed}-{known}"
             track(load_config(config, off, seed), tmp_path / f"log{seed}" / "detections.parquet", out)
@@ -106,7 +106,7 @@ def test_tracks_of_fast_objects(tmp_path: Path) -> None:
             figures[known].append((report["position_error"]["median"], report["nees"]["position"]))
     with_it, without = np.mean(figures[True], axis=0), np.mean(figures[False], axis=0)
     assert with_it[0] < 0.04
-    assert abs(with_it[1] - 3.0) < 0.75
+    assert abs(with_it[1] - 3.0) < 0.88
     assert without[0] > 3.0 * with_it[0]
     assert without[1] > 10.0
 

@@ -23,7 +23,7 @@ Integers = NDArray[np.int64]
 RATIO, NOISE = 2.0, 4.0
 # A track reaches so far from its prediction, in heights of the image, and over so many frames without a detection.
 REACH, MOST_MISSED = 1.0 / 12.0, 2
-# What `_continued` says of tracks without a detection in reach, and of those that are ambiguous.
+# `_continued` returns these for tracks without a detection in reach, and for ambiguous ones.
 MISSED, AMBIGUOUS = -1, -2
 
 

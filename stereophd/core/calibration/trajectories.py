@@ -121,7 +121,7 @@ def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpo
     knots : Knots
     trajectories : array (n,) of int
     times : array (n,)
-        Outside its knots a trajectory goes on without noise.
+        Outside its knots a trajectory continues without noise.
     """
     return _interpolated(knots, trajectories, times, velocities=False)
 

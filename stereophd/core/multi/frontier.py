@@ -29,7 +29,7 @@ from stereophd.core.numerics.sorting import stable_order
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# With up to so many rows the order that keeps the frontier narrow is searched for step by step; the search costs the
+# Up to this number of rows, the order that keeps the frontier narrow is searched for step by step; the search costs the
 # square of the number of rows.
 MOST_ROWS_TO_ORDER = 48
 

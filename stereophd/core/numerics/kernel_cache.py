@@ -175,7 +175,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         return IndexDataCacheFile(str(self.folder_in(folder)), self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a kept form, or None if none is kept or it cannot be read, for whatever reason."""
+        """Return a kept form, or None if none is kept or it cannot be read for any reason."""
         target_context.refresh()
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():

@@ -57,7 +57,7 @@ class RunPurpose:
     what: str
 
     def seed(self, seed: int, run: int) -> np.random.SeedSequence:
-        """Return the stream of a run, whatever the number of runs, for the seed of a configuration."""
+        """Return the stream of a run, independent of the number of runs, for the seed of a configuration."""
         return np.random.SeedSequence(seed, spawn_key=(run, *self.path))
 
 

@@ -29,7 +29,8 @@ from stereophd.io.commit import files_below
 from stereophd.io.disk import for_arrow
 from stereophd.io.provenance import sha256_of
 from stereophd.io.table_reading import damaged_is_input_error, open_parquet
-from stereophd.io.tables import RUNS, TableWriter
+from stereophd.io.table_schemas import RUNS
+from stereophd.io.table_writing import TableWriter
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

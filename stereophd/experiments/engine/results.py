@@ -22,7 +22,8 @@ from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part
 from stereophd.io.atomic import OutputFolder, output_folder
 from stereophd.io.json_text import write_json
 from stereophd.io.provenance import from_metadata, provenance, to_metadata
-from stereophd.io.tables import RUNS, SUMMARY, TableWriter
+from stereophd.io.table_schemas import RUNS, SUMMARY
+from stereophd.io.table_writing import TableWriter
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

@@ -10,7 +10,8 @@ import numpy as np
 
 from stereophd.experiments.engine.base import Array, Series
 from stereophd.experiments.engine.summary import Summary
-from stereophd.io.tables import FLOAT, INTEGER, STRING, read_table
+from stereophd.io.table_reading import read_table
+from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
 
 STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
 

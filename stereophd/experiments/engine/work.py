@@ -82,7 +82,7 @@ def _run(part: Part, run: int) -> RunOutcome:
         kind = find_kind(part.kind)
         with method_seconds() as seconds:
             series = kind.bounds(part.config) if run == BOUND_RUN else kind.run(part.config, run)
-    except Exception as failure:  # whatever it is: reported, and tried again
+    except Exception as failure:  # any failure is reported, and the run tried again
         error, users = f"{type(failure).__name__}: {failure}", isinstance(failure, InputError)
         if users:
             error = str(failure)

@@ -66,7 +66,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
-        outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False), 1, None)
+        outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False, False), 1, None)
     found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
     limits = _scene_bounds(loaded, number)
     return [found, *_errors(loaded, parameters, reference, true, outcome.history, limits)]
@@ -156,8 +156,8 @@ def _errors(
 def _consistency(
     parameters: ParameterSet, reference: int, mean: Array, covariance: Array, true: Array
 ) -> dict[str, float]:
-    """Return how well a posterior knows itself: NEES, the share of parameters in their interval, and the spread of the
-    scale in that of its prior."""
+    """Return the NEES of a posterior, the share of parameters inside their intervals, and the ratio of the posterior
+    spread of the scale to its prior spread."""
     inside = np.abs(mean - true) <= INTERVAL_90 * np.sqrt(np.diag(covariance))
     return {
         "nees": normalised_error_squared(mean - true, covariance),

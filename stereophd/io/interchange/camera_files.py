@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stereophd.config.cameras import CameraConfig
+from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.registry import find, recognise_cameras
 
@@ -54,6 +55,8 @@ def read_camera_file(
         name, recording = foreign
         assert recording.length_unit is not None
         return recording.cameras, recording.length_unit, [f"{path.name}: read as {name}", *recording.assumed]
+    if path.is_dir():
+        raise InputError(f"{path}: expected a file of cameras, or a folder that holds one, found a folder without one")
     from stereophd.config.loading import load_cameras
 
     file = load_cameras(path)

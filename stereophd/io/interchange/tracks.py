@@ -15,7 +15,8 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.provenance import from_metadata
 from stereophd.io.provenance import length_unit as unit_of
-from stereophd.io.tables import CONFIRMED, TRACKS, check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.table_schemas import CONFIRMED, TRACKS
 
 Floats = NDArray[np.float64]
 

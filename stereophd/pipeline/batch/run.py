@@ -1,6 +1,6 @@
 """Run a command on many inputs: a folder for each, ``summary.parquet``, and one row for what failed.
 
-A fault of one input, whatever it is, is a row of the summary and stops no other. The files do not depend on where and
+Any fault of one input is a row of the summary and stops no other. The files do not depend on where and
 in which order the inputs are done, nor on workers that die.
 """
 
@@ -21,7 +21,8 @@ import pyarrow as pa
 import stereophd
 from stereophd.errors import GateError, InputError, StereophdError
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
-from stereophd.io.tables import FLOAT, INTEGER, STRING, TableWriter
+from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.workers import ATTEMPTS, Workers, complete, open_workers
@@ -211,7 +212,7 @@ def _attempt(
     collect: bool,
     tick: Progress | None,
 ) -> _Outcome:
-    """Do one item; whatever fails is its outcome."""
+    """Do one item; any failure becomes its outcome."""
     with _collected(collect) as logged:
         try:
             report = work(item, out / item.name, tick)

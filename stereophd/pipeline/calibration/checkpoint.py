@@ -15,8 +15,9 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import atomic_write, temporary_beside
 from stereophd.io.checkpoints import is_checkpoint, read_checkpoint, write_checkpoint
 
-# Seconds between two checkpoints.
+# Seconds between two checkpoints; more where writing one takes more than a hundredth of it.
 CHECKPOINT_EVERY_S = 60.0
+MOST_SHARE = 0.01
 
 # Classes whose objects the methods keep.
 KEPT = (Start, SequentialState, SequentialInfo, BridgeState, BridgeInfo)
@@ -41,30 +42,42 @@ class Checkpoint:
     ----------
     path : Path
     identity : str
-        Of configuration and log: a checkpoint of another run is refused.
+        Of configuration, log and version: a checkpoint of another run is refused.
     resume : bool
-        Whether to begin with what the file holds.
+        Whether to begin with what the file holds. Without a file the run begins at the start.
+    force : bool
+        Whether the checkpoint of another run, or without `resume` of this one, may be replaced.
 
     Raises
     ------
     InputError
-        There is another file of that name, or nothing to resume.
+        There is another file of that name; or a checkpoint, and neither `resume` nor `force` is given; or one of
+        another run, and `force` is not given.
     """
 
-    def __init__(self, path: Path, identity: str, resume: bool) -> None:
+    def __init__(self, path: Path, identity: str, resume: bool, force: bool) -> None:
         self.path = path
         self._identity = identity
         self._parts: dict[str, Any] = {}
-        self._saved = time.monotonic()
+        self._next_s = time.monotonic() + CHECKPOINT_EVERY_S
         temporary_beside(path).unlink(missing_ok=True)  # of a run that was killed while it saved
-        if resume:
-            if not path.exists():
-                raise InputError(f"nothing to resume: expected a checkpoint {path}, found none")
-            self._parts = read_checkpoint(path, identity, (*KEPT, *_motions()))
-        elif path.exists() and not is_checkpoint(path):
+        if not path.exists():
+            return
+        if not is_checkpoint(path):
             raise InputError(
                 f"{path}: the checkpoint of this run has this name; expected none, or a checkpoint of an earlier run, "
                 "found another file; move it away, or choose another output folder"
+            )
+        if resume:
+            try:
+                self._parts = read_checkpoint(path, identity, (*KEPT, *_motions()))
+            except InputError:
+                if not force:
+                    raise
+        elif not force:
+            raise InputError(
+                f"{path}: there is a checkpoint of an unfinished run; use `resume=True` to go on with it, or "
+                "`force=True` to begin anew"
             )
 
     @property
@@ -79,15 +92,17 @@ class Checkpoint:
     def keep(self, name: str, value: Any) -> None:
         """Keep a value; it is written now if the last time was a while ago."""
         self._parts[name] = value
-        if time.monotonic() - self._saved >= CHECKPOINT_EVERY_S:
+        if time.monotonic() >= self._next_s:
             self.save()
 
     def save(self) -> None:
         """Write the file."""
+        start = time.monotonic()
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(self.path) as temporary:
             write_checkpoint(temporary, self._identity, self._parts)
-        self._saved = time.monotonic()
+        now = time.monotonic()
+        self._next_s = now + max(CHECKPOINT_EVERY_S, (now - start) / MOST_SHARE)
 
     def remove(self) -> None:
         """Remove the file: the run is done."""

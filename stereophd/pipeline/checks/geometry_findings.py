@@ -8,7 +8,7 @@ from stereophd.pipeline.checks.explanations import Explanation, best_explanation
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry import LEAST_EXPECTED, MOST_CHANCE, SHARP, Geometry
 
-# Below this score the rays meet by chance only, whatever the reason.
+# Below this score the rays meet by chance only; the cause may be any.
 CHANCE_SCORE, CHANCE_SHARE = 2.5, 0.4
 
 

@@ -18,18 +18,8 @@ from stereophd.core.metrics.truth_interpolation import Events, Truth
 from stereophd.core.metrics.visibility import Sightings
 from stereophd.errors import InputError
 from stereophd.io.provenance import from_metadata, length_unit
-from stereophd.io.tables import (
-    CONFIRMED,
-    COVARIANCE,
-    FLOAT,
-    INTEGER,
-    STRING,
-    TENTATIVE,
-    check_columns,
-    damaged_is_input_error,
-    open_parquet,
-    read_table,
-)
+from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet, read_table
+from stereophd.io.table_schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera

@@ -13,7 +13,8 @@ import pyarrow as pa
 from stereophd.core.metrics.registration import Registration
 from stereophd.core.metrics.scans import PointSets
 from stereophd.io.json_text import plain
-from stereophd.io.tables import FLOAT, INTEGER, TableWriter
+from stereophd.io.table_schemas import FLOAT, INTEGER
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.evaluation.gates import Limits, gates
 from stereophd.pipeline.evaluation.options import Options
 from stereophd.pipeline.evaluation.registering import registration_report

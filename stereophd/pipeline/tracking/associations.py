@@ -77,7 +77,7 @@ class Associations:
         self._pending = {label: list(rows) for label, rows in (pending or {}).items()}
 
     def copy(self) -> Associations:
-        """Return a copy that does not change when the run goes on."""
+        """Return a copy that does not change when the run continues."""
         return Associations(self._known, self._pending)
 
     @property

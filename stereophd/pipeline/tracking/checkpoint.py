@@ -1,4 +1,4 @@
-"""The records of an unfinished run on the disk, with the state from which the run goes on.
+"""The records of an unfinished run on the disk, with the state from which the run continues.
 
 A run writes its records in chunks to a folder inside its output folder, and about once a minute the state of its
 estimator. A killed run continues from there. The records of the folder, together with those that follow from the state
@@ -33,9 +33,9 @@ KEEP_EVERY_S = 60.0
 MOST_SHARE = 0.01
 
 # Fields that only the loop needs; a checkpoint leaves them out.
-LEFT_OUT = frozenset({"event", "claims"})
+LEFT_OUT = frozenset({"event", "claims", "detected"})
 
-# A chunk has at most so many records, or estimates in them: some megabytes.
+# Largest numbers of records of a chunk, and of estimates in them: some megabytes.
 CHUNK_RECORDS = 20_000
 
 

@@ -7,6 +7,7 @@ depends on: a copy of it, and the events that follow, give the records that an u
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,13 +20,21 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.numerics.times import TIME_DECIMALS, same_time
+from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
 
-# Events between two clearances of what is known of dead tracks.
+# Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
 
 # Cameras that must have detected a tentative object.
 SUPPORT = 2
+
+# Times of a grid between two events: more than so many are an error, and of more than so many without an object all but
+# the first are left out. A pause of the recording may last for years.
+MOST_FORECASTS = 1_000_000
+MOST_EMPTY_FORECASTS = 10_000
+
+LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)
@@ -263,18 +272,51 @@ def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Esti
 def _forecasts(
     estimator: Estimator[State], run: RunState[State], times: ReportTimes, until_s: float
 ) -> Iterator[Record]:
-    """Yield the objects after the last event at the times of the grid before `until_s`."""
+    """Yield the objects after the last event at the times of the grid before `until_s`.
+
+    Raises
+    ------
+    InputError
+        There are too many times, with an object at each.
+    """
     last = run.last
     if last is None or times.grid_s is None:
         return
+    if (until_s - run.forecast_from_s) / times.grid_s > MOST_FORECASTS:
+        _check_pause(estimator, run, last, times.grid_s, until_s)
     for time_s in grid_times(times.grid_s, run.forecast_from_s, until_s):
         info, estimates = estimator.forecast(run.estimator, last.info, time_s)
         estimates = _supported(estimates, run, len(estimator.rig.cameras))
         run.forecast_from_s = math.nextafter(time_s, math.inf)
+        left = (until_s - time_s) / times.grid_s
+        empty = not len(estimates.track_ids) and estimates.tentative is None
+        if empty and left > MOST_EMPTY_FORECASTS:
+            LOGGER.warning(
+                "report.times: no object is left at %g s, %g s before the next event: about %.0f times of the grid "
+                "are left out",
+                time_s, until_s - time_s, left,
+            )  # fmt: skip
+            run.forecast_from_s = until_s
         yield Record(
             time_s, last.camera, last.frame, 0, run.estimator.next_label, info, estimates, is_event=False,
             associations=tuple(run.associations.report(times.certain(estimates))),
         )  # fmt: skip
+        if run.forecast_from_s == until_s:
+            return
+
+
+def _check_pause(
+    estimator: Estimator[State], run: RunState[State], last: Record, step_s: float, until_s: float
+) -> None:
+    """Check that no object is left after as many times of the grid as are allowed: none comes back after that."""
+    from_s = run.forecast_from_s
+    _, estimates = estimator.forecast(run.estimator, last.info, from_s + MOST_FORECASTS * step_s)
+    if len(estimates.track_ids):
+        raise InputError(
+            f"report.times: grid {step_s:g} s: expected at most {MOST_FORECASTS} times between two events, found "
+            f"{(until_s - from_s) / step_s:.3g} from {from_s:g} s to {until_s:g} s, with an object at each; choose a "
+            "longer step, a shorter life of objects (`filter.survival_per_s`), or cut the log there"
+        )
 
 
 def grid_times(step_s: float, from_s: float, until_s: float) -> Iterator[float]:

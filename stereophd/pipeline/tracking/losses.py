@@ -1,4 +1,4 @@
-"""What the bounds of a filter left out of a run, and the warnings that say so."""
+"""Counts of what a filter discarded at its limits during a run, and the warnings that report them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Losses:
         }
 
     def warn(self, events: int) -> None:
-        """Warn of what was left out in a run of so many events."""
+        """Warn of what was left out in a run of `events` events."""
         if self._cut:
             LOGGER.warning(
                 "filter.max_components: after %d of %d events the least probable tracks or components were left out, "

@@ -19,7 +19,8 @@ from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
-from stereophd.io.tables import CONFIRMED, STD, TENTATIVE, TableWriter
+from stereophd.io.table_schemas import CONFIRMED, STD, TENTATIVE
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.explained import Explained
 from stereophd.pipeline.tracking.loop import Record

@@ -3,7 +3,7 @@
 A piece is tracked from some time before its own span, so that its filter has forgotten the beginning when the span
 begins. The tracks of two successive pieces are paired in that overlap by the probability that they are one object
 (`stereophd.core.trajectories.joining`); a pair that is more probable than not becomes one track. Smoothed pieces also
-go on beyond their spans: the smoother looks ahead.
+continue beyond their spans: the smoother looks ahead.
 
 A piece is finished when its last file is there; what a piece holds does not depend on who made it, nor when.
 """
@@ -44,6 +44,9 @@ DONE_FILE = "done.npz"
 # A piece is tracked this long before its span, s: an object that one camera alone sees keeps the depth that it had
 # when two did, so that the time is that for which objects stay in one view.
 OVERLAP_S = 60.0
+
+# More pieces than this are a slip: of the length, or a pause of years in the log.
+MOST_PIECES = 100_000
 
 # Frames between two calls of `progress` while a log is read.
 TICK_EVERY = 5000
@@ -130,7 +133,7 @@ def plan_pieces(
         Of the log, which is read once, with all its checks.
     length_s, overlap_s : float
     ahead : bool
-        Whether pieces go on beyond their spans too.
+        Whether pieces continue beyond their spans too.
     progress : callable, optional
         Called now and then.
     """
@@ -138,6 +141,11 @@ def plan_pieces(
     before = [0]  # events before what is tracked of each piece
     for number, frame in enumerate(frames):
         first_s = frame.time_s if number == 0 else first_s
+        if frame.time_s - first_s > MOST_PIECES * length_s:
+            raise InputError(
+                f"`pieces_s`: expected at most {MOST_PIECES} pieces, found {(frame.time_s - first_s) / length_s:.3g} "
+                f"of {length_s:g} s from {first_s:g} s to {frame.time_s:g} s: choose longer pieces, or cut the log"
+            )
         while frame.time_s >= first_s + len(before) * length_s - overlap_s:
             before.append(number)
         last_s = frame.time_s

@@ -16,7 +16,8 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder
-from stereophd.io.tables import ASSOCIATIONS, SCANS, STD, TRACKS, TableWriter
+from stereophd.io.table_schemas import ASSOCIATIONS, SCANS, STD, TRACKS
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
@@ -77,7 +78,7 @@ def reported_records(
     """Yield the records of events, smoothed and without short tracks if the section ``report`` asks for it.
 
     With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs. With a
-    `journal` the run goes on from there, and what it gives is kept there; without one it begins at `run`, if given.
+    `journal` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
     times, keep_events = report_times(report), keep_events and smooth is not None

@@ -138,7 +138,10 @@
   const drawScenes = () => {
     drawScene("scene1", RUNS[state.beside]);
     drawScene("scene0", run());
-    for (const [id] of shownScenes()) Plotly.Plots.resize(by(id));
+    for (const [id] of shownScenes()) {
+      const el = by(id);
+      if (Math.abs(el._fullLayout.width - el.clientWidth) > 4) Plotly.Plots.resize(el);
+    }
   };
   // Where the viewer is: obliquely from behind the cameras, above them or beside them.
   const viewpoint = (kind, r) => {
@@ -440,7 +443,7 @@
     button.setAttribute("aria-pressed", String(state.playing !== null));
     button.textContent = state.playing === null ? "Play" : "Stop";
   };
-  // On paper the plots are light and as wide as the paper, whatever the screen shows.
+  // On paper the plots are light and as wide as the paper, regardless of the screen.
   const resize = (size) => document.querySelectorAll(".plot").forEach((plot) => {
     if (plot.data && !plot.id.startsWith("scene")) Plotly.relayout(plot, size);
   });

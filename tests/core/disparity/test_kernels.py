@@ -209,7 +209,7 @@ def test_missed_moments_of_too_few_samples_keep_the_whole(seen: int, kept: bool)
         np.testing.assert_allclose(found_covariance, covariance, rtol=1e-12, atol=1e-14)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32), size=st.integers(1, 6), exponent=st.floats(-8.0, 8.0))
 def test_cholesky(seed: int, size: int, exponent: float) -> None:
     rng = np.random.default_rng(seed)
@@ -234,7 +234,7 @@ def test_cholesky_refuses_what_has_no_full_rank(matrix: np.ndarray) -> None:
     assert not cholesky(matrix, np.empty((3, 3)))
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 @given(seed=st.integers(0, 2**32), rank=st.integers(1, 5))
 def test_condition_gives_full_rank(seed: int, rank: int) -> None:
     rng = np.random.default_rng(seed)

@@ -125,7 +125,7 @@ def test_quasi_random_samples_beat_random_ones() -> None:
     assert error["qmc"] < error["particle"] / 3.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32),
     size=st.sampled_from([3, 6]),

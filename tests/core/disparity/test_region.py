@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
-from stereophd.config.filter import RegionConfig
+from stereophd.config.tracking import RegionConfig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.space import DisparitySpace
@@ -67,7 +67,7 @@ def test_packed_region_of_a_configuration() -> None:
     np.testing.assert_array_equal(build_region(both), [-1, 1, -2, 2, 0, 5, 1, 9])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(seed=st.integers(0, 2**32 - 1), spread=st.sampled_from([1.0, 10.0, 60.0]), size=st.sampled_from([4, 7]))
 def test_region_mask(seed: int, spread: float, size: int) -> None:
     """Against NumPy: share, the weights outside, and the slack."""
@@ -227,7 +227,7 @@ def test_region_and_view_together() -> None:
     assert in_deviations(moved.missed_covariances[0] - covariance, covariance).max() < 1e-8
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     seed=st.integers(0, 2**32 - 1), method=st.sampled_from(METHODS), size=st.sampled_from([3, 6]),
     near=st.floats(0.0, 200.0), width=st.floats(0.0, 200.0), important=st.booleans(), disparity=st.floats(-5.0, 40.0),

@@ -16,7 +16,7 @@ vectors = st.tuples(finite, finite, finite).map(np.array)
 rotation_vectors = vectors.map(lambda v: v * min(1.0, 3.14 / max(np.linalg.norm(v), 1e-300)))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(vector=rotation_vectors)
 def test_rotation_vector_round_trip(vector: np.ndarray) -> None:
     rotation = rotation_from_vector(vector)
@@ -38,7 +38,7 @@ def test_rotations_agree_with_opencv(angle: float) -> None:
         np.testing.assert_allclose(sign * back, vector, rtol=0, atol=1e-14 + 1e-14 * angle)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(vector=rotation_vectors, center=vectors, x=vectors)
 def test_world_round_trip(vector: np.ndarray, center: np.ndarray, x: np.ndarray) -> None:
     pose = Pose(rotation_from_vector(vector), center)
@@ -67,7 +67,7 @@ def test_moving_pose_has_the_stated_velocities() -> None:
     np.testing.assert_allclose(derivative, np.cross(omega, now.rotation), atol=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(rate=vectors, first=st.floats(-5, 5), second=st.floats(-5, 5))
 def test_moving_in_two_steps_is_moving_in_one(rate: np.ndarray, first: float, second: float) -> None:
     pose = Pose(rotation_from_vector([0.4, 0.1, 0.2]), [1.0, 2.0, 3.0], [0.5, 0.0, -1.0], 0.02 * rate)

@@ -156,7 +156,7 @@ point_sets = st.integers(0, 4).flatmap(
 orders = st.sampled_from([1.0, 2.0, 3.5])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(x=point_sets, y=point_sets, z=point_sets, order=orders)
 def test_ospa_is_a_bounded_metric(x, y, z, order):
     cutoff = 20.0
@@ -171,7 +171,7 @@ def test_ospa_is_a_bounded_metric(x, y, z, order):
     assert distance(x, z) <= distance(x, y) + distance(y, z) + 1e-9
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(x=point_sets, y=point_sets, order=orders)
 def test_parts_add_up(x, y, order):
     one = ospa(x, y, order, 20.0)

@@ -213,7 +213,7 @@ def test_only_tracks_of_the_window_come_together(monkeypatch):
 TRACKS = st.lists(st.dictionaries(st.integers(0, 3), st.floats(-30, 30), max_size=4), min_size=5, max_size=5)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(x=TRACKS, y=TRACKS, z=TRACKS, window=st.integers(1, 6), order=st.floats(1, 4))
 def test_it_is_a_metric(x, y, z, window, order):
     cutoff = 12.0
@@ -224,7 +224,7 @@ def test_it_is_a_metric(x, y, z, window, order):
     assert ((xy >= 0) & (xy <= cutoff + 1e-12)).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(x=TRACKS, y=TRACKS, order=st.floats(1, 4))
 def test_one_scan_is_ospa_and_names_do_not_matter(x, y, order):
     ospa = score_scans(point_sets(x), point_sets(y), order, 12.0).ospa

@@ -74,7 +74,7 @@ def test_given_velocities_are_interpolated():
     assert align_truth(truth, np.array([0.5]), 5.0).points.velocity[0] == pytest.approx([1.5, 0, 1.5])
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(seed=st.integers(0, 10_000), objects=st.integers(1, 5))
 def test_positions_are_those_of_numpy_interp(seed, objects):
     random = np.random.default_rng(seed)
@@ -92,7 +92,7 @@ def test_positions_are_those_of_numpy_interp(seed, objects):
         assert points.position[mine, 0] == pytest.approx(np.interp(expected, known, x), abs=1e-12)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(seed=st.integers(0, 10_000), labelled=st.booleans())
 def test_counts_of_cameras_against_all_pairs(seed, labelled):
     random = np.random.default_rng(seed)

@@ -29,7 +29,7 @@ def test_every_model_has_an_example() -> None:
 
 
 @every
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(first=steps, second=steps)
 def test_two_intervals_of_one_direction_are_one(word: str, first: float, second: float) -> None:
     motion = example(word)
@@ -41,7 +41,7 @@ def test_two_intervals_of_one_direction_are_one(word: str, first: float, second:
 
 
 @every
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(dt=steps)
 def test_backward_undoes_forward(word: str, dt: float) -> None:
     motion = example(word)

@@ -63,6 +63,7 @@ def folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[list[Pa
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
     monkeypatch.setattr(kernel_cache, "_candidates", lambda: [*found, *kernel_cache._temporary_folder()])
+    kernel_cache.kernel_folders.cache_clear()
     yield found
     kernel_cache.kernel_folders.cache_clear()
     kernel_cache._FAILED.clear()

@@ -125,7 +125,7 @@ def test_ties_are_in_camera_order() -> None:
     assert [frame.camera for frame in frames] == [0, 1] * 100
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 2**31), st.floats(0.0, 1.0))
 def test_truth_is_where_the_detections_come_from(seed: int, noise: float) -> None:
     made = scene(

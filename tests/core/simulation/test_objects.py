@@ -150,7 +150,7 @@ def test_births_are_poisson_and_lifetimes_exponential() -> None:
     assert [item.object_id for item in items] == list(range(len(items)))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 1000))
 def test_positions_fill_the_box_and_velocities_have_their_spread(seed: int) -> None:
     # 400 objects: mean within 5 standard errors, spread within 5 standard errors.

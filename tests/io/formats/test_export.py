@@ -15,7 +15,8 @@ from stereophd.errors import InputError
 from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.tables import TRACKS, TableWriter
+from stereophd.io.table_schemas import TRACKS
+from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.inspection.tables import summarise_objects
 
 from .conftest import rig
@@ -152,6 +153,9 @@ def test_targets_and_sources_are_checked(tracks: Path, tmp_path: Path) -> None:
         export("csv", tmp_path / "cameras.yaml", tmp_path / "x.csv")
     with pytest.raises(InputError, match=r"expected the tracks \[5\]"):
         export("csv", tracks, tmp_path / "x.csv", ExportOptions([5]))
+    (tmp_path / "other").mkdir()
+    with pytest.raises(InputError, match="expected a file of cameras, or a folder that holds one"):
+        export("opencv", tmp_path / "other", tmp_path / "x.yml")
     assert export("colmap", tmp_path / "cameras.yaml", tmp_path / "model")["what"] == "cameras"
     assert sorted(path.name for path in (tmp_path / "model").iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]
     # a foreign file of cameras becomes another one

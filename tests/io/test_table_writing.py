@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 
 from stereophd.errors import InputError
 from stereophd.io.log_rows import decode
-from stereophd.io.tables import COVARIANCE, DETECTIONS, SCANS, TRACKS, TRUTH, TableWriter, read_table
+from stereophd.io.table_reading import read_table
+from stereophd.io.table_schemas import COVARIANCE, DETECTIONS, SCANS, TRACKS, TRUTH
+from stereophd.io.table_writing import TableWriter
 
 POSITIONS = {"time_s": "float64", "object_id": "int64", "x": "float64"}
 

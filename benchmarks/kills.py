@@ -1,0 +1,225 @@
+"""Kill -9 in the middle of the work, again and again: what is left, and what the next run makes of it.
+
+    python benchmarks/kills.py [--kills 50] [--seed 1] [--only WORD]
+
+Each case is a small run of a command, made in a fork of a process that has loaded everything, so that the moments fall
+into the work and not into the start. It is killed at a random moment, up to three times in a row, with `--resume` in
+between where the command has it, and then runs to its end. Checkpoints are made several times a second. A case is held
+if
+
+- after a kill no file lies in its final place, or all do, with the bytes of an undisturbed run;
+- no process and no shared memory of the killed run is left after 5 s;
+- after the last run the files are those of an undisturbed run, and nothing else is left in the folder or beside it.
+
+Prints a table with the number of kills. Exit code 1 if a case was not held. Needs psutil and a Unix system.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+from faults import CONFIGS, EXPERIMENT, PREFIX, alive, files
+
+CALIBRATION = CONFIGS / "paper" / "calibration.yaml"
+QUICKSTART = CONFIGS / "quickstart.yaml"
+
+# Most kills in a row before a run may come to its end.
+MOST_KILLS = 3
+
+# Seconds between two checkpoints.
+OFTEN_S = 0.25
+
+# Where the shared memory of worker processes lies.
+SHARED_MEMORY = Path("/dev/shm")
+
+# Does the work into a folder; the second argument: after a kill.
+Work = Callable[[Path, bool], object]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run that is killed.
+
+    Attributes
+    ----------
+    work : callable
+    keeps : tuple of str
+        Beginnings of the names, in the folder or beside it, that an unfinished run may leave for the next one.
+    in_parts : bool
+        Whether files come into their places one after the other, as those of several logs.
+    alone : callable, optional
+        The same work in one process: what it loads, the forks have.
+    """
+
+    work: Work
+    keeps: tuple[str, ...] = (PREFIX, "partial-")
+    in_parts: bool = False
+    alone: Work | None = None
+
+
+def forked(work: Callable[[], object], kill_after_s: float | None) -> tuple[bool, str]:
+    """Do work in a fork, killed after a while; return whether it came to its end, and what was left running.
+
+    The fork has an output of its own, and leaves by `os._exit`: nothing of this process is tidied up twice.
+    """
+    pid = os.fork()
+    if pid == 0:
+        os.setpgid(0, 0)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        code = 1
+        try:
+            work()
+            code = 0
+        finally:
+            os._exit(code)
+    end = None if kill_after_s is None else time.monotonic() + kill_after_s
+    group: list[psutil.Process] = []
+    while True:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            break
+        if end is not None and time.monotonic() >= end:
+            group = psutil.Process(pid).children(recursive=True)
+            os.kill(pid, signal.SIGKILL)
+            end = None
+        time.sleep(0.002)
+    code = os.waitstatus_to_exitcode(status)
+    if code not in (0, -signal.SIGKILL):
+        raise RuntimeError(f"exit code {code}")
+    if code == 0:
+        return True, ""
+    if alive(group):
+        return False, "processes left alive"
+    if any(SHARED_MEMORY.glob(f"*_{pid}_*")):
+        return False, "shared memory left behind"
+    return False, ""
+
+
+def check_killed(case: Case, expected: dict[str, bytes], out: Path) -> str:
+    """Return what is wrong with the folder of a killed run."""
+    found = {
+        name: text
+        for name, text in files(out).items()
+        if not any(part.startswith(case.keeps) for part in Path(name).parts)
+    }
+    for name, text in found.items():
+        if text != expected.get(name):
+            return f"{name} is there and is not that of a whole run"
+    if found and found != expected and not case.in_parts:
+        return "a part of the files is there"
+    return ""
+
+
+def killed_and_resumed(case: Case, expected: dict[str, bytes], length_s: float, out: Path) -> tuple[int, str]:
+    """Kill work at random moments and resume it; return the number of kills, and what was wrong."""
+    shutil.rmtree(out.parent, ignore_errors=True)
+    out.parent.mkdir(parents=True)
+    for kills in range(MOST_KILLS + 1):
+        moment = None if kills == MOST_KILLS else random.uniform(0.0, length_s)
+        ended, wrong = forked(lambda: case.work(out, kills > 0), moment)  # noqa: B023
+        if ended:
+            break
+        wrong = wrong or check_killed(case, expected, out)
+        if wrong:
+            return kills + 1, wrong
+    if files(out) != expected:
+        return kills, "the resumed run gives other files"
+    # the lock file of the folder stays beside nothing: it lies in the folder, and is removed with the run
+    left = sorted(path.name for path in out.parent.iterdir() if path != out)
+    return kills, f"left behind: {', '.join(left)}" if left else ""
+
+
+def cases(folder: Path) -> dict[str, Case]:
+    """Return the runs, on small scenes."""
+    from stereophd.commands.calibrate import calibrate
+    from stereophd.commands.experiment import experiment
+    from stereophd.commands.simulate import simulate
+    from stereophd.commands.track import track
+    from stereophd.commands.track_logs import track_logs
+    from stereophd.config.loading import load_config
+    from stereophd.pipeline.calibration import checkpoint as calibration_checkpoint
+    from stereophd.pipeline.tracking import checkpoint
+
+    checkpoint.KEEP_EVERY_S, checkpoint.MOST_SHARE = OFTEN_S, 1e9
+    calibration_checkpoint.CHECKPOINT_EVERY_S, calibration_checkpoint.MOST_SHARE = OFTEN_S, 1e9
+    loaded = load_config(QUICKSTART, ["simulate.duration_s=10"])
+    simulate(loaded, folder / "scenes", runs=3)
+    logs = sorted((folder / "scenes").glob("*/detections.parquet"))
+    smooth = load_config(QUICKSTART, ["report.smooth={}", "report.associations=true"])
+    cut = {"pieces_s": 4.0, "overlap_s": 1.0}
+    scene = [
+        "simulate.duration_s=12", "simulate.objects.count=3", "calibration.annealed.starts=1",
+        *(f"cameras.{name}.detector.clutter_per_frame=3" for name in ("left", "right")),
+    ]  # fmt: skip
+    simulate(load_config(CALIBRATION, scene), folder / "calibration")
+    unknown = load_config(CALIBRATION, scene, cameras_path=folder / "calibration" / "guess.yaml")
+    film = folder / "calibration" / "detections.parquet"
+    figure = load_config(EXPERIMENT, ["experiment.runs=20"])
+    many = load_config(QUICKSTART, ["simulate.duration_s=30"])
+    return {
+        "track": Case(lambda out, again: track(loaded, logs[0], out, resume=again)),
+        "track --smooth --associations": Case(lambda out, again: track(smooth, logs[0], out, resume=again)),
+        "track --pieces": Case(lambda out, again: track(loaded, logs[0], out, resume=again, **cut)),
+        "track --pieces --jobs 2": Case(
+            lambda out, again: track(loaded, logs[0], out, resume=again, jobs=2, **cut),
+            alone=lambda out, again: track(loaded, logs[0], out, **cut),
+        ),
+        "track of three logs": Case(lambda out, again: track_logs(loaded, logs, out, resume=again), in_parts=True),
+        "calibrate": Case(lambda out, again: calibrate(unknown, film, out, resume=again, jobs=1, plots=False)),
+        "experiment --jobs 2": Case(
+            lambda out, again: experiment(figure, out, jobs=2, resume=again),
+            alone=lambda out, again: experiment(figure, out),
+        ),
+        "simulate --runs 8": Case(lambda out, again: simulate(many, out, runs=8, force=again)),
+        "simulate --runs 8 --jobs 2": Case(
+            lambda out, again: simulate(many, out, runs=8, jobs=2, force=again),
+            alone=lambda out, again: simulate(many, out, runs=8),
+        ),
+    }
+
+
+def main() -> int:
+    """Try all cases; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="")
+    options = parser.parse_args()
+    random.seed(options.seed)
+    faults = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        print("| case | kills | runs with them | held | whole run, s |\n|---|---|---|---|---|", flush=True)
+        for title, case in cases(folder / "inputs").items():
+            if options.only not in title:
+                continue
+            whole = folder / title / "whole"
+            (case.alone or case.work)(folder / title / "warm", False)
+            start = time.monotonic()
+            forked(lambda: case.work(whole, False), None)  # noqa: B023
+            length_s = time.monotonic() - start
+            expected = files(whole)
+            tried = held = killed = 0
+            while killed < options.kills:
+                kills, wrong = killed_and_resumed(case, expected, length_s, folder / "runs" / "out")
+                tried, held, killed = tried + 1, held + (not wrong), killed + kills
+                print(f"  {title}: {killed} kills: {wrong or 'held'}", file=sys.stderr, flush=True)
+            faults += tried - held
+            print(f"| `{title}` | {killed} | {tried} | {held} | {length_s:.1f} |", flush=True)
+    return int(faults > 0)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    sys.exit(main())
