@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from stereophd.errors import InputError
 
-# The libraries, the compiler of the kernels and the BLAS buffers of a few threads take up to so much, bytes.
+# Upper bound on the memory of the libraries, the compiler of the kernels and the BLAS buffers of a few threads, bytes.
 LEAST_ADDRESS_SPACE = 3 << 29
 
 

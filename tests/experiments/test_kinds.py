@@ -124,7 +124,7 @@ class TestLocalisation:
     @pytest.mark.parametrize(
         ("override", "message"),
         [
-            ("experiment.scenario.sequence=[left, middle]", r"expected names of cameras \(left, right\), found middle"),
+            ("experiment.scenario.sequence=[left, middle]", r"expected one of the cameras left, right, found middle"),
             ("experiment.cases={}", None),
             ("experiment.scenario.position=[0, 0, -5]", "expected an object in view of left"),
             ("filter=null", "expected a filter of kind single for one object, found none"),
@@ -162,7 +162,9 @@ def test_moves_are_compared_with_one_reference() -> None:
     # the reference itself is known to some 3e-4 nat
     assert max(divergence["512 QMC"], divergence["64 QMC"]) < 1e-3
     assert 1e-3 < divergence["linear (EKF)"] < divergence["500 particles"]
-    with pytest.raises(InputError, match=r"experiment.scenario.home: expected a camera \(left, right\), found top"):
+    with pytest.raises(
+        InputError, match=r"experiment.scenario.home: expected one of the cameras left, right, found top"
+    ):
         move.check(load_config(PAPER / "figure7.yaml", ["experiment.scenario.home=top"]))
 
 

@@ -126,7 +126,8 @@ def world_moments(
     """
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
-    world_components(means, covariances, homes, motion.arrays(dts), sets.turn(turn), out_means, out_covariances)
+    which, intervals = np.arange(len(means)), motion.arrays(dts)
+    world_components(which, means, covariances, homes, intervals, sets.turn(turn), out_means, out_covariances)
     return out_means, out_covariances
 
 

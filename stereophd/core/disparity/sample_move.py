@@ -1,7 +1,7 @@
 """Compiled move of Gaussians into the disparity space of a camera (paper IV-B a-f, V-B, VI-C).
 
-Made of the trips of `stereophd.core.disparity.trips`: samples, trips, field of view, moments, and a second look, with
-more samples, at components of which only a corner is in view.
+The kernels use the trips of `stereophd.core.disparity.trips`. They take samples, move them, test the field of view and
+compute moments; components of which only a corner is in view are moved again with more samples.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # In the world a Gaussian in disparity has no moments (1 / d). Samples further away than this factor times the depth of
 # the mean disparity are left out.
@@ -107,6 +108,7 @@ def _static_to_world(mean: Array, factor: Array, samples: Array, home: Array, po
 
 @compiled
 def world_components(
+    which: Integers,
     means: Array,
     covariances: Array,
     homes: Array,
@@ -115,9 +117,10 @@ def world_components(
     out_means: Array,
     out_covariances: Array,
 ) -> None:
-    """Mean and covariance in the world (x, y, z, vx, vy, vz) of every component, moved by its interval.
+    """Mean and covariance in the world (x, y, z, vx, vy, vz) of the components `which` (m,), moved by their intervals.
 
-    Components whose mean disparity is not positive (an object at infinity has no position) are left as NaN.
+    They fill the first m rows of `out_means` and `out_covariances`. Components whose mean disparity is not positive (an
+    object at infinity has no position) are left as NaN.
     """
     size = means.shape[1]
     count = samples.shape[1]
@@ -132,8 +135,9 @@ def world_components(
     mean = np.empty(size)
     covariance = np.empty((size, size))
     scratch = np.empty((size, size))
-    for k in range(means.shape[0]):
-        _fill_gaussian(np.nan, out_means, out_covariances, k)
+    for i in range(len(which)):
+        k = which[i]
+        _fill_gaussian(np.nan, out_means, out_covariances, i)
         if not means[k, 2] > 0.0 or not cholesky(covariances[k], factor):
             continue
         if size == 6:
@@ -146,11 +150,11 @@ def world_components(
         weighted_moments(points, weights, total, mean, covariance)
         if not condition(covariance, scratch):
             continue
-        _fill_gaussian(0.0, out_means, out_covariances, k)
+        _fill_gaussian(0.0, out_means, out_covariances, i)
         for a in range(size):
-            out_means[k, a] = mean[a]
+            out_means[i, a] = mean[a]
             for b in range(size):
-                out_covariances[k, a, b] = covariance[a, b]
+                out_covariances[i, a, b] = covariance[a, b]
 
 
 @compiled

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.birth import birth_moments
+from stereophd.core.multi.birth import birth_moments, newborn_prior
 from stereophd.core.multi.estimates import Estimates, Info
-from stereophd.core.multi.extract import select_objects
+from stereophd.core.multi.extract import Counters, select_objects
+from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.history import History
-from stereophd.core.multi.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.inputs import Detections, EventArrays, EventNumbers, NewbornPrior
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
-from stereophd.core.multi.settings import FilterSettings
-from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, view_overlap
+from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, undetected_shares
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
@@ -195,8 +195,9 @@ class DisparityFilter(ABC):
         return Prediction(mixture.with_weights(weights), moved, births, undetected, burst)
 
     @cached_property
-    def _overlap(self) -> Array:
-        return view_overlap(self.rig, self.settings.birth)
+    def _left(self) -> list[Array]:
+        """Of the objects in view of each camera, the share (c,) that a frame leaves, for the frames of each camera."""
+        return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
     def expected_births(
         self, undetected: Undetected | None, elapsed: float, event: Event, known: float = 0.0
@@ -207,12 +208,20 @@ class DisparityFilter(ABC):
         """
         detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
         burst = burst_of(event, known, prior)
-        return *expected_births(undetected, prior, self._overlap, elapsed, event, detector, burst), burst
+        left = self._left[event.camera]
+        return *expected_births(undetected, prior, left, elapsed, event, detector, burst, known), burst
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
+        mixture = state.mixture
         chosen = select_objects(
-            state.mixture, self.settings.extraction, state.next_label, state.next_track, self.labels_may_split
+            mixture,
+            self.settings.extraction,
+            Counters(state.next_label, state.next_track),
+            self.rig.spaces(mixture.cameras, mixture.times),
+            self.motion.arrays((0.0 if state.time_s is None else state.time_s) - mixture.times),
+            self.sets.turn(state.n_events),
+            self.labels_may_split,
         )
         # `replace` takes longer
         state = FilterState(
@@ -225,24 +234,13 @@ class DisparityFilter(ABC):
             state.history,
         )
         mixture, index = chosen.mixture, chosen.index
-        cameras, times = mixture.cameras[index], mixture.times[index]
-        means, covariances = world_moments(
-            mixture.means[index],
-            mixture.covariances[index],
-            self.rig.spaces(cameras, times),
-            (0.0 if state.time_s is None else state.time_s) - times,
-            self.motion,
-            self.sets,
-            state.n_events,
+        estimates = Estimates(
+            mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
         )
-        estimates = Estimates(mixture.tracks[index], means, covariances, chosen.existence, mixture.labels[index])
-        finite = np.isfinite(means)
-        if finite.all() and not chosen.tentative.any():
+        confirmed = chosen.confirmed
+        if confirmed == len(index):
             return state, estimates
-        # an object at infinity has no position
-        placed = np.asarray(finite.all(axis=1))
-        tentative = estimates.take(placed & chosen.tentative)
-        return state, replace(estimates.take(placed & ~chosen.tentative), tentative=tentative)
+        return state, replace(estimates.take(slice(confirmed)), tentative=estimates.take(slice(confirmed, None)))
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""
@@ -277,18 +275,31 @@ class DisparityFilter(ABC):
         means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
         return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
 
+    def detections(self, event: Event) -> tuple[Detections, NewbornPrior]:
+        """Return an event's detections, and the prior of the objects that they may have given birth to."""
+        found = Detections(event.points, event.covariances, event.areas, event.delays)
+        if not self.rig.moving:
+            return found, self._newborns[event.camera]
+        return found, newborn_prior(self.rig.space(event.camera, event.time_s), self.settings.birth)
+
+    @cached_property
+    def _newborns(self) -> list[NewbornPrior]:
+        return [newborn_prior(space, self.settings.birth) for space in self.rig.packed]
+
     def event_numbers(self, event: Event, next_label: int, births: float, burst: int = 0) -> EventNumbers:
         """Return the place of an event, its rates, and the first unused label, for compiled code.
 
         A `burst` of detections is clutter, regardless of the rate of the detector.
         """
-        camera = self.rig.cameras[event.camera]
+        p_detect, clutter, area = self._detectors[event.camera]
         return EventNumbers(
-            camera=int(event.camera),
-            time_s=float(event.time_s),
-            next_label=next_label,
-            p_detect=float(camera.detector.p_detect),
-            clutter=max(float(camera.detector.clutter_per_frame), float(burst)),
-            births=births,
-            area=float(camera.width * camera.height),
+            int(event.camera), float(event.time_s), next_label, p_detect, max(clutter, float(burst)), births, area
         )
+
+    @cached_property
+    def _detectors(self) -> list[tuple[float, float, float]]:
+        """Probability of detection, clutter a frame and area of the image of each camera."""
+        return [
+            (float(one.detector.p_detect), float(one.detector.clutter_per_frame), float(one.width * one.height))
+            for one in self.rig.cameras
+        ]

@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.initial import initial_moments
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
+from stereophd.core.multi.inputs import NewbornPrior
 
 Array = NDArray[np.float64]
+
+
+def newborn_prior(space: Array, prior: BirthPrior) -> NewbornPrior:
+    """Return the prior of the objects that the camera of a packed space (30,) sees for the first time."""
+    mean, std = prior.disparity_moments(space)
+    return NewbornPrior(space, float(mean), float(std), float(prior.velocity_std))
 
 
 def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> tuple[Array, Array]:

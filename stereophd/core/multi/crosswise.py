@@ -22,28 +22,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Rig
-from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.sample_move import Look
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, crosswise_pairs
+from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, crosswise_pairs
 from stereophd.core.multi.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.history import ClaimedRows, History, no_deferred_pairs
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # Fewest kept detections of each track in the camera whose detections are exchanged, and in all others together.
 LEAST_DETECTIONS = 3
-# Each event tests so many pairs at most: with hundreds of objects there is always one that is due.
+# Largest number of pairs that an event tests: with hundreds of objects there is always one that is due.
 MOST_TESTS = 1
 # Events until a pair is tested again: at least the first, and one more for each nat that the exchange is behind, up to
 # the second.
@@ -76,14 +74,17 @@ class CrosswiseTest:
     threshold: float
 
     @cached_property
-    def camera_pairs(self) -> list[tuple[int, int]]:
-        """All pairs of cameras."""
-        return list(combinations(range(len(self.rig.cameras)), 2))
-
-    @cached_property
     def tolerances(self) -> list[float]:
         """Distance of epipolar lines, px, in each camera."""
         return [COPLANAR_SIGMAS * float(np.max(one.detector.sigma)) for one in self.rig.cameras]
+
+    @cached_property
+    def _acceleration_std(self) -> float:
+        return float(self.motion.noise_std.max())
+
+    @cached_property
+    def _look(self) -> Look:
+        return Look(self.samples, np.ones(self.samples.shape[1]), FEWEST)
 
     @cached_property
     def _prior_at_rest(self) -> NewObjects:
@@ -99,21 +100,25 @@ class CrosswiseTest:
         views, none, one = self.rig.views(0.0), np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
         prior, homes = self.prior(views), self.rig.spaces(none, np.empty(0))
         empty, nothing = empty_mixture(self.motion.state_size), no_deferred_pairs()
-        crosswise_pairs(empty, homes, (0, 0), views, prior, 1.0, nothing, 0, MOST_TESTS)
+        crosswise_pairs(empty, homes, (0, 0), views, prior, 1.0, Past(0.0, 0.0), nothing, 0, MOST_TESTS)
         self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
 
     def put_right(
-        self, mixture: GaussianMixture, history: History, time_s: float, event: int
+        self, mixture: GaussianMixture, history: History, camera: int, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
-        """Return a mixture after an event, and the history, with tracks exchanged that were paired crosswise."""
-        if not self.camera_pairs:
+        """Return a mixture after an event of a camera, and the history, with exchanges of tracks paired crosswise.
+
+        The camera is the one whose detections are exchanged, with each camera before it in turn.
+        """
+        if camera == 0:
             return mixture, history
-        cameras = self.camera_pairs[event % len(self.camera_pairs)]
-        views, camera = self.rig.views(time_s), cameras[1]
-        homes = self.rig.spaces(mixture.cameras, mixture.times)
+        cameras = (event // len(self.rig.cameras) % camera, camera)
+        views, homes = self.rig.views(time_s), self.rig.spaces(mixture.cameras, mixture.times)
         prior = self.prior(views) if self.rig.moving else self._prior_at_rest
+        began = history.sightings[max(-RECENT, -len(history.sightings))].time_s if history.sightings else time_s
+        past = Past(time_s - began, self._acceleration_std)
         pairs = crosswise_pairs(
-            mixture, homes, cameras, views, prior, self.tolerances[camera], history.deferred, event, MOST_TESTS
+            mixture, homes, cameras, views, prior, self.tolerances[camera], past, history.deferred, event, MOST_TESTS
         )
         if not len(pairs):
             return mixture, history
@@ -171,20 +176,11 @@ class CrosswiseTest:
 
     def _explain(self, rows: ClaimedRows, owners: Integers, prior: NewObjects) -> ExplainedRows:
         """Filter detections again, each in the track (h, n) that an explanation gives it to."""
-        paths = make_paths(owners, self.rig.spaces(rows.cameras, rows.times))
-        times = rows.times
-        motion = self.motion.arrays((times - times.take(paths.before, mode="clip")).ravel())
+        paths = make_paths(owners, rows.times)
+        motion = self.motion.arrays(paths.intervals)
         out = room_for_explained(len(owners), owners.shape[1], self.motion.state_size)
-        for h, row in np.argwhere(paths.before < 0).tolist():
-            one, camera, track = slice(row, row + 1), rows.cameras[row], owners[h, row]
-            born, spread = initial_moments(
-                rows.points[one], rows.noises[one], paths.spaces[row], float(prior.means[camera]),
-                float(prior.stds[camera]), prior.velocity_std, self.motion.state_size,
-                None if rows.delays is None else rows.delays[one],
-            )  # fmt: skip
-            out.means[h, track], out.covariances[h, track] = born[0], spread[0]
-        look = Look(self.samples, np.ones(self.samples.shape[1]), FEWEST)
-        explain_rows(rows.points, rows.noises, rows.delays, paths, motion, look, LATEST, out)
+        spaces = self.rig.spaces(rows.cameras, rows.times)
+        explain_rows(rows, spaces, prior, paths, motion, self._look, LATEST, out)
         return out
 
 

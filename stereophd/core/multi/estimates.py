@@ -58,8 +58,8 @@ class Estimates:
             np.concatenate([one.labels, other.labels]),
         )
 
-    def take(self, kept: NDArray[np.bool_]) -> Estimates:
-        """Return some of the estimates, by a mask (k,), without the tentative ones."""
+    def take(self, kept: NDArray[np.bool_] | slice) -> Estimates:
+        """Return some of the estimates, by a mask (k,) or a slice, without the tentative ones."""
         return Estimates(
             self.track_ids[kept],
             self.states[kept],

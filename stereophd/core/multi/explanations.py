@@ -12,10 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
+from stereophd.core.multi.epipolar_pairs import NewObjects
+from stereophd.core.multi.history import ClaimedRows
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.sorting import copy_gaussian
 
@@ -64,33 +67,43 @@ class DetectionPaths(NamedTuple):
         The track, 0 or 1, of each of the n detections.
     before : array (h, n)
         The detection before each in its track; -1 for the first.
-    homes : array (h * n, 30)
-        Packed space of the detection before each, explanation by explanation.
-    spaces : array (n, 30)
-        Packed space of each detection.
+    intervals : array (h * n,)
+        Time since the detection before each, s, explanation by explanation; 0 for the first of a track.
     """
 
     owners: Integers
     before: Integers
-    homes: Array
-    spaces: Array
+    intervals: Array
 
 
-def make_paths(owners: Integers, spaces: Array) -> DetectionPaths:
-    """Return the paths of detections, from the track (h, n) and the packed space (n, 30) of each."""
-    before = np.full(owners.shape, -1)
-    for path, own in zip(before, owners, strict=True):
-        for track in (0, 1):
-            found = np.flatnonzero(own == track)
-            path[found[1:]] = found[:-1]
-    return DetectionPaths(owners, before, spaces.take(before.ravel(), axis=0, mode="clip"), spaces)
+def make_paths(owners: Integers, times: Array) -> DetectionPaths:
+    """Return the paths of detections, from the track (h, n) and the time (n,) of each."""
+    paths = DetectionPaths(owners, np.empty_like(owners), np.zeros(owners.size))
+    _link(times, paths)
+    return paths
+
+
+@compiled
+def _link(times: Array, paths: DetectionPaths) -> None:
+    """Fill in the detection before each, and the time since."""
+    owners, before, intervals = paths
+    explanations, count = owners.shape
+    last = np.empty(2, dtype=np.int64)
+    for h in range(explanations):
+        last[:] = -1
+        for row in range(count):
+            track = owners[h, row]
+            before[h, row] = last[track]
+            if last[track] >= 0:
+                intervals[h * count + row] = times[row] - times[last[track]]
+            last[track] = row
 
 
 @compiled
 def explain_rows(
-    points: Array,
-    noises: Array,
-    delays: Array | None,
+    rows: ClaimedRows,
+    spaces: Array,
+    prior: NewObjects,
     paths: DetectionPaths,
     motion: MotionArrays,
     look: Look,
@@ -101,42 +114,53 @@ def explain_rows(
 
     Parameters
     ----------
-    points, noises, delays : arrays (n, 2), (n, 2, 2), (n,) or None
-        Detections of both tracks, as in `Event`, forwards or backwards in time.
+    rows : ClaimedRows
+        Detections of both tracks, forwards or backwards in time.
+    spaces : array (n, 30)
+        Packed space of each detection.
+    prior : NewObjects
+        Of the tracks at their first detections.
     paths : DetectionPaths
     motion : MotionArrays
-        Over the h * n intervals since the detection before each (that of the first of a track is not used).
+        Over the intervals of the paths.
     look : Look
         Samples of the moves.
     most_behind : float
         Where the second explanation is further behind the first one after the same rows, nats, the rest is left out.
     out : ExplainedRows
-        Filled in: zeros, but for the Gaussians of the tracks at their first detections.
+        Filled in: zeros before.
     """
     explanations, count = paths.owners.shape
     size = out.means.shape[2]
     means, covariances = np.empty((explanations * count, size)), np.empty((explanations * count, size, size))
+    homes = np.empty((explanations * count, spaces.shape[1]))
     moved = allocate_moved(explanations * count, size)
     totals = np.zeros(explanations)
-    which, nowhere = np.empty(1, dtype=np.int64), np.empty(0)
+    which, nowhere = np.empty(explanations, dtype=np.int64), np.empty(0)
     for row in range(count):
+        going = 0
         for h in range(explanations):
-            track, k = paths.owners[h, row], h * count + row
+            track, before, k = paths.owners[h, row], paths.before[h, row], h * count + row
             if totals[h] == -math.inf:
                 continue
-            if paths.before[h, row] < 0:
+            if before < 0:
                 out.fits[h, row] = True
+                _begin(rows, row, spaces[row], prior, out.means[h], out.covariances[h], track)
                 continue
             copy_gaussian(out.means[h], out.covariances[h], track, means, covariances, k)
-            which[0] = k
-            move_components(
-                which, means, covariances, paths.homes, motion, look, paths.spaces[row], 0.0, nowhere, moved
-            )  # fmt: skip
-            gain = -math.inf
+            for a in range(spaces.shape[1]):
+                homes[k, a] = spaces[before, a]
+            which[going] = k
+            going += 1
+        move_components(
+            which[:going], means, covariances, homes, motion, look, spaces[row], 0.0, nowhere, moved
+        )  # fmt: skip
+        for i in range(going):
+            k = which[i]
+            h = k // count
+            track, gain = paths.owners[h, row], -math.inf
             if moved.status[k] != OUT_OF_VIEW:
-                gain, out.fits[h, row] = _follow(
-                    points, noises, delays, row, moved, k, out.means[h], out.covariances[h], track
-                )
+                gain, out.fits[h, row] = _follow(rows, row, moved, k, out.means[h], out.covariances[h], track)
             out.log_likelihoods[h, track] += gain
             totals[h] += gain
         if explanations > 1 and totals[0] - totals[1] > most_behind:
@@ -144,10 +168,27 @@ def explain_rows(
 
 
 @compiled
+def _begin(
+    rows: ClaimedRows, row: int, space: Array, prior: NewObjects, means: Array, covariances: Array, track: int
+) -> None:
+    """Begin a track with a detection."""
+    point, noise, camera = rows.points[row : row + 1], rows.noises[row : row + 1], rows.cameras[row]
+    born, spread = initial_moments(
+        point, noise, space, prior.means[camera], prior.stds[camera], prior.velocity_std, means.shape[1],
+        _delay(rows.delays, row),
+    )  # fmt: skip
+    copy_gaussian(born, spread, 0, means, covariances, track)
+
+
+@compiled
+def _delay(delays: Array | None, row: int) -> Array | None:
+    """Return the delay (1,) of a detection: of a parameter the compiler knows whether it is None."""
+    return None if delays is None else delays[row : row + 1]
+
+
+@compiled
 def _follow(
-    points: Array,
-    noises: Array,
-    delays: Array | None,
+    rows: ClaimedRows,
     row: int,
     moved: Moved,
     k: int,
@@ -156,8 +197,8 @@ def _follow(
     track: int,
 ) -> tuple[float, bool]:
     """Update a moved track with its next detection; return its log-likelihood, and whether the detection fits."""
-    point, noise = points[row : row + 1], noises[row : row + 1]
-    delay = None if delays is None else delays[row : row + 1]
+    point, noise = rows.points[row : row + 1], rows.noises[row : row + 1]
+    delay = _delay(rows.delays, row)
     after, spread = moved.means[k : k + 1], moved.covariances[k : k + 1]
     seen, one, unit = np.empty(1, dtype=np.bool_), np.zeros(1, dtype=np.int64), np.empty(1)
     seen[0], unit[0] = True, 1.0

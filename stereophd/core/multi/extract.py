@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.disparity.world_moments import world_components
+from stereophd.core.motion.arrays import MotionArrays
+from stereophd.core.multi.filter_settings.common import Hysteresis
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
-from stereophd.core.multi.settings import Hysteresis
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.sorting import picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -18,38 +22,56 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Selection:
-    """Outcome of `select_objects`.
+    """Outcome of `select_objects`: the mixture, and one row for each object that has a position.
 
     Attributes
     ----------
     mixture : GaussianMixture
         With new labels and identities.
+    confirmed : int
+        Number of rows of confirmed objects, which come first; the others are tentative. Both in order of identity.
     index : array (k,) of int
-        Components that are reported, in order of identity.
+        Components that are reported.
     existence : array (k,)
         Weight or probability of existence of each object.
-    tentative : array (k,) of bool
-        Which of them are not confirmed.
+    means, covariances : arrays (k, 6), (k, 6, 6)
+        In the world.
     next_label, next_track : int
         First unused label and identity.
     """
 
     mixture: GaussianMixture
+    confirmed: int
     index: Integers
     existence: Array
-    tentative: NDArray[np.bool_]
+    means: Array
+    covariances: Array
+    next_label: int
+    next_track: int
+
+
+class Counters(NamedTuple):
+    """First unused label and identity."""
+
     next_label: int
     next_track: int
 
 
 def select_objects(
-    mixture: GaussianMixture, hysteresis: Hysteresis, next_label: int, next_track: int, split: bool = True
+    mixture: GaussianMixture,
+    hysteresis: Hysteresis,
+    counters: Counters,
+    homes: Array,
+    motion: MotionArrays,
+    samples: Array,
+    split: bool = True,
 ) -> Selection:
-    """Choose the components that are reported, and give identities in order of the first report.
+    """Choose the components that are reported, give identities in order of the first report, and place them.
 
     The components of a label are alternatives for one object: their weights add up, and the heaviest
     gives the estimate. A further component of a label that alone reaches the confirmation threshold is
-    another object (two objects were merged while they were close), and gets a label of its own.
+    another object (two objects were merged while they were close), and gets a label of its own. An object at infinity
+    has no position, and is left out.
 
     Parameters
     ----------
@@ -57,8 +79,13 @@ def select_objects(
         After an event.
     hysteresis : Hysteresis
         Thresholds.
-    next_label, next_track : int
-        First unused label and identity.
+    counters : Counters
+    homes : array (n, 30)
+        Packed home space of each component.
+    motion : MotionArrays
+        From the time of each component to that of the report.
+    samples : array (rows, s)
+        As of `stereophd.core.disparity.moments.world_moments`.
     split : bool
         Whether a label may represent several objects, as in a PHD; hypotheses of one track exclude each other.
 
@@ -68,41 +95,95 @@ def select_objects(
     """
     # filled in place: a compiled function that returns arrays wraps each of them
     count = mixture.size
-    labels, tracks, reported = mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy()
-    index, existence, tentative = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=bool)
-    found, next_label, next_track = _select(
-        mixture.weights,
-        mixture.labels,
-        hysteresis.confirm,
-        hysteresis.release,
-        hysteresis.tentative,
-        next_label,
-        next_track,
-        split,
-        labels,
-        tracks,
-        reported,
-        index,
-        existence,
-        tentative,
-    )
-    relabelled = GaussianMixture(*mixture[:5], labels, tracks, reported)
-    return Selection(relabelled, index[:found], existence[:found], tentative[:found], next_label, next_track)
+    changed = Identities(mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy())
+    room = Placed(np.empty(count, dtype=np.int64), np.empty(count), np.empty((count, 6)), np.empty((count, 6, 6)))
+    levels = (hysteresis.confirm, hysteresis.release, hysteresis.tentative)
+    placed, confirmed, next_label, next_track = _place(
+        mixture.weights, mixture.labels, levels, counters, split, mixture.means, mixture.covariances, homes, motion,
+        samples, changed, room,
+    )  # fmt: skip
+    components, existence, means, covariances = room
+    return Selection(
+        GaussianMixture(*mixture[:5], *changed), confirmed, components[:placed].copy(), existence[:placed].copy(),
+        means[:placed].copy(), covariances[:placed].copy(), next_label, next_track,
+    )  # fmt: skip
+
+
+class Identities(NamedTuple):
+    """Labels, identities and flags of components (n,), as in a mixture."""
+
+    labels: Integers
+    tracks: Integers
+    reported: NDArray[np.bool_]
+
+
+class Placed(NamedTuple):
+    """Room for the rows of a `Selection`: components and existence (n,), means (n, 6), covariances (n, 6, 6)."""
+
+    components: Integers
+    existence: Array
+    means: Array
+    covariances: Array
+
+
+@compiled
+def _place(
+    weights: Array,
+    known: Integers,
+    levels: tuple[float, float, float],
+    counters: Counters,
+    split: bool,
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    motion: MotionArrays,
+    samples: Array,
+    changed: Identities,
+    room: Placed,
+) -> tuple[int, int, int, int]:
+    """Select objects and fill in the rows of those with a position, confirmed ones first.
+
+    Returns how many rows there are, how many of them are confirmed, and both counters.
+    """
+    index, existence, world_means, world_covariances = room
+    unsure = np.empty(len(index), dtype=np.bool_)
+    found, next_label, next_track = _select(weights, known, levels, counters, split, changed, index, existence, unsure)
+    chosen = index[:found]
+    world_components(chosen, means, covariances, homes, motion, samples, world_means, world_covariances)
+    order = np.empty(found, dtype=np.int64)
+    placed, confirmed, in_place = 0, 0, True
+    for tentative in (False, True):
+        for i in range(found):
+            # the mean of an object at infinity is NaN throughout
+            if unsure[i] == tentative and math.isfinite(world_means[i, 0]):
+                in_place = in_place and i == placed
+                order[placed] = i
+                placed += 1
+        if not tentative:
+            confirmed = placed
+    if not in_place:
+        _reorder(order[:placed], index, existence, world_means, world_covariances)
+    return placed, confirmed, next_label, next_track
+
+
+@compiled
+def _reorder(order: Integers, index: Integers, existence: Array, means: Array, covariances: Array) -> None:
+    """Bring rows to the front, in an order (m,)."""
+    picked_index, picked_existence = picked(index, order), picked(existence, order)
+    old_means, old_covariances = means.copy(), covariances.copy()
+    for i in range(len(order)):
+        index[i], existence[i] = picked_index[i], picked_existence[i]
+        copy_gaussian(old_means, old_covariances, order[i], means, covariances, i)
 
 
 @compiled
 def _select(
     weights: Array,
     known: Integers,
-    confirm: float,
-    release: float,
-    tentative: float,
-    next_label: int,
-    next_track: int,
+    levels: tuple[float, float, float],
+    counters: Counters,
     split: bool,
-    labels: Integers,
-    tracks: Integers,
-    reported: NDArray[np.bool_],
+    changed: Identities,
     index: Integers,
     existence: Array,
     unsure: NDArray[np.bool_],
@@ -110,8 +191,12 @@ def _select(
     """Change labels, identities and flags of the components (n,); return how many are chosen, and both counters.
 
     The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,),
-    in order of identity; `known` holds the labels before.
+    in order of identity; `known` holds the labels before, and `levels` the thresholds to confirm, to release, and of
+    tentative objects.
     """
+    confirm, release, tentative = levels
+    next_label, next_track = counters
+    labels, tracks, reported = changed
     order = _by_label(weights, known)
     for k in range(len(labels)):
         if labels[k] == UNLABELLED:

@@ -8,30 +8,36 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.multi.attribution import UNDECIDED
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # Events of which detections are kept; at twice as many, every second one of the older half is dropped.
 KEPT_EVENTS = 32
 
+_NO_POINT, _NO_NOISE = np.empty((0, 2)), np.empty((0, 2, 2))
+
 
 class ClaimedDetections(NamedTuple):
-    """The detections of one event that labels claim.
+    """The detections of one event, and those that labels claim.
 
     Attributes
     ----------
     camera, time_s : int, float
         The event.
-    labels : array (k,) of int
-    points, noises : arrays (k, 2), (k, 2, 2)
-        Undistorted pixels and their covariances.
-    delays : array (k,) or None
+    labels, detections : arrays (k,) of int
+        Labels, and the detection that each claims or `UNDECIDED`.
+    points, noises : arrays (m, 2), (m, 2, 2)
+        Of all detections: undistorted pixels and their covariances.
+    delays : array (m,) or None
         As in `stereophd.core.disparity.events.Event`.
     """
 
     camera: int
     time_s: float
     labels: Integers
+    detections: Integers
     points: Array
     noises: Array
     delays: Array | None
@@ -87,22 +93,22 @@ class History:
     def rows_of(self, first: int, second: int, recent: int | None = None) -> ClaimedRows:
         """Return the kept detections of two labels, one row each, in order of time; of the last events only."""
         kept = self.sightings if recent is None else self.sightings[-recent:]
-        counts = np.array([len(one.labels) for one in kept])
         labels = np.concatenate([one.labels for one in kept])
-        found = np.flatnonzero((labels == first) | (labels == second))
-        ends = np.cumsum(counts)
-        events = np.searchsorted(ends, found, side="right")
-        rows = (found - (ends - counts)[events]).tolist()
-        own = [kept[event] for event in events.tolist()]
-        delayed = any(one.delays is not None for one in kept)
-        delays = [0.0 if one.delays is None else one.delays[row] for one, row in zip(own, rows, strict=True)]
+        detections = np.concatenate([one.detections for one in kept])
+        found = np.flatnonzero(((labels == first) | (labels == second)) & (detections != UNDECIDED))
+        ends = np.cumsum([len(one.labels) for one in kept])
+        own = [kept[event] for event in np.searchsorted(ends, found, side="right").tolist()]
+        rows = [(one, slice(k, k + 1)) for one, k in zip(own, detections[found].tolist(), strict=True)]
+        delayed = any(one.delays is not None for one in own)
         return ClaimedRows(
             np.array([one.camera for one in own], dtype=np.int64),
             np.array([one.time_s for one in own], dtype=np.float64),
             labels[found],
-            np.array([one.points[row] for one, row in zip(own, rows, strict=True)]).reshape(-1, 2),
-            np.array([one.noises[row] for one, row in zip(own, rows, strict=True)]).reshape(-1, 2, 2),
-            np.array(delays) if delayed else None,
+            np.concatenate([_NO_POINT, *(one.points[row] for one, row in rows)]),
+            np.concatenate([_NO_NOISE, *(one.noises[row] for one, row in rows)]),
+            np.concatenate([[0.0] if one.delays is None else one.delays[row] for one, row in rows])
+            if delayed
+            else None,
         )
 
     def exchanged(self, first: int, second: int, camera: int) -> History:

@@ -7,9 +7,40 @@ from typing import NamedTuple, TypeVar, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.numerics.compilation import compiled
+
 Array = NDArray[np.float64]
 
 Kind = TypeVar("Kind")
+
+
+class Detections(NamedTuple):
+    """Detections of an event: arrays (m, 2), (m, 2, 2), (m,), (m,) or None as in `EventArrays`."""
+
+    points: Array
+    noises: Array
+    areas: Array
+    delays: Array | None
+
+
+class NewbornPrior(NamedTuple):
+    """Prior of the objects that a camera sees for the first time.
+
+    Attributes
+    ----------
+    space : array (30,)
+        Packed space of the camera.
+    mean, std : float
+        Of the disparity, px.
+    velocity_std : float
+        Of each component of velocity, length/s.
+    """
+
+    space: Array
+    mean: float
+    std: float
+    velocity_std: float
 
 
 class EventArrays(NamedTuple):
@@ -57,6 +88,16 @@ class EventNumbers(NamedTuple):
     clutter: float
     births: float
     area: float
+
+
+@compiled
+def with_newborns(detections: Detections, prior: NewbornPrior, size: int) -> EventArrays:
+    """Return detections with the objects of `size` 6 or 3 that they may have given birth to."""
+    points, noises, areas, delays = detections
+    means, covariances = initial_moments(
+        points, noises, prior.space, prior.mean, prior.std, prior.velocity_std, size, delays
+    )
+    return EventArrays(points, noises, areas, delays, means, covariances)
 
 
 def compiled_settings(kind: type[Kind], settings: object) -> Kind:

@@ -22,7 +22,7 @@ from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, 
 from stereophd.core.multi.batch_kernels import update_intensities
 from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.filter_settings.phd import PhdSettings
-from stereophd.core.multi.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.inputs import Detections, EventNumbers, NewbornPrior, with_newborns
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.undetected import reduction_for_births
@@ -62,7 +62,7 @@ class PhdFilter(DisparityFilter):
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, labels, claims, left_out = _update(
-            prediction.mixture, prediction.moved, self.event_arrays(event),
+            prediction.mixture, prediction.moved, *self.detections(event),
             self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         label = state.next_label + len(event.points)
@@ -78,12 +78,14 @@ class PhdFilter(DisparityFilter):
 def _update(
     mixture: GaussianMixture,
     moved: Moved,
-    event: EventArrays,
+    detected: Detections,
+    prior: NewbornPrior,
     numbers: EventNumbers,
     reduction: PhdReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, Integers, Claims | None, int]:
     """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
+    event = with_newborns(detected, prior, mixture.means.shape[1])
     updated, log_likelihood, by = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
     labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
-from stereophd.core.multi.attribution import UNDECIDED, Claims, claims_of, detected_labels
+from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.batch_kernels import update_track_sets
 from stereophd.core.multi.crosswise import CrosswiseTest
@@ -32,7 +32,7 @@ from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
-from stereophd.core.multi.inputs import EventArrays, EventNumbers, compiled_settings
+from stereophd.core.multi.inputs import Detections, EventNumbers, NewbornPrior, compiled_settings, with_newborns
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
 from stereophd.core.multi.pmb_update import update_tracks
@@ -90,13 +90,18 @@ class PmbFilter(DisparityFilter):
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, expected, labels, detections, claims = _update(
-            prediction.mixture, prediction.moved, self.event_arrays(event),
+            prediction.mixture, prediction.moved, *self.detections(event),
             self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):
-            history = (history or History()).add(_sighting(event, labels, detections))
-            reduced, history = self.crosswise_test.put_right(reduced, history, event.time_s, state.n_events)
+            claimed = ClaimedDetections(
+                event.camera, event.time_s, labels, detections, event.points, event.covariances, event.delays
+            )
+            history = (history or History()).add(claimed)
+            reduced, history = self.crosswise_test.put_right(
+                reduced, history, event.camera, event.time_s, state.n_events
+            )
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:
@@ -114,25 +119,16 @@ class PmbFilter(DisparityFilter):
 def _update(
     mixture: GaussianMixture,
     moved: Moved,
-    event: EventArrays,
+    detected: Detections,
+    prior: NewbornPrior,
     numbers: EventNumbers,
     reduction: PmbReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None]:
     """`update_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
+    event = with_newborns(detected, prior, mixture.means.shape[1])
     updated, log_likelihood, by = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     labels, detections = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
     reduced, expected = reduce_tracks(updated, reduction)
     return reduced, log_likelihood, expected, labels, detections, claims
-
-
-def _sighting(event: Event, labels: Integers, detections: Integers) -> ClaimedDetections:
-    """Return the detections that labels have made more probably than not."""
-    decided = detections != UNDECIDED
-    if not decided.all():
-        labels, detections = labels[decided], detections[decided]
-    return ClaimedDetections(
-        event.camera, event.time_s, labels, event.points[detections], event.covariances[detections],
-        None if event.delays is None else event.delays[detections],
-    )  # fmt: skip

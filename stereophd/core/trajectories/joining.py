@@ -1,4 +1,4 @@
-"""Whether tracks of two runs over the same events are one object: for runs over pieces of a log that overlap.
+"""Probability that tracks of two runs over the same events are one object, for overlapping pieces of a log.
 
 Where both runs report a track, the states differ by d with covariance C = P_i + P_j if the tracks are one object, and
 d' C^-1 d is small. (The runs share detections there, so the true covariance is smaller, and a pair that is one object

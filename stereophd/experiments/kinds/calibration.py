@@ -156,8 +156,8 @@ def _errors(
 def _consistency(
     parameters: ParameterSet, reference: int, mean: Array, covariance: Array, true: Array
 ) -> dict[str, float]:
-    """Return how well a posterior knows itself: NEES, the share of parameters in their interval, and the spread of the
-    scale in that of its prior."""
+    """Return the NEES of a posterior, the share of parameters inside their intervals, and the ratio of the posterior
+    spread of the scale to its prior spread."""
     inside = np.abs(mean - true) <= INTERVAL_90 * np.sqrt(np.diag(covariance))
     return {
         "nees": normalised_error_squared(mean - true, covariance),

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.config.experiment import LocalisationScenario
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.single_object.runs import LocalisationProblem, localisation_bound, localisation_run
 from stereophd.experiments.single_object.series import (
@@ -67,10 +67,7 @@ def _scenario(loaded: LoadedConfig) -> LocalisationProblem:
     names = [camera.name for camera in rig.cameras]
     for name in settings.sequence:
         if name not in names:
-            raise InputError(
-                f"{loaded.path}: experiment.scenario.sequence: expected names of cameras ({', '.join(names)}), "
-                f"found {name}"
-            )
+            raise InputError(f"{loaded.path}: experiment.scenario.sequence: {unknown_camera(name, names)}")
     sequence = tuple(names.index(name) for name in settings.sequence) * settings.rounds
     return LocalisationProblem(rig, np.array(settings.position), single_config(loaded).prior, sequence)
 

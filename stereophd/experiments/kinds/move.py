@@ -14,7 +14,7 @@ from stereophd.config.experiment import MoveScenario
 from stereophd.config.model import Config
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.experiments.engine.base import Kind, Series, scenario_of
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
@@ -42,9 +42,7 @@ def check(loaded: LoadedConfig) -> None:
     for key in ("home", "destination"):
         name = getattr(scenario_of(loaded.config, MoveScenario), key)
         if name not in names:
-            raise InputError(
-                f"{loaded.path}: experiment.scenario.{key}: expected a camera ({', '.join(names)}), found {name}"
-            )
+            raise InputError(f"{loaded.path}: experiment.scenario.{key}: {unknown_camera(name, names)}")
 
 
 def run(loaded: LoadedConfig, number: int) -> list[Series]:

@@ -27,7 +27,7 @@ MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
 
-# A detector that never misses ends a track at its first miss, and would never be found to miss.
+# If a detector never missed, a track would end at its first miss, and no pass could ever estimate a miss.
 MOST_P_DETECT = 0.99
 
 # Correlation of successive residuals from which errors cannot pass for white noise.

@@ -239,7 +239,7 @@ def estimate_detector(sums: DetectorSums, present: Detector) -> DetectorEstimate
         sigma_error = sigma * relative / 2.0
     in_view = sums.detected + sums.missed
     if in_view >= FEWEST_IN_VIEW:
-        # one miss and one detection more than counted, by halves: never 0 or 1, which nothing can revise
+        # half a detection and half a miss are added: a probability of 0 or 1 could never change again
         p_detect = (sums.detected + 0.5) / (in_view + 1.0)
         p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / in_view))
     if sums.frames > 0:

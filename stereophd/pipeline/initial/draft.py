@@ -32,7 +32,7 @@ from stereophd.pipeline.stream import EventStream, open_stream
 
 # Frames of each camera that the first look takes.
 SAMPLE_FRAMES = 1500
-# Score of a pair of cameras whose rays meet: lower than in a check, because the filter has the last word.
+# Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
 # Relative standard errors up to which an estimated detector is written down: of sigma, and of p_detect itself.
 SIGMA_ERROR, P_DETECT_ERROR = 0.15, 0.05

@@ -1,4 +1,4 @@
-"""Leave out tracks that are too short (``report.min_track_length_s``)."""
+"""Leave out tracks that are too short (``report.min_track_length``)."""
 
 from __future__ import annotations
 

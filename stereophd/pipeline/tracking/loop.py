@@ -23,7 +23,7 @@ from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
 
-# Events between two clearances of what is known of dead tracks.
+# Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
 
 # Cameras that must have detected a tentative object.

@@ -11,13 +11,14 @@ import numba
 import numpy as np
 import pytest
 
-from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose
 from stereophd.core.multi import crosswise as crosswise_module
 from stereophd.core.multi.crosswise import CrosswiseTest
-from stereophd.core.multi.epipolar_pairs import NewObjects, crosswise_pairs
+from stereophd.core.multi.epipolar_pairs import NewObjects, Past, crosswise_pairs
 from stereophd.core.multi.history import (
     KEPT_EVENTS,
     ClaimedDetections,
@@ -85,7 +86,7 @@ def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
     state, test = steps[-1][0], exchange_of(multi_filter)
     assert state.time_s is not None
     test.explain(history, first, second, 1, test.prior(multi_filter.rig.views(0.0)))
-    test.put_right(state.mixture, history, state.time_s, state.n_events)
+    test.put_right(state.mixture, history, 1, state.time_s, state.n_events)
     assert len(types) > 0
     assert set(types) == beforehand
 
@@ -161,9 +162,9 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
         [one.camera for one in ghosts], [one.time_s for one in ghosts], [first, second], [0, 1], [True, True],
     )  # fmt: skip
     assert state.time_s is not None
-    before, _ = test.put_right(mixture, state.history or History(), state.time_s, 40)
+    before, _ = test.put_right(mixture, state.history or History(), 1, state.time_s, 100)
     np.testing.assert_array_equal(before.means, mixture.means)
-    after, history = test.put_right(mixture, wrong, state.time_s, 40)
+    after, history = test.put_right(mixture, wrong, 1, state.time_s, 100)
     np.testing.assert_array_equal(after.labels, mixture.labels)
     np.testing.assert_array_equal(after.weights, mixture.weights)
     np.testing.assert_array_equal(history.rows_of(first, first).points, _own(state.history, first).points)
@@ -173,7 +174,7 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     assert errors.min(axis=1).max() < 2.0
     assert set(errors.argmin(axis=1).tolist()) == {0, 1}
     assert len(history.deferred.due) == 1
-    again, same = test.put_right(after, history, state.time_s, 41)
+    again, same = test.put_right(after, history, 1, state.time_s, 101)
     np.testing.assert_array_equal(again.means, after.means)
     assert len(same.deferred.due) == 1
 
@@ -201,8 +202,10 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     prior = NewObjects(np.full(2, 7.0), np.full(2, 1e3), 1.5)
     homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
 
-    def pairs(deferred: DeferredPairs, most: int) -> list[tuple[int, int]]:
-        found = crosswise_pairs(mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, deferred, 5, most)
+    def pairs(deferred: DeferredPairs, most: int, event: int = 5) -> list[tuple[int, int]]:
+        found = crosswise_pairs(
+            mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, Past(0.0, 0.0), deferred, event, most
+        )
         return [(first, second) for first, second in found.tolist()]
 
     found = pairs(nothing, 1000)
@@ -210,7 +213,8 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     for i in range(40):
         for j in range(i + 1, 40):
             near = max(_off_plane(rig.cameras, places, i, j), _off_plane(rig.cameras, places, j, i)) <= 8.0
-            if near and _ghost(rig.cameras, places, i, j) and _ghost(rig.cameras, places, j, i):
+            apart = np.linalg.norm(np.subtract(*rig.cameras[1].project(places[[i, j]]))) > 8.0
+            if near and apart and _ghost(rig.cameras, places, i, j) and _ghost(rig.cameras, places, j, i):
                 expected.add((i, j))
     assert len(expected) > 5
     assert len(found) == len(expected)
@@ -218,6 +222,46 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     assert pairs(nothing, 2) == found[:2]
     # until an event, and with the second camera
     assert pairs(nothing.add((*found[0], 1), 6).add((*found[1], 0), 6).add((*found[2], 1), 5), 2) == found[1:3]
+    # the pairs take turns: another event lists the same ones from another beginning
+    beginnings = set()
+    for event in range(40):
+        turned = pairs(nothing, 1000, event)
+        start = found.index(turned[0])
+        assert turned == found[start:] + found[:start]
+        beginnings.add(start)
+    assert len(beginnings) > 5
+
+
+@pytest.mark.parametrize(
+    ("velocity", "third", "expected"),
+    [
+        ((0.0, 0.0, 0.0), None, True),
+        ((0.5, 0.0, -0.5), None, True),  # within the plane
+        ((0.0, 1.0, 0.0), None, False),  # into the plane
+        ((0.0, 0.0, 0.0), (0.0, 30.0, 0.0), False),  # a third camera sees both tracks where the ghosts are not
+        ((0.0, 0.0, 0.0), (0.0, -1000.0, 0.0), True),  # it has neither in view
+        ((0.0, 0.0, 0.0), (-20.0, 0.0, 0.0), True),  # it has them on the rays of the first camera
+    ],
+)
+def test_pairs_that_were_in_one_plane_and_that_no_third_camera_tells_apart(
+    velocity: tuple[float, float, float], third: tuple[float, float, float] | None, expected: bool
+) -> None:
+    multi_filter = make_pmb()
+    cameras = list(multi_filter.rig.cameras)
+    if third is not None:
+        pose = cameras[0].pose if third[1] == 0.0 else Pose(np.eye(3), np.array(third))
+        cameras.append(replace(cameras[0], name="third", pose=pose))
+    rig = make_rig(cameras, multi_filter.rig.baseline, "horizontal")
+    space = DisparitySpace(rig.cameras[0], rig.baseline, rig.rectification)
+    states = np.concatenate([PLACES, np.zeros((2, 3))], axis=1)
+    states[1, 3:] = velocity
+    mixture = make_mixture(np.ones(2), space.from_world(states), [1e-6 * np.eye(6)] * 2, reported=[True, True])
+    count = len(cameras)
+    found = crosswise_pairs(
+        mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), rig.packed,
+        NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5), 8.0, Past(10.0, 0.01), no_deferred_pairs(), 0, 1,
+    )  # fmt: skip
+    assert found.tolist() == ([[0, 1]] if expected else [])
 
 
 def _off_plane(cameras: Sequence[Camera], places: np.ndarray, i: int, j: int) -> float:
@@ -254,8 +298,9 @@ def test_the_history_is_bounded_and_keeps_every_camera() -> None:
 def _sighting(time_s: float, camera: int, labels: list[int]) -> ClaimedDetections:
     count = len(labels)
     return ClaimedDetections(
-        camera, float(time_s), np.array(labels, dtype=np.int64), np.zeros((count, 2)), np.zeros((count, 2, 2)), None
-    )
+        camera, float(time_s), np.array(labels, dtype=np.int64), np.arange(count), np.zeros((count, 2)),
+        np.zeros((count, 2, 2)), None,
+    )  # fmt: skip
 
 
 def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> None:
@@ -270,3 +315,4 @@ def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> No
         assert (one.camera, one.time_s, one.delays) == (other.camera, other.time_s, other.delays)
         np.testing.assert_array_equal(one.points, other.points)
         np.testing.assert_array_equal(one.labels, other.labels)
+        np.testing.assert_array_equal(one.detections, other.detections)

@@ -1,4 +1,4 @@
-"""The word ``pmb``: settings of the Poisson multi-Bernoulli filter."""
+"""Settings of the Poisson multi-Bernoulli filter (``filter.kind: pmb``)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Interval
 
-from stereophd.core.multi.settings import MISSED, ExistenceHysteresis, FilterSettings, Missed
+from stereophd.core.multi.filter_settings.common import MISSED, ExistenceHysteresis, FilterSettings, Missed
 from stereophd.core.settings import (
     FINITE,
     NOT_NAN,
@@ -42,8 +42,8 @@ class PmbSettings(FilterSettings):
         "squared Mahalanobis distance, in both covariances, below which two tracks are one", default=4.0
     )
     max_components: Count | None = parameter(
-        "the most probable tracks are kept, and a warning says where this left some out; without it, as many as an "
-        "eighth of the memory holds",
+        "the most probable tracks are kept, and a warning states how many were left out; null: as many as an eighth "
+        "of the memory holds",
         default=None,
         advice="several times the number of objects, where the time of an event must be bounded.",
     )
@@ -60,7 +60,7 @@ class PmbSettings(FilterSettings):
         "two tracks in one epipolar plane exchange the detections of a camera where this explains their last events "
         "better by this many nats (log-odds); .inf: never",
         default=5.0,
-        advice="lower puts crosswise pairs right sooner, and exchanges more of those that were right.",
+        advice="lower: crosswise pairs are corrected sooner, but more pairs that were right are exchanged.",
     )
     missed: Missed = parameter(
         MISSED, default="keep", advice="split for objects that are never hidden, keep where they hide behind others."
