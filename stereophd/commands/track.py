@@ -96,8 +96,8 @@ def track(
         one as they are; the outputs are those of an undisturbed run.
     pieces_s : float, optional
         Longest piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
-    overlap_s : float
-        Time before its own span from which a piece is tracked, s.
+    overlap_s : float, optional
+        Time before its own span from which a piece is tracked, s; by default 60, or the length of shorter pieces.
     jobs, dask : int, str
         Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
         them.
