@@ -15,7 +15,7 @@ from stereophd.pipeline.checks.alternatives import OPENGL
 from stereophd.pipeline.checks.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry import measure
+from stereophd.pipeline.checks.geometry import MOST_PAIRS, measure, pairs_of
 from stereophd.pipeline.checks.geometry_findings import check_geometry
 from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.sample import CameraSample, sample_log
@@ -153,3 +153,12 @@ def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
     sample = sample_log([*frames[:20], burst, *frames[21:]], CAMERAS)[burst.camera]
     assert len(sample.times) == FRAMES - 1
     assert max(np.diff(sample.first)) < 20
+
+
+@pytest.mark.parametrize("count", [2, 3, 25, 26, 100, 1000])
+def test_the_pairs_of_many_cameras_are_bounded(count: int) -> None:
+    """All pairs of up to 25 cameras; beyond, as many for each camera, and no more than 300 or one each."""
+    pairs = pairs_of(count)
+    assert len(set(pairs)) == len(pairs) == min(count * (count - 1) // 2, max(count, MOST_PAIRS // count * count))
+    assert all(0 <= a < b < count for a, b in pairs)
+    assert len(set(np.bincount(np.array(pairs).ravel(), minlength=count).tolist())) == 1
