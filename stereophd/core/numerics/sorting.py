@@ -24,7 +24,12 @@ RUN = 16
 def stable_order(keys: NDArray[Any]) -> Integers:
     """Return the indices that sort keys (n,), equal ones in their order, NaN last: `np.argsort` by merging."""
     count = len(keys)
-    order = np.empty(count, dtype=np.int64)
+    order = np.arange(count)
+    sorted_until = 1
+    while sorted_until < count and not _precedes(keys[sorted_until], keys[sorted_until - 1]):
+        sorted_until += 1
+    if sorted_until >= count:
+        return order
     for i in range(count):
         key, place = keys[i], i
         first = i - i % RUN
