@@ -25,7 +25,7 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.metrics.clear_mot import follow
-from stereophd.core.metrics.confirmation import Waits
+from stereophd.core.metrics.confirmation_delay import Waits
 from stereophd.core.metrics.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures as figures_of_run

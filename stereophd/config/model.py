@@ -16,10 +16,10 @@ from stereophd.config.base import Model, Units
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.cameras import CameraConfig
 from stereophd.config.experiment import ExperimentConfig
-from stereophd.config.filter import DisparityConfig, Filter, RegionConfig
 from stereophd.config.motion import Motion
 from stereophd.config.report import EvaluationConfig, InputConfig, ReportConfig
 from stereophd.config.simulate import SimulateConfig
+from stereophd.config.tracking import DisparityConfig, Filter, RegionConfig
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
 from stereophd.core.numerics.samples import MomentsSettings
 

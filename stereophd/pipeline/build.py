@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config.filter import RegionConfig
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
+from stereophd.config.tracking import RegionConfig
 from stereophd.core.disparity.events import make_rig
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.undetected import LEAST_PRUNING
 from stereophd.core.numerics.random_streams import FILTER_SAMPLES
 from stereophd.core.numerics.samples import draw_sample_sets

@@ -15,7 +15,7 @@ from stereophd.core.calibration.adjustment import posterior_covariance
 from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.problem import SQUARED, Observations, Problem
-from stereophd.core.calibration.quantities.looking import look
+from stereophd.core.calibration.quantities.pixel_derivatives import look
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots
 from stereophd.core.motion.base import Motion

@@ -22,7 +22,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stereophd.core.bounds.known_association import AssociatedDetections
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.projection import projective
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 
 Array = NDArray[np.float64]
 

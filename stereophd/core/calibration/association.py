@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from stereophd.core.calibration.quantities.looking import look
+from stereophd.core.calibration.quantities.pixel_derivatives import look
 from stereophd.core.calibration.recording import Scans
 from stereophd.core.calibration.trajectories import Knots, interpolation, positions
 from stereophd.core.disparity.events import Event, make_rig

@@ -11,7 +11,7 @@ from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.parameters import taken
 from stereophd.core.calibration.problem import Problem, true_times
 from stereophd.core.calibration.quantities.base import TIMES
-from stereophd.core.calibration.quantities.looking import look
+from stereophd.core.calibration.quantities.pixel_derivatives import look
 from stereophd.core.calibration.scale import log_scale, predicted
 from stereophd.core.calibration.trajectories import (
     Interpolation,

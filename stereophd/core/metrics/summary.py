@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import FloatArray
-from stereophd.core.metrics.confirmation import Waits
+from stereophd.core.metrics.confirmation_delay import Waits
 from stereophd.core.metrics.consistency import UNLABELLED, independent_count, nees_interval, whitened
 from stereophd.core.metrics.hota import hota
 from stereophd.core.metrics.identity import identity_switches

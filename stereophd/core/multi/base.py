@@ -22,11 +22,11 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.multi.birth import birth_moments, newborn_prior
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.core.multi.extract import Counters, select_objects
+from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.history import History
 from stereophd.core.multi.inputs import Detections, EventArrays, EventNumbers, NewbornPrior
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
-from stereophd.core.multi.settings import FilterSettings
 from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, undetected_shares
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
@@ -208,7 +208,8 @@ class DisparityFilter(ABC):
         """
         detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
         burst = burst_of(event, known, prior)
-        return *expected_births(undetected, prior, self._left[event.camera], elapsed, event, detector, burst), burst
+        left = self._left[event.camera]
+        return *expected_births(undetected, prior, left, elapsed, event, detector, burst, known), burst
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.inputs import NewbornPrior
-from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
 

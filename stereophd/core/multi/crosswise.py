@@ -32,9 +32,9 @@ from stereophd.core.disparity.sample_move import Look
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, crosswise_pairs
 from stereophd.core.multi.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.history import ClaimedRows, History, no_deferred_pairs
 from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.settings import BirthPrior
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

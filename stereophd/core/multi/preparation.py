@@ -17,7 +17,7 @@ from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.filter_settings import filters
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.numerics.samples import draw_sample_sets
 
 _SAMPLES = 64

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import IntArray, is_positive_definite
 from stereophd.core.metrics.clear_mot import follow
-from stereophd.core.metrics.confirmation import FirstReports, first_reports, waits
+from stereophd.core.metrics.confirmation_delay import FirstReports, first_reports, waits
 from stereophd.core.metrics.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa

@@ -12,7 +12,7 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 
 STARTS = np.array([[5.0, -3.0, 120.0], [-10.0, 8.0, 90.0]])
 VELOCITIES = np.array([[0.5, 0.2, -0.8], [0.3, -0.4, 1.0]])

@@ -9,7 +9,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 
 
 def test_information_is_that_of_pixels_and_disparity() -> None:

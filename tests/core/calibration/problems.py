@@ -15,11 +15,11 @@ from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
-from stereophd.core.multi.settings import BirthPrior
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera
 

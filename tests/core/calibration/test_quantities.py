@@ -8,7 +8,7 @@ import pytest
 
 from stereophd.config.calibration import CameraPrior
 from stereophd.core.calibration.quantities.base import TIMES, Quantity
-from stereophd.core.calibration.quantities.looking import left_jacobians, look
+from stereophd.core.calibration.quantities.pixel_derivatives import left_jacobians, look
 from stereophd.core.calibration.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens

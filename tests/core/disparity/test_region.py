@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
-from stereophd.config.filter import RegionConfig
+from stereophd.config.tracking import RegionConfig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.space import DisparitySpace

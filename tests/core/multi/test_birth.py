@@ -9,7 +9,7 @@ from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.multi.birth import birth_moments
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, make_camera, make_space
 
 PIXELS = np.array([[10.0, 15.0], [400.0, 300.0], [790.0, 40.0]])

@@ -12,7 +12,7 @@ from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.multi.association import REACH_SIGMAS, kalman_updates, pair_likelihoods
 from stereophd.core.multi.birth import birth_moments
-from stereophd.core.multi.settings import BirthPrior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, make_camera, make_space
 from tests.core.multi.test_association import pairs_of
 

@@ -14,7 +14,7 @@ from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.filter_settings import filters
-from stereophd.core.multi.settings import BirthPrior, Hysteresis
+from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera
 

@@ -16,9 +16,9 @@ from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
 from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.estimates import Estimates, Info
+from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from tests.core.disparity.cases import LENSES, make_camera, state_in
 from tests.core.multi.scenes import make_filter, make_mixture
 

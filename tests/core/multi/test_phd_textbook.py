@@ -16,9 +16,9 @@ from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.multi.settings import BirthPrior
 from tests.core.multi.scenes import make_filter
 from tests.core.multi.textbook import TextbookPhd
 

@@ -20,11 +20,11 @@ from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
 from stereophd.core.multi.base import FilterState, most_components
 from stereophd.core.multi.estimates import Estimates, Info
+from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.pmb_update import mix_gaussians
-from stereophd.core.multi.settings import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera, random_covariance, state_in, weighted
 from tests.core.multi.scenes import PRIOR, make_mixture

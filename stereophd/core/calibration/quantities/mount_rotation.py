@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.quantities.base import MOVES, RADIANS, CameraView, Quantity, on_path
-from stereophd.core.calibration.quantities.looking import left_jacobians, turned
+from stereophd.core.calibration.quantities.pixel_derivatives import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.trajectory import MountedPath

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.quantities.base import MOVES, RADIANS_PER_SECOND, CameraView, Quantity, without_path
-from stereophd.core.calibration.quantities.looking import left_jacobians, turned
+from stereophd.core.calibration.quantities.pixel_derivatives import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 

@@ -1,13 +1,14 @@
 """Kinds of filter for many objects: one module each, found by its name, the word of ``filter.kind``.
 
-A module holds the filter's settings (`SETTINGS`), whose `build` imports the filter itself.
+A module holds the settings of its filter (`SETTINGS`), whose `build` imports the filter itself. `common` holds
+what all of them share.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.settings import members
 
 

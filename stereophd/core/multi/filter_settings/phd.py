@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from stereophd.core.multi.settings import MISSED, FilterSettings, Missed
+from stereophd.core.multi.filter_settings.common import MISSED, FilterSettings, Missed
 from stereophd.core.settings import NonNegative, Positive, parameter, settings
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Interval
 
-from stereophd.core.multi.settings import MISSED, ExistenceHysteresis, FilterSettings, Missed
+from stereophd.core.multi.filter_settings.common import MISSED, ExistenceHysteresis, FilterSettings, Missed
 from stereophd.core.settings import (
     FINITE,
     NOT_NAN,

@@ -8,7 +8,7 @@ from pydantic import model_validator
 
 from stereophd.config.base import Model, OneOf, Range3
 from stereophd.core.multi.filter_settings import filters
-from stereophd.core.multi.settings import FilterSettings
+from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.settings import Length, PositiveLength, parameter
 from stereophd.core.single.settings import SingleSettings
 
