@@ -43,10 +43,10 @@ class Moved(NamedTuple):
 
 
 def room_for_moved(count: int, size: int) -> Moved:
-    """Room for components: all inside the region, none in view; Gaussians are not filled in."""
+    """Room for components: all inside the region, none in view."""
     return Moved(
-        np.empty((count, size)), np.empty((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
-        np.empty((count, size)), np.empty((count, size, size)), np.ones(count),
+        np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
+        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
     )  # fmt: skip
 
 
