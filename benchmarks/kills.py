@@ -153,20 +153,20 @@ def cases(folder: Path) -> dict[str, Case]:
 
     checkpoint.KEEP_EVERY_S, checkpoint.MOST_SHARE = OFTEN_S, 1e9
     calibration_checkpoint.CHECKPOINT_EVERY_S, calibration_checkpoint.MOST_SHARE = OFTEN_S, 1e9
-    loaded = load_config(QUICKSTART, ["simulate.duration_s=10"])
+    loaded = load_config(QUICKSTART, ["simulate.duration_s=5"])
     simulate(loaded, folder / "scenes", runs=3)
     logs = sorted((folder / "scenes").glob("*/detections.parquet"))
     smooth = load_config(QUICKSTART, ["report.smooth={}", "report.associations=true"])
-    cut = {"pieces_s": 4.0, "overlap_s": 1.0}
+    cut = {"pieces_s": 2.0, "overlap_s": 0.5}
     scene = [
-        "simulate.duration_s=12", "simulate.objects.count=3", "calibration.annealed.starts=1",
+        "simulate.duration_s=20", "calibration.annealed.starts=2",
         *(f"cameras.{name}.detector.clutter_per_frame=3" for name in ("left", "right")),
     ]  # fmt: skip
     simulate(load_config(CALIBRATION, scene), folder / "calibration")
     unknown = load_config(CALIBRATION, scene, cameras_path=folder / "calibration" / "guess.yaml")
     film = folder / "calibration" / "detections.parquet"
     figure = load_config(EXPERIMENT, ["experiment.runs=20"])
-    many = load_config(QUICKSTART, ["simulate.duration_s=30"])
+    many = load_config(QUICKSTART, ["simulate.duration_s=10"])
     return {
         "track": Case(lambda out, again: track(loaded, logs[0], out, resume=again)),
         "track --smooth --associations": Case(lambda out, again: track(smooth, logs[0], out, resume=again)),
@@ -181,10 +181,10 @@ def cases(folder: Path) -> dict[str, Case]:
             lambda out, again: experiment(figure, out, jobs=2, resume=again),
             alone=lambda out, again: experiment(figure, out),
         ),
-        "simulate --runs 8": Case(lambda out, again: simulate(many, out, runs=8, force=again)),
-        "simulate --runs 8 --jobs 2": Case(
-            lambda out, again: simulate(many, out, runs=8, jobs=2, force=again),
-            alone=lambda out, again: simulate(many, out, runs=8),
+        "simulate --runs 4": Case(lambda out, again: simulate(many, out, runs=4, force=again)),
+        "simulate --runs 4 --jobs 2": Case(
+            lambda out, again: simulate(many, out, runs=4, jobs=2, force=again),
+            alone=lambda out, again: simulate(many, out, runs=4),
         ),
     }
 

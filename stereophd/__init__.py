@@ -11,10 +11,16 @@ import os
 
 __version__ = "0.1.0"
 
-# One target of compiled code for every processor: numba, NumPy and OpenBLAS read theirs when they are first imported.
+# One target of compiled code for every x86 processor with AVX2 (since 2013): numba, OpenBLAS and NumPy read theirs when
+# they are first imported. Other architectures have one set of instructions that all their processors share.
 if os.environ.get("STEREOPHD_TARGET") == "portable":
-    os.environ.setdefault("NUMBA_CPU_NAME", "generic")
-    os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
+    if not hasattr(os, "uname") or os.uname().machine == "x86_64":
+        if os.environ.setdefault("NUMBA_CPU_NAME", "haswell") == "haswell":
+            os.environ.setdefault("NUMBA_CPU_FEATURES", "")  # those of the name, not of this processor
+        os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
+        os.environ.setdefault("NPY_DISABLE_CPU_FEATURES", "X86_V4 AVX512F AVX512CD AVX512_SKX AVX512_ICL AVX512_SPR")
+    else:
+        os.environ.setdefault("NUMBA_CPU_NAME", "generic")
 
 # As in `typing`, whose import would cost more than all the rest.
 TYPE_CHECKING = False

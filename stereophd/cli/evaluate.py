@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,13 @@ from stereophd.cli.terminal import begin, load, print_report, progress_bar, quie
 from stereophd.errors import GateError, InputError
 
 Report = dict[str, Any]
+
+# Parameters that only one of the two uses has.
+OF_TRACKS = (
+    "order", "cutoff", "base", "from_s", "to_s", "max_gap", "at", "log", "seen_by", "within", "ospa2_window",
+    "tentative", "align", "align_clock", "plots", "jobs", "dask",
+)  # fmt: skip
+OF_CAMERAS = ("config", "seed")
 
 
 def evaluate_command(
@@ -63,6 +70,7 @@ def evaluate_command(
     if true_cameras is not None:
         if cameras is None or tracks is not None:
             raise InputError("--true-cameras: expected --cameras FILE to score, and neither TRACKS nor TRUTH")
+        _refuse(context, OF_TRACKS, "the scores of tracks; not used with --true-cameras")
         from stereophd.commands.evaluate_cameras import evaluate_calibration
 
         loaded = None if config is None else load(config, None, seed, true_cameras)
@@ -71,6 +79,7 @@ def evaluate_command(
         return
     if tracks is None or truth is None:
         raise InputError("expected TRACKS and TRUTH, or --cameras and --true-cameras")
+    _refuse(context, OF_CAMERAS, "the scores of cameras; not used with TRACKS and TRUTH")
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
     words: dict[str, Any] = {
@@ -92,6 +101,14 @@ def evaluate_command(
 
     score = partial(evaluate, tracks, truth, out, force=force, **words)
     _run(score, partial(_show_scores, session))
+
+
+def _refuse(context: typer.Context, names: Sequence[str], what: str) -> None:
+    """Refuse options that would do nothing."""
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name in names and source is not None and source.name == "COMMANDLINE":
+            raise InputError(f"{parameter.opts[0]}: expected only for {what}")
 
 
 def _run(score: Callable[[], Report], show: Callable[[Mapping[str, Any]], None]) -> None:

@@ -36,6 +36,7 @@ FLAGS = {
     "out_dir": "--out",
     "overrides": "--set",
     "pieces_s": "--pieces",
+    "overlap_s": "--overlap",
     "pixel_origin": "--pixel-origin",
     "plots": "--plots",
     "rate_hz": "--rate",

@@ -9,6 +9,7 @@ import typer
 from stereophd.cli import options
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
+from stereophd.errors import InputError
 
 
 def track_command(
@@ -31,8 +32,9 @@ def track_command(
         ),
     ] = None,
     overlap: Annotated[
-        float, typer.Option("--overlap", metavar="S", help="Seconds before its own span that each piece also tracks.")
-    ] = 60.0,
+        float | None,
+        options.option("--overlap", "S", "Seconds before its own span that each piece also tracks [60]."),
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted run; keep what is finished.")
     ] = False,
@@ -60,6 +62,8 @@ def track_command(
     With several logs, each has a folder in DIR, and DIR/summary.parquet has a row for each.
     """
     session = begin(context)
+    if overlap is not None and pieces is None:
+        raise InputError("--overlap: expected --pieces S beside it, found none")
     loaded = load(config, overrides, seed, cameras)
     wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
     wanted += ["report.associations=true"] if associations or plots else []

@@ -28,6 +28,8 @@ from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.finished import finished_report
@@ -45,7 +47,6 @@ if TYPE_CHECKING:
     from stereophd.config.calibration import CalibrationConfig
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.pipeline.checks.finding import Finding
     from stereophd.pipeline.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
@@ -152,7 +153,7 @@ def calibrate(
             )
             report["tracking"], further = _track(loaded, cameras, log_path, out, to_metadata(record))
             findings += report_findings(further)
-        report["checks"] = findings
+        report["checks"] = findings + _findings_of(report)
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
@@ -163,6 +164,18 @@ def calibrate(
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
     checkpoint.remove()
     return _accepted(report, require, log_path)
+
+
+def _findings_of(report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the findings about the result: the data leave something open, or a known length was not used."""
+    found = []
+    if report["status"] != DETERMINED:
+        text = f"{report['status']}: {report['reason']}"
+        # logged at the end, after the outputs
+        found.append(Finding("calibration.status", "warning", text, cause=report["status"].replace(" ", "_")).as_dict())
+    if (warning := report.get("scale_warning")) is not None:
+        found += report_findings((Finding("calibration.scale", "warning", warning, cause="scale_not_used"),))
+    return found
 
 
 def _outcome(
@@ -237,4 +250,5 @@ def _track(
         for found in check_log(loaded, log_path, thorough=False, cameras=cameras)
         if found.name.startswith(WITH_CAMERAS)
     ]
-    return summary, (*findings, *check_tracking(summary, stream.counts, cameras))
+    losses = check_losses(summary, stream.counts)
+    return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *losses)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.calibrate import FILES, calibrate
 from stereophd.io.atomic import tidy
-from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.provenance import provenance
 from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
@@ -76,9 +76,9 @@ def calibrate_logs(
     """
     from joblib import effective_n_jobs
 
-    metadata = to_metadata(provenance("calibrate", loaded.record))
+    record = provenance("calibrate", loaded.record)
     work = partial(_calibrate, loaded, force, resume, options)
-    batch = Batch(log_items(logs), work, _values, FILES, COLUMNS, metadata, beside=["*.checkpoint"])
+    batch = Batch(log_items(logs), work, _values, FILES, COLUMNS, record, beside=["*.checkpoint"])
     return run_batch(batch, out_dir, effective_n_jobs(jobs), dask, force, resume, progress)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from stereophd.commands.evaluate import PER_SCAN_NAME, PLOT_NAMES, REPORT_NAME, evaluate
 from stereophd.errors import InputError
-from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.provenance import provenance
 from stereophd.io.table_schemas import FLOAT, INTEGER
 from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, run_batch
@@ -73,9 +73,9 @@ def evaluate_runs(
         for name, (tracks, truth) in pairs.items()
     ]
     plain = {name: None if value is None else str(value) for name, value in options.items()}
-    metadata = to_metadata(provenance("evaluate", plain))
+    record = provenance("evaluate", plain)
     files = (REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES)
-    batch = Batch(items, partial(_evaluate, force, options), _values, files, COLUMNS, metadata)
+    batch = Batch(items, partial(_evaluate, force, options), _values, files, COLUMNS, record)
     return run_batch(batch, out_dir, jobs, dask, force, progress=progress)
 
 

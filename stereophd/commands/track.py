@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.kernel_cache import is_kept
-from stereophd.errors import InputError
 from stereophd.io.atomic import OutputFolder, output_lock
 from stereophd.io.cameras import write_cameras
 from stereophd.io.json_text import write_json
-from stereophd.io.log_checks import KINDS
 from stereophd.io.provenance import provenance, sha256_of, to_metadata
+from stereophd.pipeline.checks.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.compile_ahead import compiling_ahead
@@ -33,7 +33,7 @@ from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.checkpoint import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.pieces import OVERLAP_S, JoinedPieces, PieceWork, plan_pieces, track_pieces
+from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, overlap_of, plan_pieces, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -68,7 +68,7 @@ def track(
     progress: Progress | None = None,
     resume: bool = False,
     pieces_s: float | None = None,
-    overlap_s: float = OVERLAP_S,
+    overlap_s: float | None = None,
     jobs: int = 1,
     dask: str | None = None,
     plots: bool = False,
@@ -96,8 +96,8 @@ def track(
         one as they are; the outputs are those of an undisturbed run.
     pieces_s : float, optional
         Longest piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
-    overlap_s : float
-        Time before its own span from which a piece is tracked, s.
+    overlap_s : float, optional
+        Time before its own span from which a piece is tracked, s; by default 60, or the length of shorter pieces.
     jobs, dask : int, str
         Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
         them.
@@ -120,8 +120,7 @@ def track(
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     record = provenance("track", loaded.record, inputs={"detections": log_path})
     if pieces_s is not None:
-        if not 0.0 < overlap_s <= pieces_s:
-            raise InputError(f"`pieces_s`: expected pieces at least as long as their overlap, {overlap_s:g} s")
+        overlap_s = overlap_of(pieces_s, overlap_s)
         record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
     unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     if resume and (report := finished_report(out_dir, record, force)) is not None:
@@ -141,10 +140,9 @@ def track(
                 journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
                 report = run.write(tracking.records(stream, journal), findings, out)
             else:
-                joined = run.in_pieces(pieces_s, overlap_s, threads, jobs, dask, progress)
+                joined = run.in_pieces(pieces_s, overlap_of(pieces_s, overlap_s), threads, jobs, dask, progress)
                 report = run.write(run.lasting(joined.records()), findings, out, joined)
         unfinished.remove()
-    _warn_of_losses(stream)
     return report
 
 
@@ -189,7 +187,11 @@ class _Run:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         summary = write_tracks(records, out, to_metadata(self.record), tracking.cameras, loaded.config.report)
-        findings += tuple(check_tracking(summary, self.stream.counts, tracking.cameras))
+        counts = self.stream.counts
+        LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
+        findings += tuple(check_tracking(summary, counts, tracking.cameras))
+        findings += tuple(check_losses(summary, counts))
+        findings += tuple(check_estimated_detectors(tracking.detectors))
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": loaded.config.units.length,
@@ -225,22 +227,3 @@ def _compilation(kind: str) -> Iterator[None]:
         LOGGER.info("first run: compiling the kernels, once, in up to a minute")
     with compiling_ahead(kind):
         yield
-
-
-def _warn_of_losses(stream: EventStream) -> None:
-    """Warn of what did not reach the filter: bad rows, detections beyond the lens model, cameras without frames."""
-    counts, source = stream.counts, stream.source
-    LOGGER.info("%s: %d frames, %d detections", source, counts["frames"], counts["detections"])
-    dropped = {kind: counts[kind] for kind in KINDS if counts.get(kind)}
-    if dropped:
-        why = ", ".join(f"{kind} {count}" for kind, count in dropped.items())
-        LOGGER.warning("%s: %d of %d rows dropped (%s)", source, sum(dropped.values()), counts["rows"], why)
-    if counts["not_invertible"]:
-        LOGGER.warning(
-            "%s: %d detections lie where the lens model cannot be inverted: left out", source, counts["not_invertible"]
-        )
-    silent = stream.silent_cameras
-    if silent:
-        LOGGER.warning(
-            "%s: no frames of %d of the %d cameras: %s", source, len(silent), len(stream.cameras), ", ".join(silent)
-        )

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.track import FILES, track
-from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.provenance import provenance
 from stereophd.io.table_schemas import FLOAT, INTEGER
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.progress import Progress
-from stereophd.pipeline.tracking.pieces import OVERLAP_S
 from stereophd.pipeline.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ def track_logs(
     jobs: int = 1,
     dask: str | None = None,
     pieces_s: float | None = None,
-    overlap_s: float = OVERLAP_S,
+    overlap_s: float | None = None,
     plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of many detection logs.
@@ -63,7 +62,7 @@ def track_logs(
         Processes on this machine; the outputs do not depend on it.
     dask : str, optional
         Address of a Dask scheduler whose workers do the work instead.
-    pieces_s, overlap_s, plots : float, float, bool
+    pieces_s, overlap_s, plots : float, float, bool, optional
         As of `stereophd.commands.track.track`.
 
     Returns
@@ -77,10 +76,10 @@ def track_logs(
         No log fits a pattern, one is given twice, or the output folder cannot be used.
     """
     items = log_items(logs)
-    metadata = to_metadata(provenance("track", loaded.record))
+    record = provenance("track", loaded.record)
     keywords = {"threads": threads, "pieces_s": pieces_s, "overlap_s": overlap_s, "plots": plots}
     batch = Batch(
-        items, partial(_track, loaded, force, resume, keywords), _values, (*FILES, *UNFINISHED_FILES), COLUMNS, metadata
+        items, partial(_track, loaded, force, resume, keywords), _values, (*FILES, *UNFINISHED_FILES), COLUMNS, record
     )
     return run_batch(batch, out_dir, jobs, dask, force, resume, progress)
 

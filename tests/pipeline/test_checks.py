@@ -12,10 +12,12 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs import Frame
 from stereophd.pipeline.checks.alternatives import OPENGL
+from stereophd.pipeline.checks.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry import measure
+from stereophd.pipeline.checks.geometry import MOST_PAIRS, measure, pairs_of
 from stereophd.pipeline.checks.geometry_findings import check_geometry
+from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.tracking import check_tracking
 
@@ -121,9 +123,42 @@ def test_tracks_of_one_camera_are_reported() -> None:
     assert run(0) == ["one_camera_tracks"]
 
 
+def test_what_a_run_leaves_out_is_a_warning() -> None:
+    summary = {"events": 9, "left_out": {"events": 0, "most": 0, "burst_frames": 0, "burst_detections": 0}}
+    counts = {"rows": 60, "not_invertible": 0, "duplicate_row": 0}
+    assert list(check_losses(summary, counts)) == []
+    summary["left_out"] = {"events": 3, "most": 5, "burst_frames": 1, "burst_detections": 400}
+    found = list(check_losses(summary, {**counts, "not_invertible": 2, "duplicate_row": 1}))
+    assert [one.name for one in found] == ["input.rows", "input.lens", "filter.max_components", "filter.bursts"]
+    assert {one.status for one in found} == {"warning"}
+    assert found[0].message == "1 of 60 rows dropped (duplicate_row 1)"
+
+
+def test_estimated_detectors_that_need_care_are_warnings() -> None:
+    good = {"residual_correlation": [0.1, 0.0], "sigma_px_standard_error": [0.1, 0.1], "residuals": 500.0}
+    report = {"passes": 3, "converged": True, "noise_in_log": False, "cameras": {"left": good}}
+    assert list(check_estimated_detectors(None)) == list(check_estimated_detectors(report)) == []
+    few = {**good, "residual_correlation": [0.1, 0.6], "sigma_px_standard_error": None}
+    report |= {"converged": False, "cameras": {"left": good, "right": few}}
+    causes = [(one.camera, one.cause) for one in check_estimated_detectors(report)]
+    assert causes == [(None, "not_converged"), ("right", "errors_last"), ("right", "too_few_detections")]
+    # noise that the log states is not estimated
+    report |= {"noise_in_log": True}
+    assert [one.cause for one in check_estimated_detectors(report)] == ["not_converged", "errors_last"]
+
+
 def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
     frames = _frames(CAMERAS)
     burst = replace(frames[20], pixels=np.zeros((5000, 2)))
     sample = sample_log([*frames[:20], burst, *frames[21:]], CAMERAS)[burst.camera]
     assert len(sample.times) == FRAMES - 1
     assert max(np.diff(sample.first)) < 20
+
+
+@pytest.mark.parametrize("count", [2, 3, 25, 26, 100, 1000])
+def test_the_pairs_of_many_cameras_are_bounded(count: int) -> None:
+    """All pairs of up to 25 cameras; beyond, as many for each camera, and no more than 300 or one each."""
+    pairs = pairs_of(count)
+    assert len(set(pairs)) == len(pairs) == min(count * (count - 1) // 2, max(count, MOST_PAIRS // count * count))
+    assert all(0 <= a < b < count for a, b in pairs)
+    assert len(set(np.bincount(np.array(pairs).ravel(), minlength=count).tolist())) == 1

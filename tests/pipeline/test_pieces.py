@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from stereophd.errors import InputError
 from stereophd.io.logs import Frame, LogReader
 from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.tracking import pieces
-from stereophd.pipeline.tracking.pieces import plan_pieces
+from stereophd.pipeline.tracking.pieces import overlap_of, plan_pieces
 from tests.commands.test_track_logs import SCENE
 
 from .test_track_checkpoint import Killed, files
@@ -110,9 +111,12 @@ def test_pieces_of_one_object(scene: tuple[LoadedConfig, Path], tmp_path: Path) 
     assert [one["track_id"] for one in report["tracks"]] == [0]
 
 
-def test_pieces_shorter_than_their_overlap_are_refused(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="`pieces_s`"):
-        track(*scene, tmp_path / "out", pieces_s=1.0)
+def test_overlaps_longer_than_a_piece_are_refused() -> None:
+    assert overlap_of(1800.0, None) == 60.0
+    assert overlap_of(4.0, None) == 4.0
+    for length, overlap, name in ((4.0, 5.0, "overlap_s"), (4.0, math.nan, "overlap_s"), (0.0, None, "pieces_s")):
+        with pytest.raises(InputError, match=f"`{name}`: expected"):
+            overlap_of(length, overlap)
 
 
 def frames(*times: float) -> list[Frame]:

@@ -19,9 +19,9 @@ from stereophd.core.calibration.association import (
 from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.marginal import marginal_optimum
+from stereophd.core.calibration.pairing import Pairing
 from stereophd.core.calibration.pairing_search import (
     DRAWS,
-    Pairing,
     distinct_pairings,
     meeting_points,
     paired_objects,

@@ -44,7 +44,8 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> Adjustment:
     Returns
     -------
     Adjustment
-        The one given where the move fails or is longer than `LONGEST_MOVE` prior standard deviations.
+        The one given where the move fails, is longer than `LONGEST_MOVE` prior standard deviations, or does not
+        increase the marginal posterior: the Newton steps are neither damped nor searched along.
     """
     linearisation = Linearisation.of(problem)
     values, states, covariance = found.values, found.states, found.covariance
@@ -64,6 +65,15 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> Adjustment:
     moved = np.abs(values - found.values) / prior
     if not (np.isfinite(equations.cost) and (moved < LONGEST_MOVE).all()):
         return found
+    try:
+        before, after = (
+            one.cost + 2.0 * volume(linearisation, at, one)
+            for at, one in ((found.values, linearisation.at(found.values, found.states)), (values, equations))
+        )
+    except LinAlgError:
+        return found
+    if not after <= before:
+        return found
     return replace(
         found, values=values, states=states, covariance=covariance, cost=equations.cost, distances=equations.distances
     )
@@ -79,19 +89,24 @@ def volume_gradient(linearisation: Linearisation, values: Array, states: Array, 
     spread : array (m,)
         Standard deviations of the values: the numerical derivative takes steps of `STEP` of them.
     """
-    problem = linearisation.problem
     eliminated, _ = eliminate(linearisation.at(values, states), 0.0)
 
-    def volume(k: int, step: float) -> float:
-        moved = values.copy()
-        moved[k] += step
-        equations = linearisation.at(moved, states - (step * eliminated[:, k]).reshape(states.shape))
-        scale = log_scale(problem.parameters, problem.reference, moved)[0]
-        return 0.5 * log_determinant(equations) + 6.0 * len(problem.knots.times) * scale
+    def moved(k: int, step: float) -> float:
+        there = values.copy()
+        there[k] += step
+        equations = linearisation.at(there, states - (step * eliminated[:, k]).reshape(states.shape))
+        return volume(linearisation, there, equations)
 
     return np.array(
-        [(volume(k, STEP * s) - volume(k, -STEP * s)) / (2.0 * STEP * s) for k, s in enumerate(spread.tolist())]
+        [(moved(k, STEP * s) - moved(k, -STEP * s)) / (2.0 * STEP * s) for k, s in enumerate(spread.tolist())]
     )
+
+
+def volume(linearisation: Linearisation, values: Array, equations: NormalEquations) -> float:
+    """Half of the terms that integrating out the knots adds, with the normal equations at values (m,)."""
+    problem = linearisation.problem
+    scale = log_scale(problem.parameters, problem.reference, values)[0]
+    return 0.5 * log_determinant(equations) + 6.0 * len(problem.knots.times) * scale
 
 
 def log_determinant(equations: NormalEquations) -> float:

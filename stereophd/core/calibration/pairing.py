@@ -9,6 +9,8 @@ cameras moved to where the paired tracks meet (Gauss-Newton with the prior), wit
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -25,6 +27,24 @@ TOLERANCES = (20.0, 10.0, 5.0, 2.5)
 GAIN_LIMIT = 9.0
 # Gauss-Newton steps at each tolerance.
 STEPS = 4
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Cameras and the pairs of tracks that meet under them.
+
+    Attributes
+    ----------
+    values : array (m,)
+    chosen : array (c,) of int
+        Indices of the pairs.
+    gain : float
+        Of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
+    """
+
+    values: Array
+    chosen: Integers
+    gain: float
 
 
 def pair_gains(pairs: TrackPairs, distances: Array, tolerance: float) -> Array:

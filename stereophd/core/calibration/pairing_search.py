@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.epipolar import epipolar_distances, slopes_of
-from stereophd.core.calibration.pairing import TOLERANCES, choose_pairs, pair_gains, refine
+from stereophd.core.calibration.pairing import TOLERANCES, Pairing, choose_pairs, pair_gains, refine
+from stereophd.core.calibration.pairing_hypotheses import crowded, hypotheses
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.track_pairs import TrackPairs
 from stereophd.core.calibration.track_rays import Rays, rays_of
@@ -25,6 +26,8 @@ Booleans = NDArray[np.bool_]
 
 # Draws of a start, and those refined.
 DRAWS, REFINED = 256, 8
+# Draws where hypotheses of single pairs of tracks were followed (`stereophd.core.calibration.pairing_hypotheses`).
+CROWDED_DRAWS = 32
 # What stays at its prior mean while tracks are paired moves the rays by less than this, in units of the noise.
 LATER_TOLERANCE = 8.0
 # Two draws that come so near each other, in prior standard deviations, end at the same cameras.
@@ -52,24 +55,6 @@ def coarse_columns(parameters: ParameterSet, pairs: TrackPairs, early: Booleans 
     )
 
 
-@dataclass(frozen=True)
-class Pairing:
-    """Cameras and the pairs of tracks that meet under them.
-
-    Attributes
-    ----------
-    values : array (m,)
-    chosen : array (c,) of int
-        Indices of the pairs.
-    gain : float
-        Of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
-    """
-
-    values: Array
-    chosen: Integers
-    gain: float
-
-
 def distinct_pairings(
     parameters: ParameterSet, pairs: TrackPairs, draws: Array, early: Booleans | None = None
 ) -> list[Pairing]:
@@ -91,9 +76,14 @@ def distinct_pairings(
 
     columns = coarse_columns(parameters, pairs, early)
     fixed = np.setdiff1d(np.arange(parameters.size), columns)
+    draws = draws.copy()
     draws[1:, fixed] = parameters.prior_mean[fixed]
+    ends: list[Array] = []
+    if pairs.raw is not None and crowded(pairs):
+        ends += [one.values for one in hypotheses(parameters, pairs, draws[0], columns)]
+    if ends:
+        draws = draws[:CROWDED_DRAWS]
     first = np.array([less_prior(v, choose_pairs(pairs, gains(v, TOLERANCES[0]))[1]) for v in draws])
-    found: list[Pairing] = []
     passed: dict[float, list[Array]] = {tolerance: [] for tolerance in TOLERANCES}
     for k in np.argsort(-first, kind="stable")[:REFINED]:
         values = draws[k]
@@ -105,6 +95,9 @@ def distinct_pairings(
             if _near_any(values, passed[tolerance], parameters.prior_std):
                 break  # an earlier draw went on from here
             passed[tolerance].append(values)
+        ends.append(values)
+    found: list[Pairing] = []
+    for values in ends:
         in_front = np.where(behind(parameters, pairs, values), 0.0, gains(values, TOLERANCES[-1]))
         chosen, total = choose_pairs(pairs, in_front)
         total = less_prior(values, total)

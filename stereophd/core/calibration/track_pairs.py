@@ -58,6 +58,22 @@ class TrackPairs:
     others: Integers
     raw: RawTracks | None
 
+    def take(self, members: Integers) -> TrackPairs:
+        """Return some of the pairs, in increasing order, with their rows."""
+        rows = np.flatnonzero(np.isin(self.pair, members))
+        raw = self.raw is not None
+        return TrackPairs(
+            self.cameras[members],
+            self.tracks[members],
+            np.searchsorted(members, self.pair[rows]),
+            self.rays[rows],
+            self.sigma[rows],
+            self.times[rows],
+            self.entries[rows] if raw else self.entries,
+            self.others[rows] if raw else self.others,
+            self.raw,
+        )
+
 
 def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tuple[int, Integers]]:
     """Track each camera's detections by themselves: (camera, detections of the recording) of every long track."""

@@ -10,7 +10,7 @@ module is rank-deficient.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -90,9 +90,7 @@ def move(
     -------
     Moved
     """
-    samples = sets.turn(turn)
-    first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
-    second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
+    first, second = _looks(sets, turn % len(sets.sets))
     moved = room_for_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
@@ -106,7 +104,7 @@ def move(
             region, moved,
         )  # fmt: skip
 
-    slices = _slices(len(which), samples.shape[1], threads)
+    slices = _slices(len(which), sets.size, threads)
     if len(slices) == 1:
         run(slices[0])
     else:
@@ -131,9 +129,14 @@ def world_moments(
     return out_means, out_covariances
 
 
-@cache
-def _equal_weights(samples: int) -> Array:
-    return np.ones(samples)
+@lru_cache(maxsize=256)
+def _looks(sets: SampleSets, turn: int) -> tuple[Look, Look]:
+    """First and second look of the events of a turn."""
+    samples = sets.turn(turn)
+    return (
+        Look(samples, np.ones(samples.shape[1]), minimum_in_view(samples.shape[1])),
+        Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES),
+    )
 
 
 @cache

@@ -28,6 +28,8 @@ Integers = NDArray[np.int64]
 # Pairs further apart than this many standard deviations in u have a likelihood below 1e-17 of the
 # peak: leaving them out changes nothing, and detections ordered by u make finding the others cheap.
 REACH_SIGMAS = 9.0
+# Their square, and some more for rounding.
+FAR = 1.0001 * REACH_SIGMAS**2
 
 
 @compiled
@@ -100,6 +102,9 @@ def pair_likelihoods(
                 s11 = _delayed(covariances[k], 1, 1, delays[j]) + noises[j, 1, 1]
                 du -= delays[j] * means[k, 3]
                 dv -= delays[j] * means[k, 4]
+            # a squared Mahalanobis distance is at least that of each coordinate alone
+            if dv * dv > FAR * s11:
+                continue
             determinant = s00 * s11 - s01 * s01
             squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
             if squared > REACH_SIGMAS * REACH_SIGMAS:

@@ -208,7 +208,8 @@ class DisparityFilter(ABC):
         """
         detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
         burst = burst_of(event, known, prior)
-        return *expected_births(undetected, prior, self._left[event.camera], elapsed, event, detector, burst), burst
+        left = self._left[event.camera]
+        return *expected_births(undetected, prior, left, elapsed, event, detector, burst, known), burst
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""

@@ -94,19 +94,13 @@ def select_objects(
     Selection
     """
     # filled in place: a compiled function that returns arrays wraps each of them
-    count = mixture.size
     changed = Identities(mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy())
-    room = Placed(np.empty(count, dtype=np.int64), np.empty(count), np.empty((count, 6)), np.empty((count, 6, 6)))
     levels = (hysteresis.confirm, hysteresis.release, hysteresis.tentative)
     placed, confirmed, next_label, next_track = _place(
         mixture.weights, mixture.labels, levels, counters, split, mixture.means, mixture.covariances, homes, motion,
-        samples, changed, room,
+        samples, changed,
     )  # fmt: skip
-    components, existence, means, covariances = room
-    return Selection(
-        GaussianMixture(*mixture[:5], *changed), confirmed, components[:placed].copy(), existence[:placed].copy(),
-        means[:placed].copy(), covariances[:placed].copy(), next_label, next_track,
-    )  # fmt: skip
+    return Selection(GaussianMixture(*mixture[:5], *changed), confirmed, *placed, next_label, next_track)
 
 
 class Identities(NamedTuple):
@@ -115,15 +109,6 @@ class Identities(NamedTuple):
     labels: Integers
     tracks: Integers
     reported: NDArray[np.bool_]
-
-
-class Placed(NamedTuple):
-    """Room for the rows of a `Selection`: components and existence (n,), means (n, 6), covariances (n, 6, 6)."""
-
-    components: Integers
-    existence: Array
-    means: Array
-    covariances: Array
 
 
 @compiled
@@ -139,17 +124,18 @@ def _place(
     motion: MotionArrays,
     samples: Array,
     changed: Identities,
-    room: Placed,
-) -> tuple[int, int, int, int]:
-    """Select objects and fill in the rows of those with a position, confirmed ones first.
+) -> tuple[tuple[Integers, Array, Array, Array], int, int, int]:
+    """Select objects and place them, confirmed ones first.
 
-    Returns how many rows there are, how many of them are confirmed, and both counters.
+    Returns the rows of a `Selection` (index, existence, means, covariances), how many of them are confirmed, and both
+    counters.
     """
-    index, existence, world_means, world_covariances = room
-    unsure = np.empty(len(index), dtype=np.bool_)
+    count = len(weights)
+    index, existence, unsure = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=np.bool_)
     found, next_label, next_track = _select(weights, known, levels, counters, split, changed, index, existence, unsure)
-    chosen = index[:found]
-    world_components(chosen, means, covariances, homes, motion, samples, world_means, world_covariances)
+    world_means, world_covariances = np.empty((found, 6)), np.empty((found, 6, 6))
+    index, existence = index[:found].copy(), existence[:found].copy()
+    world_components(index, means, covariances, homes, motion, samples, world_means, world_covariances)
     order = np.empty(found, dtype=np.int64)
     placed, confirmed, in_place = 0, 0, True
     for tentative in (False, True):
@@ -161,19 +147,21 @@ def _place(
                 placed += 1
         if not tentative:
             confirmed = placed
-    if not in_place:
-        _reorder(order[:placed], index, existence, world_means, world_covariances)
-    return placed, confirmed, next_label, next_track
+    rows = (index, existence, world_means, world_covariances)
+    if placed < found or not in_place:
+        rows = _reordered(order[:placed], index, existence, world_means, world_covariances)
+    return rows, confirmed, next_label, next_track
 
 
 @compiled
-def _reorder(order: Integers, index: Integers, existence: Array, means: Array, covariances: Array) -> None:
-    """Bring rows to the front, in an order (m,)."""
-    picked_index, picked_existence = picked(index, order), picked(existence, order)
-    old_means, old_covariances = means.copy(), covariances.copy()
+def _reordered(
+    order: Integers, index: Integers, existence: Array, means: Array, covariances: Array
+) -> tuple[Integers, Array, Array, Array]:
+    """Rows in an order (m,)."""
+    new_means, new_covariances = np.empty((len(order), 6)), np.empty((len(order), 6, 6))
     for i in range(len(order)):
-        index[i], existence[i] = picked_index[i], picked_existence[i]
-        copy_gaussian(old_means, old_covariances, order[i], means, covariances, i)
+        copy_gaussian(means, covariances, order[i], new_means, new_covariances, i)
+    return picked(index, order), picked(existence, order), new_means, new_covariances
 
 
 @compiled

@@ -127,8 +127,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
 
     The hypotheses are those components of a mixture that have these indices, with the weights given.
     """
-    order = stable_order(-given)
-    order = picked(order, stable_order(picked(mixture.labels, picked(index, order))))
+    order = _by_label_and_weight(picked(mixture.labels, index), given)
     found = take_components(mixture, picked(index, order))
     _, means, covariances, cameras, times, labels, tracks, reported = found
     weights = picked(given, order)
@@ -160,6 +159,22 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
         weights[:merged], means[:merged], covariances[:merged], picked(cameras, chosen), picked(times, chosen),
         picked(labels, chosen), picked(tracks, chosen), picked(reported, chosen),
     )  # fmt: skip
+
+
+@compiled
+def _by_label_and_weight(labels: Integers, weights: Array) -> Integers:
+    """Return the indices that sort by label, and then by falling weight."""
+    order = stable_order(labels)
+    start = 0
+    for end in range(1, len(order) + 1):
+        if end == len(order) or labels[order[end]] != labels[order[start]]:
+            if end > start + 1:
+                part = order[start:end].copy()
+                within = stable_order(-picked(weights, part))
+                for i in range(len(part)):
+                    order[start + i] = part[within[i]]
+            start = end
+    return order
 
 
 @compiled

@@ -9,6 +9,10 @@ where o_kc is the share of the objects in view of k that are in view of c as wel
 the elapsed time. So each object is born once, for any frame rates and any number of cameras: a single camera with p_D
 near 1 expects b times the time since its last frame, and cameras that look at one place share this number.
 
+After a pause, and where a camera starts late, b times the elapsed time may be many more objects than the frame shows.
+An expectation above one is therefore limited to the detections beyond clutter and known objects, and one standard
+deviation more (`room_for`): with thousands of expected births every false detection would be an object.
+
 A frame with far more detections than objects can make (`burst_of`) is no evidence of new objects: its surplus is
 clutter.
 """
@@ -35,6 +39,8 @@ Reduction = TypeVar("Reduction", bound=NamedTuple)
 # Places in the image (across, down) and quantiles of the disparity that measure how far views overlap.
 OVERLAP_GRID = (12, 9)
 OVERLAP_DISPARITIES = 8
+# An expected number up to this one is not compared with the detections of the frame.
+UNCHECKED_BIRTHS = 1.0
 # Fewest objects at the start where their number is estimated: the first frame may have missed some.
 LEAST_INITIAL = 0.1
 # The pruning weight is at most NEWBORN_SHARE of the weight of a newborn, which is small at high frame rates, and at
@@ -74,6 +80,22 @@ def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
     return math.ceil(surplus) if surplus > prior.max_per_frame else 0
 
 
+def room_for(event: Event, known: float, detector: Detector) -> float:
+    """Return how many undetected objects the detections of a frame leave room for, at least `UNCHECKED_BIRTHS`.
+
+    Parameters
+    ----------
+    event : Event
+    known : float
+        Expected number of detections of known objects.
+    detector : Detector
+        Of the event's camera.
+    """
+    found = len(event.points)
+    surplus = found - detector.clutter_per_frame - known + math.sqrt(found)
+    return max(surplus / max(detector.p_detect, 1e-9), UNCHECKED_BIRTHS)
+
+
 def expected_births(
     before: Undetected | None,
     prior: BirthPrior,
@@ -82,6 +104,7 @@ def expected_births(
     event: Event,
     detector: Detector,
     burst: int = 0,
+    known: float = 0.0,
 ) -> tuple[float, Undetected]:
     """Expected number of undetected objects in view of an event, and what the event leaves of them.
 
@@ -99,6 +122,8 @@ def expected_births(
         Of the event's camera.
     burst : int
         `burst_of` the event: nothing is born from a burst of clutter, and the objects remain undetected.
+    known : float
+        Expected number of detections of known objects.
     """
     before = before or Undetected(np.zeros(len(left)), np.ones(len(left)))
     if prior.per_frame is not None:
@@ -106,15 +131,24 @@ def expected_births(
     counts, share = before.counts + prior.per_s * elapsed, before.initial_share
     if burst:
         return 0.0, Undetected(counts, share)
+    initial = 0.0
     if share[event.camera] > 0.0:
-        initial = prior.initial
-        if initial is None:
-            surplus = len(event.points) - detector.clutter_per_frame
-            initial = max(surplus / max(detector.p_detect, 1e-9), LEAST_INITIAL)
-        counts[event.camera] += share[event.camera] * initial
+        initial = _initial(event, prior, detector) * float(share[event.camera])
         share = share.copy()
         share[event.camera] = 0.0
+    if counts[event.camera] > UNCHECKED_BIRTHS:
+        room = max(room_for(event, known, detector) - initial, UNCHECKED_BIRTHS)
+        counts[event.camera] = min(float(counts[event.camera]), room)
+    counts[event.camera] += initial
     return float(counts[event.camera]), Undetected(counts * left, share * left)
+
+
+def _initial(event: Event, prior: BirthPrior, detector: Detector) -> float:
+    """Return the number of objects in view at the first frame: as stated, or from the detections of that frame."""
+    if prior.initial is not None:
+        return float(prior.initial)
+    surplus = len(event.points) - detector.clutter_per_frame
+    return max(surplus / max(detector.p_detect, 1e-9), LEAST_INITIAL)
 
 
 def reduction_for_births(reduction: Reduction, births: float, detector: Detector) -> Reduction:

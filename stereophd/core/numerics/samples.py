@@ -65,9 +65,9 @@ RESERVE_SAMPLES = 1024
 RESERVE_WIDTH = 2.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SampleSets:
-    """Standard-normal sample sets, one per event in rotation.
+    """Standard-normal sample sets, one per event in rotation; equal to themselves only.
 
     Attributes
     ----------

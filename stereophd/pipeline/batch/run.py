@@ -11,7 +11,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ import pyarrow as pa
 import stereophd
 from stereophd.errors import GateError, InputError, StereophdError
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
+from stereophd.io.provenance import to_metadata
 from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
 from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
@@ -88,8 +89,8 @@ class Batch:
         Files that `work` may write in the folder of an item, and beside it.
     columns : mapping
         Names and types of its values; they are null where it fails.
-    metadata : mapping
-        Of ``summary.parquet``.
+    record : mapping
+        Provenance of ``summary.parquet``; the hashes of the inputs are added, as ``NAME.role``.
     """
 
     items: Sequence[Item]
@@ -97,17 +98,19 @@ class Batch:
     values: Callable[[Mapping[str, Any]], Mapping[str, Any]]
     files: Sequence[str]
     columns: Mapping[str, pa.DataType]
-    metadata: Mapping[bytes, bytes]
+    record: Mapping[str, Any]
     beside: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Values of a row, the exit code that they ask for, and what was logged meanwhile in another process."""
+    """Values of a row, the exit code that they ask for, what was logged meanwhile in another process, and the hashes
+    of the inputs."""
 
     row: Mapping[str, Any]
     exit_code: int = 0
     logged: tuple[tuple[int, str], ...] = ()
+    inputs: Mapping[str, str] = field(default_factory=dict)
     version: str = stereophd.__version__
 
 
@@ -155,7 +158,7 @@ def run_batch(
         with open_workers(jobs, dask) as workers:
             outcomes = _outcomes(batch, out.absolute(), workers, progress)
         rows = [{**dict.fromkeys((*COMMON, *batch.columns)), **outcome.row} for outcome in outcomes]
-        _write_summary(out / SUMMARY_FILE, rows, batch)
+        _write_summary(out / SUMMARY_FILE, rows, batch, _all_inputs(batch, outcomes))
     failed = sum(row["status"] == FAILED for row in rows)
     exit_code = max((outcome.exit_code for outcome in outcomes), default=0)
     return {"logs": rows, "done": len(rows) - failed, "failed": failed, "exit_code": exit_code}
@@ -216,10 +219,11 @@ def _attempt(
     with _collected(collect) as logged:
         try:
             report = work(item, out / item.name, tick)
-            return _Outcome({**_row(item, DONE, ""), **values(report)}, 0, tuple(logged))
+            return _Outcome({**_row(item, DONE, ""), **values(report)}, 0, tuple(logged), _inputs(report))
         except GateError as error:
             found = {} if error.report is None else values(error.report)
-            return _Outcome({**_row(item, GATE, str(error)), **found}, error.exit_code, tuple(logged))
+            inputs = _inputs(error.report or {})
+            return _Outcome({**_row(item, GATE, str(error)), **found}, error.exit_code, tuple(logged), inputs)
         except InputError as error:
             return _Outcome(_row(item, FAILED, str(error)), error.exit_code, tuple(logged))
         except Exception as error:
@@ -227,6 +231,23 @@ def _attempt(
             if not isinstance(error, StereophdError):
                 text = f"internal error: {type(error).__name__}: {text or 'no details'}"
             return _Outcome(_row(item, FAILED, text), StereophdError.exit_code, tuple(logged))
+
+
+def _inputs(report: Mapping[str, Any]) -> Mapping[str, str]:
+    """Return the hashes of the inputs of a report by their roles."""
+    return dict(report.get("provenance", {}).get("inputs", {}))
+
+
+def _all_inputs(batch: Batch, outcomes: Sequence[_Outcome]) -> dict[str, str]:
+    """Return the hashes of what the batch and its items have read; inputs of all items keep their role."""
+    common: dict[str, str] = dict(batch.record["inputs"])
+    own = {
+        f"{item.name}.{role}": digest
+        for item, outcome in zip(batch.items, outcomes, strict=True)
+        for role, digest in outcome.inputs.items()
+        if role not in common
+    }
+    return {**common, **own}
 
 
 def _row(item: Item, status: str, message: str) -> dict[str, Any]:
@@ -256,11 +277,12 @@ def _collected(collect: bool) -> Iterator[list[tuple[int, str]]]:
         LOGGER.removeHandler(handler)
 
 
-def _write_summary(path: Path, rows: Sequence[Mapping[str, Any]], batch: Batch) -> None:
-    """Write one row an item."""
+def _write_summary(path: Path, rows: Sequence[Mapping[str, Any]], batch: Batch, inputs: Mapping[str, str]) -> None:
+    """Write one row per item; `inputs` are the hashes of all inputs."""
+    metadata = to_metadata({**batch.record, "inputs": dict(inputs)})
     columns = {**COMMON, **batch.columns}
     fields = [pa.field(name, kind, nullable=name not in COMMON) for name, kind in columns.items()]
-    with atomic_write(path) as temporary, TableWriter(temporary, pa.schema(fields), batch.metadata) as table:
+    with atomic_write(path) as temporary, TableWriter(temporary, pa.schema(fields), metadata) as table:
         if rows:
             table.append({name: _column([row[name] for row in rows], kind) for name, kind in columns.items()})
 

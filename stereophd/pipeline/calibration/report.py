@@ -58,7 +58,7 @@ def build_report(
         "input": problem.counts,
     }
     if found is not None:
-        report["scale"] = _scale(section, found)
+        report["scale"] = _scale(section, found, "scale_warning" not in outcome.details)
         if status != UNDETERMINED:
             report["cameras"] = _cameras(problem, outcome)
         report["parameters"] = _parameters(problem, outcome, found, status, length_unit)
@@ -66,14 +66,15 @@ def build_report(
     return {**report, **outcome.details}
 
 
-def _scale(section: CalibrationConfig, found: Observability) -> dict[str, Any]:
+def _scale(section: CalibrationConfig, found: Observability, used: bool) -> dict[str, Any]:
+    """Return what determined the scale; a known length that was not `used` did not."""
     kind = section.scale.kind
     if math.isnan(found.scale_ratio):
         return {"kind": kind, "determined_by": "known cameras", "posterior_over_prior_std": None}
     by_data = found.scale_ratio <= UNDETERMINED_RATIO
     return {
         "kind": kind,
-        "determined_by": "prior" if not by_data else kind if kind != "none" else "data",
+        "determined_by": "prior" if not by_data else kind if used and kind != "none" else "data",
         "posterior_over_prior_std": found.scale_ratio,
     }
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.pipeline.checks.alternatives import Alternative, alternatives
-from stereophd.pipeline.checks.geometry import LEAST_SCORE, Geometry
+from stereophd.pipeline.checks.geometry import LEAST_SCORE, Geometry, pairs_of
 from stereophd.pipeline.checks.rays import (
     TOLERANCES,
     Candidates,
@@ -171,7 +170,7 @@ def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
             trial = _trial(geometry, alternative, scope)
             if trial is not None:
                 yield trial
-    for a, b in combinations(everything, 2):
+    for a, b in pairs_of(len(everything)):
         views = geometry.views
         first, second = geometry.samples[a].camera, geometry.samples[b].camera
         views[a] = Reading(replace(second, detector=first.detector))

@@ -33,6 +33,8 @@ SHARP_SHARE = 0.55
 SHARP = (1.0,)
 # Below this expected excess the fields of view of a pair hardly overlap, and the pair cannot be checked.
 LEAST_EXPECTED = 0.15
+# Pairs of cameras that are examined at most: all of 25 cameras.
+MOST_PAIRS = 300
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,17 @@ class Geometry:
         return any(t < SHARP_SHARE * w for t, w in zip(tight, wide, strict=True))
 
 
+def pairs_of(count: int) -> list[tuple[int, int]]:
+    """Return the pairs of cameras that are examined: all, or of many cameras each with those next to it in their order.
+
+    The time of the checks would grow with the square of the number of cameras.
+    """
+    if count * (count - 1) // 2 <= MOST_PAIRS:
+        return list(combinations(range(count), 2))
+    steps = range(1, max(1, MOST_PAIRS // count) + 1)
+    return sorted({(min(a, b), max(a, b)) for step in steps for a in range(count) for b in [(a + step) % count]})
+
+
 def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: bool = True) -> Geometry:
     """Measure how often rays of every pair of cameras meet.
 
@@ -95,7 +108,7 @@ def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: 
     """
     pairs = []
     most = (400 if len(samples) < 4 else 200) if thorough else 120
-    for a, b in combinations(range(len(samples)), 2):
+    for a, b in pairs_of(len(samples)):
         found = candidates(samples, a, b, most)
         if found is not None:
             pairs.append(found)

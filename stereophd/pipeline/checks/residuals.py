@@ -10,12 +10,12 @@ errors follow from the spread between pairs of tracks, so that errors that last 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry import pairs_of
 from stereophd.pipeline.checks.partners import Partners, partners, track_velocities
 from stereophd.pipeline.checks.residual_causes import PairFits, explain
 from stereophd.pipeline.checks.sample import CameraSample
@@ -32,7 +32,7 @@ CAUSES = {"clock": "clock_offset", "lens": "lens_inaccurate", "pose": "pose_inac
 def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
     """Yield a finding if the clock, lens or pose of a camera seems to be slightly off, else one for each pair."""
     motion = [track_velocities(sample) for sample in samples]
-    pairs = [found for a, b in combinations(range(len(samples)), 2) if (found := partners(samples, motion, a, b))]
+    pairs = [found for a, b in pairs_of(len(samples)) if (found := partners(samples, motion, a, b))]
     fits = [explain(pair, samples[pair.a].camera, samples[pair.b].camera) for pair in pairs]
     suspicious = [(pair, fit) for pair, fit in zip(pairs, fits, strict=True) if fit.is_suspicious(pair.track_count)]
     if suspicious:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -30,8 +30,6 @@ CONVERGED_ERRORS = 0.5
 # If a detector never missed, a track would end at its first miss, and no pass could ever estimate a miss.
 MOST_P_DETECT = 0.99
 
-# Correlation of successive residuals from which errors cannot pass for white noise.
-LASTING = 0.3
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -152,7 +150,8 @@ def estimate_detectors(
     cameras : tuple of Camera
         With the estimates in place.
     report : dict
-        For ``report.json``: by camera the values, their standard errors and the numbers behind them.
+        For ``report.json``: by camera the values, their standard errors and the numbers behind them, and whether the
+        log states the noise of its detections.
     """
     used = tuple(_start(camera) if camera.name in estimated else camera for camera in cameras)
     found: dict[str, DetectorEstimate] = {}
@@ -172,11 +171,8 @@ def estimate_detectors(
         cameras = used = tuple(updated)
         texts = [_text(name, estimate) for name, estimate in found.items()]
         LOGGER.info("detectors, pass %d: %s", passes, "; ".join(texts))
-    if not converged:
-        LOGGER.warning("detectors: still changing after %d passes", passes)
-    _warn(found, own_noise)
     report = {name: _report(estimate) for name, estimate in found.items()}
-    return cameras, {"passes": passes, "converged": converged, "cameras": report}
+    return cameras, {"passes": passes, "converged": converged, "noise_in_log": own_noise, "cameras": report}
 
 
 def _start(camera: Camera) -> Camera:
@@ -185,25 +181,6 @@ def _start(camera: Camera) -> Camera:
     if given.p_detect <= MOST_P_DETECT:
         return camera
     return replace(camera, detector=Detector(given.sigma, MOST_P_DETECT, given.clutter_per_frame))
-
-
-def _warn(found: Mapping[str, DetectorEstimate], own_noise: bool) -> None:
-    """Report which noise could not be estimated, and which errors are not noise."""
-    for name, estimate in found.items():
-        if estimate.correlation is not None and estimate.correlation.max() > LASTING:
-            LOGGER.warning(
-                "detector of %s: errors last from frame to frame (correlation %.2f, %.2f along u, v): of pose, clock "
-                "or lens, or of smoothed labels; with noise estimated from them tracks will be overconfident",
-                name,
-                *estimate.correlation,
-            )
-        if estimate.sigma_error is None and not own_noise:
-            LOGGER.warning(
-                "detector of %s: %.0f detections of tracks that two cameras saw: too few to estimate the noise, "
-                "which stays as given",
-                name,
-                estimate.residuals,
-            )
 
 
 def _agree(present: Detector, estimate: DetectorEstimate) -> bool:

@@ -113,7 +113,6 @@ def write_records(
                 tracks.append({**key, **_columns(level, report.std_columns), "status": status})
         confirmed += len(estimates.track_ids)
         _summarise(identities, estimates, record.time_s)
-    losses.warn(events)
     return {
         "events": events,
         "duration_s": last_s - first_s,

@@ -69,6 +69,31 @@ def test_the_first_frame_says_how_many_objects_there_were(n_detections: int, exp
     assert state.counts[0] == pytest.approx(0.1 * expected)
 
 
+def test_a_pause_leaves_as_many_objects_as_the_frame_shows() -> None:
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    before = Undetected(np.array([0.05, 0.0]), np.zeros(2))
+    left = 1.0 - 0.9 * np.ones(2)
+    after = event(camera, 0, 3600.0, 9)
+    births, state = expected_births(before, PRIOR, left, 3600.0, after, camera.detector, known=2.0)
+    assert births == pytest.approx((9 - 4 - 2 + 3) / 0.9)
+    assert state.counts[0] == pytest.approx(0.1 * births)
+    # the next frame, and a frame that known objects and clutter explain, expect the usual number
+    births, _ = expected_births(state, PRIOR, left, 0.1, event(camera, 0, 3600.1, 9), camera.detector, known=5.0)
+    assert births == pytest.approx(state.counts[0] + 0.05)
+    births, _ = expected_births(before, PRIOR, left, 3600.0, event(camera, 0, 3600.0, 4), camera.detector, known=3.0)
+    assert births == pytest.approx(1.0)
+
+
+def test_a_camera_that_starts_late_expects_what_its_first_frame_shows() -> None:
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    before, prior = Undetected(np.array([0.0, 0.0]), np.array([0.0, 1.0])), replace(PRIOR, initial=None)
+    births, _ = expected_births(
+        before, prior, 1.0 - 0.9 * np.eye(2)[1], 3600.0, event(camera, 1, 3600.0, 9), camera.detector
+    )
+    # the objects of the first frame, and one standard deviation of the number of its detections
+    assert births == pytest.approx((9 - 4 + 3) / 0.9)
+
+
 def test_overlap_of_views() -> None:
     """The same view, a view beside it, and one that looks the other way."""
     cameras = [

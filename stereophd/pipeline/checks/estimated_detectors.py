@@ -1,0 +1,43 @@
+"""Findings about estimated detectors: which noise could not be estimated, and which errors are not noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from stereophd.pipeline.checks.finding import Finding
+
+# Correlation of successive residuals from which errors cannot pass for white noise.
+LASTING = 0.3
+
+
+def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Finding]:
+    """Yield a warning for each estimate that must be used with care.
+
+    Parameters
+    ----------
+    report : mapping or None
+        As `stereophd.pipeline.detectors.passes.estimate_detectors` returns it; None: nothing was estimated.
+    """
+    if report is None:
+        return
+    if not report["converged"]:
+        text = f"the estimated detectors still change after {report['passes']} passes"
+        yield Finding("detector.estimate", "warning", text, cause="not_converged")
+    for name, estimate in report["cameras"].items():
+        correlation = estimate["residual_correlation"]
+        if correlation is not None and max(correlation) > LASTING:
+            text = (
+                f"{name}: errors last from frame to frame (correlation {correlation[0]:.2f}, {correlation[1]:.2f} "
+                "along u, v): of pose, clock or lens, or of smoothed labels; with noise estimated from them tracks "
+                "will be overconfident"
+            )
+            yield Finding(
+                "detector.estimate", "warning", text, round(max(correlation), 2), LASTING, name, cause="errors_last"
+            )
+        if estimate["sigma_px_standard_error"] is None and not report["noise_in_log"]:
+            text = (
+                f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw: too few to estimate "
+                "the noise, which stays as given"
+            )
+            yield Finding("detector.estimate", "warning", text, camera=name, cause="too_few_detections")

@@ -1,0 +1,44 @@
+"""Findings about what a run left out: bad rows, detections beyond the lens model, full filters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from stereophd.io.log_checks import KINDS
+from stereophd.pipeline.checks.finding import Finding
+
+
+def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Iterator[Finding]:
+    """Yield a warning for each kind of data that a run left out.
+
+    Parameters
+    ----------
+    summary : mapping
+        Figures of the run, as in ``report.json``; ``events`` and ``left_out`` are used.
+    counts : mapping
+        Counts of the log: ``rows``, the kinds of bad rows, ``not_invertible``.
+    """
+    dropped = {kind: counts[kind] for kind in KINDS if counts.get(kind)}
+    if dropped:
+        why = ", ".join(f"{kind} {count}" for kind, count in dropped.items())
+        text = f"{sum(dropped.values())} of {counts['rows']} rows dropped ({why})"
+        yield Finding("input.rows", "warning", text, sum(dropped.values()), 0, cause="rows_dropped")
+    if count := counts["not_invertible"]:
+        text = f"{count} detections lie where the lens model cannot be inverted: left out"
+        yield Finding("input.lens", "warning", text, count, 0, None, "check the coefficients of the lens", "lens")
+    left_out, events = summary["left_out"], summary["events"]
+    if cut := left_out["events"]:
+        text = (
+            f"after {cut} of {events} events the least probable tracks or components were left out, up to "
+            f"{left_out['most']} at once"
+        )
+        remedy = "raise filter.max_components, or leave it to the memory (null)"
+        yield Finding("filter.max_components", "warning", text, cut, 0, None, remedy, "filter_full")
+    if bursts := left_out["burst_frames"]:
+        text = (
+            f"{bursts} of {events} frames have more detections beyond those of known objects than "
+            f"filter.birth.max_per_frame: these {left_out['burst_detections']} count as clutter, and start no track"
+        )
+        remedy = "raise filter.birth.max_per_frame if they are objects"
+        yield Finding("filter.bursts", "warning", text, bursts, 0, None, remedy, "burst")
