@@ -23,9 +23,10 @@ _PLACE = re.compile(r"^(--?[a-z]|`|row \d|column |line \d|camera|[A-Za-z_0-9]+(\
 _SEE_HELP = re.compile(r" \(see '[^']*--help'\)$")
 _INVALID = re.compile(r"^Invalid value for (?P<place>.+?): (?P<reason>.*)$", re.DOTALL)
 _IS_NOT = re.compile(r"^(?P<found>.+?) is not (?P<expected>.+)$", re.DOTALL)
+_SHOULD_BE = re.compile(r"^Input should be (?P<expected>[^,]+)")
 _MISSING = re.compile(r"^(?:Missing \w+|Option) '(?P<place>[^']+)'")
 _NO_SUCH = re.compile(r"^No such (?P<what>option|command):? '?(?P<found>[^\s']+)")
-_EXTRA = re.compile(r"^Got unexpected extra arguments? \((?P<found>.+)\)")
+_EXTRA = re.compile(r"^Got unexpected extra arguments?(?:\(s\))? \((?P<found>.+)\)")
 
 
 def error_document(message: str, kind: str, code: int) -> dict[str, Any]:
@@ -69,6 +70,9 @@ def _usage_parts(sentence: str) -> dict[str, Any]:
             expected = reason["expected"]
             parts["expected"] = f"a value {expected}" if expected.startswith("in ") else expected
             parts["found"] = reason["found"].strip("'")
+        elif reason := _SHOULD_BE.match(match["reason"]):
+            expected = reason["expected"]
+            parts["expected"] = expected if expected.startswith("a ") else f"a value {expected}"
     elif match := _MISSING.match(text):
         parts |= {"place": match["place"], "expected": "a value", "found": "none"}
     elif match := _NO_SUCH.match(text):
