@@ -11,6 +11,7 @@ from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.trajectories import interpolation, positions
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # Steps in which the length of a path is measured, and times at which distances are.
 SPEED_STEPS, DISTANCE_TIMES = 200, 1000
@@ -45,7 +46,7 @@ def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) ->
         found = mean_speeds(fit)
         target = logarithm + float(np.log(value / found).mean())
         return ScaleMeasurement("log_scale", target, std / value / np.sqrt(len(found)))
-    distances, spreads = rigid_pairs(fit)
+    distances, spreads, _ = rigid_pairs(fit)
     if not len(distances):
         return None
     spread = float(np.sqrt((gradient**2 * task.parameters.prior_std**2).sum()))
@@ -68,10 +69,10 @@ def mean_speeds(fit: Fit) -> Array:
     return np.array(out)
 
 
-def rigid_pairs(fit: Fit) -> tuple[Array, Array]:
-    """Pairs of trajectories that keep their distance while they move: mean distances, and their relative deviations.
+def rigid_pairs(fit: Fit, within: float = RIGID) -> tuple[Array, Array, Integers]:
+    """Pairs of trajectories that keep their distance while they move: mean distances, their relative deviations, pairs.
 
-    Each pair is asked only while both are seen, which may be for seconds.
+    Each pair is asked only while both are seen, which may be for seconds. The relative deviation is below `within`.
     """
     spans = fit.knots.spans
     times = np.linspace(spans[:, 0].min(), spans[:, 1].max(), DISTANCE_TIMES)
@@ -81,6 +82,7 @@ def rigid_pairs(fit: Fit) -> tuple[Array, Array]:
         numbers = np.full(len(seen), j)
         paths[j, seen] = positions(fit.adjustment.states, *interpolation(fit.knots, numbers, times[seen]))
     means, spreads = [np.empty(0)], [np.empty(0)]
+    members = [np.empty((0, 2), dtype=np.int64)]
     for j in range(1, len(paths)):
         between = paths[:j] - paths[j]
         distances = np.linalg.norm(between, axis=2)
@@ -90,13 +92,15 @@ def rigid_pairs(fit: Fit) -> tuple[Array, Array]:
         deviation = np.where(both, distances - mean[:, None], 0.0)
         spread = np.sqrt((deviation**2).sum(axis=1) / np.maximum(count, 1))
         middle = np.where(both[:, :, None], 0.5 * (paths[:j] + paths[j]), np.nan)
-        rigid = (count >= LEAST_TIMES) & (spread < RIGID * mean)
+        rigid = (count >= LEAST_TIMES) & (spread < within * mean)
         for i in np.flatnonzero(rigid):
             travel = float(np.linalg.norm(np.ptp(middle[i][both[i]], axis=0)))
             rigid[i] = travel > LEAST_TRAVEL * mean[i]
         means.append(mean[rigid])
         spreads.append(spread[rigid] / mean[rigid])
-    return np.concatenate(means), np.concatenate(spreads)
+        first = np.flatnonzero(rigid)
+        members.append(np.column_stack([first, np.full(len(first), j)]))
+    return np.concatenate(means), np.concatenate(spreads), np.concatenate(members)
 
 
 def known_distance(

@@ -23,6 +23,7 @@ from stereophd.core.calibration.annealed import (
 )
 from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.fits import fit_until, marginal_fit, problem_of, restricted_fit
+from stereophd.core.calibration.known_lengths import with_lengths
 from stereophd.core.calibration.known_scale import measured_scale, rescaled
 from stereophd.core.calibration.posterior import laplace_draws
 from stereophd.core.calibration.scale import ScaleMeasurement
@@ -79,6 +80,9 @@ def annealed_outcome(
     doubt = doubt_of_starts(section, task, starts, best)
     task, fit = _at_known_scale(section, task, best.fit, details)
     fit = marginal_fit(task, selected(section, task, fit, details))
+    without_lengths = fit
+    if isinstance(section.scale, LengthScale) and task.scale is not None:
+        fit, details["known_lengths"] = with_lengths(task, fit, section.scale.length, section.scale.std)
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
     if (against := task.parameters.prior_disagreement(mean)) is not None:
         doubt = f"with the known {section.scale.kind} {against}"
@@ -86,7 +90,7 @@ def annealed_outcome(
     history = tuple(
         HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
         for time_s in np.linspace(problem.recording.times[0], problem.recording.times[-1], HISTORY_TIMES + 1)[1:]
-        if (until := fit_until(task, fit, float(time_s))) is not None
+        if (until := fit_until(task, without_lengths, float(time_s))) is not None
     )
     if section.posterior == "smc":
         found = distinct(starts)

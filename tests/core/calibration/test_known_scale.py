@@ -43,7 +43,7 @@ def board_paths(seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def test_neighbouring_corners_are_found_among_many_tracks_seen_for_seconds() -> None:
     # the cameras' guess makes everything a tenth too large: 0.06 is found for a known 0.054
-    distances, spreads = rigid_pairs(fit_of(board_paths(1)))
+    distances, spreads, _ = rigid_pairs(fit_of(board_paths(1)))
     assert len(distances) > 30
     ratio, error = known_distance(distances, spreads, 0.054, 0.0, 0.1)
     assert np.exp(ratio) == pytest.approx(0.9, rel=0.003)
@@ -53,10 +53,10 @@ def test_neighbouring_corners_are_found_among_many_tracks_seen_for_seconds() -> 
 def test_pairs_that_hardly_move_do_not_count() -> None:
     times = np.arange(0.0, 4.0, 0.1)
     slow = 0.01 * times[:, None] * [1.0, 0.0, 0.0]
-    distances, _ = rigid_pairs(fit_of([(times, slow), (times, slow + [0.0, 0.1, 0.0])]))
+    distances, _, _ = rigid_pairs(fit_of([(times, slow), (times, slow + [0.0, 0.1, 0.0])]))
     assert not len(distances)
     fast = 10.0 * slow
-    distances, spreads = rigid_pairs(fit_of([(times, fast), (times, fast + [0.0, 0.1, 0.0])]))
+    distances, spreads, _ = rigid_pairs(fit_of([(times, fast), (times, fast + [0.0, 0.1, 0.0])]))
     np.testing.assert_allclose(distances, 0.1, rtol=1e-3)
     assert spreads[0] < 1e-3
 

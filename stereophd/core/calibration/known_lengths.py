@@ -1,0 +1,139 @@
+"""Known lengths as measurements at all times: corners of a board, or the ends of a wand, keep their distance.
+
+The scale needs one number of them (`stereophd.core.calibration.known_scale`). But two objects whose distance is known
+at all times also measure depth at all times, and with it focal lengths and lenses. The distances couple trajectories,
+which the normal equations of an adjustment keep apart. They are therefore added as an iterated Kalman update of cameras
+and trajectories together: with N the matrix of the normal equations, G the derivative of the distances d by the knots
+and R the covariance of the known lengths,
+
+    step = step_0 + N^-1 G^T (R + G N^-1 G^T)^-1 (length - d - G step_0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+
+from stereophd.core.calibration.adjustment import damped_bands, eliminate
+from stereophd.core.calibration.fits import problem_of
+from stereophd.core.calibration.known_scale import PEAK_WIDTH, RIGID, rigid_pairs
+from stereophd.core.calibration.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.task import Fit, Task
+from stereophd.core.calibration.trajectories import interpolation, positions
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Relative deviation of a distance that may be the known length.
+WITHIN = 2.0 * RIGID
+# Rounds in which pairs are chosen, steps of each, and damping of the normal equations.
+ROUNDS, STEPS, DAMPING = 3, 5, 1e-9
+# Most distances that are used, and most numbers in their derivatives.
+MOST_DISTANCES, MOST_NUMBERS = 400, 20_000_000
+# The known lengths are taken as long as they cost less than this a distance, in squared standard deviations.
+MOST_COST = 2.0
+
+
+def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, int]:
+    """Adjust cameras and trajectories to pairs of objects that keep a known distance, and count the pairs.
+
+    Each distance may deviate by `std`, and all of them together by as much.
+
+    Parameters
+    ----------
+    task, fit : Task, Fit
+        Whose scale is known already; nothing of it is held.
+    length, std : float
+        The known distance and its standard deviation.
+
+    Returns
+    -------
+    Fit, int
+        The fit that was given, and 0, if no pair keeps that distance, or the detections contradict it.
+    """
+    if fit.held is not None:
+        return fit, 0
+    # the scale is what the lengths measure
+    linearisation = Linearisation.of(replace(problem_of(task, fit), scale=None))
+    before = linearisation.at(fit.adjustment.values, fit.adjustment.states).cost
+    best, count = fit, 0
+    for _ in range(ROUNDS):
+        distances, _, pairs = rigid_pairs(best, WITHIN)
+        pairs = pairs[np.abs(np.log(length / distances)) <= 2.0 * PEAK_WIDTH]
+        if len(pairs) <= count:
+            break  # with the lengths of some pairs others keep theirs, too
+        found = _updated(linearisation, best, pairs, length, std, before)
+        if found is None:
+            break
+        best, count = found, len(pairs)
+    return best, count
+
+
+def _updated(
+    linearisation: Linearisation, fit: Fit, pairs: Integers, length: float, std: float, before: float
+) -> Fit | None:
+    """Adjust to the lengths of pairs (p, 2); None where they contradict the detections, whose cost was `before`."""
+    values, states, covariance = fit.adjustment.values, fit.adjustment.states, fit.adjustment.covariance
+    pair, times = _sampled(fit, pairs, states.size)
+    try:
+        for _ in range(STEPS):
+            found, slopes = _distances(fit, states, pairs[pair], times)
+            value_step, state_step, covariance = _step(linearisation.at(values, states), slopes, length - found, std)
+            values, states = values + value_step, states + state_step.reshape(states.shape)
+    except LinAlgError:
+        return None
+    equations = linearisation.at(values, states)
+    left = length - _distances(fit, states, pairs[pair], times)[0]
+    if not equations.cost - before + float(((left - left.mean()) ** 2).sum()) / std**2 <= MOST_COST * len(left):
+        return None
+    adjustment = replace(
+        fit.adjustment, values=values, states=states, covariance=covariance, cost=equations.cost,
+        distances=equations.distances,
+    )  # fmt: skip
+    return replace(fit, adjustment=adjustment)
+
+
+def _sampled(fit: Fit, pairs: Integers, size: int) -> tuple[Integers, Array]:
+    """Pair (k,) and time (k,) of every distance: evenly over the time in which both objects are seen."""
+    count = max(min(MOST_DISTANCES, MOST_NUMBERS // max(size, 1)) // len(pairs), 1)
+    spans = fit.knots.spans[pairs]
+    since, until = spans[:, :, 0].max(axis=1), spans[:, :, 1].min(axis=1)
+    part = (np.arange(count) + 0.5) / count
+    return np.repeat(np.arange(len(pairs)), count), (since[:, None] + part * (until - since)[:, None]).ravel()
+
+
+def _distances(fit: Fit, states: Array, pairs: Integers, times: Array) -> tuple[Array, Array]:
+    """Distances (k,) of pairs (k, 2) at times, and their derivatives (k, size) by the knots."""
+    ends = [interpolation(fit.knots, pairs[:, side], times) for side in (0, 1)]
+    between = positions(states, *ends[0]) - positions(states, *ends[1])
+    distances = np.linalg.norm(between, axis=1)
+    directions = between / np.maximum(distances, 1e-300)[:, None]
+    slopes = np.zeros((len(times), states.size))
+    for sign, end in zip((1.0, -1.0), ends, strict=True):
+        for weight in range(4):
+            for axis in range(3):
+                column = 6 * end.knot + 3 * weight + axis
+                used = np.flatnonzero((column < states.size) & (end.weights[:, weight] != 0.0))
+                value = sign * end.weights[used, weight] * directions[used, axis]
+                np.add.at(slopes, (used, column[used]), value)
+    return distances, slopes
+
+
+def _step(equations: NormalEquations, slopes: Array, missing: Array, std: float) -> tuple[Array, Array, Array]:
+    """Steps of values (m,) and knots (size,) with distances that miss the length by `missing` (k,); covariance."""
+    factor = (cholesky_banded(damped_bands(equations, DAMPING), lower=True), True)
+    eliminated, schur = eliminate(equations, DAMPING)
+    schur_factor = cho_factor(schur)
+    value_step = cho_solve(schur_factor, equations.value_vector - equations.coupling.T @ eliminated[:, -1])
+    state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
+    across = cho_solve_banded(factor, slopes.T)
+    of_values = -cho_solve(schur_factor, equations.coupling.T @ across)
+    of_states = across - eliminated[:, :-1] @ of_values
+    spread = std**2 * (np.eye(len(missing)) + 1.0) + slopes @ of_states
+    weights = np.linalg.solve(spread, np.column_stack([missing - slopes @ state_step, of_values.T]))
+    covariance = cho_solve(schur_factor, np.eye(len(schur))) - of_values @ weights[:, 1:]
+    covariance = 0.5 * (covariance + covariance.T)
+    return value_step + of_values @ weights[:, 0], state_step + of_states @ weights[:, 0], covariance

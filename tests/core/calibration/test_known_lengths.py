@@ -1,0 +1,65 @@
+"""Distances that are known at all times, beside dense linear algebra and numerical derivatives."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from stereophd.core.calibration.known_lengths import _distances, _sampled, _step
+from stereophd.core.calibration.linearisation import NormalEquations
+from stereophd.core.calibration.trajectories import place_knots
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+
+STD = 0.3
+
+
+def equations(seed: int, size: int, values: int) -> tuple[NormalEquations, np.ndarray, np.ndarray]:
+    """Normal equations of random residuals, their whole matrix and right side, knots first."""
+    rng = np.random.default_rng(seed)
+    whole = np.zeros((size + values, size + values))
+    for first in range(0, size - 11, 6):  # residuals of two knots in succession and of all values
+        rows = np.zeros((30, size + values))
+        rows[:, first : first + 12] = rng.standard_normal((30, 12))
+        rows[:, size:] = rng.standard_normal((30, values))
+        whole += rows.T @ rows
+    right = rng.standard_normal(size + values)
+    bands = np.zeros((12, size))
+    for k in range(12):
+        bands[k, : size - k] = np.diagonal(whole[:size, :size], -k)
+    found = NormalEquations(
+        0.0, bands, whole[:size, size:], whole[size:, size:], right[:size], right[size:], np.empty(0)
+    )
+    return found, whole, right
+
+
+def test_a_step_is_that_of_the_dense_equations_with_the_distances_added() -> None:
+    size, values, count = 24, 3, 5
+    rng = np.random.default_rng(1)
+    found, whole, right = equations(0, size, values)
+    slopes, missing = rng.standard_normal((count, size)), rng.standard_normal(count)
+    noise = STD**2 * (np.eye(count) + 1.0)
+    across = np.column_stack([slopes, np.zeros((count, values))])
+    dense = whole + across.T @ np.linalg.solve(noise, across)
+    expected = np.linalg.solve(dense, right + across.T @ np.linalg.solve(noise, missing))
+    value_step, state_step, covariance = _step(found, slopes, missing, STD)
+    np.testing.assert_allclose(state_step, expected[:size], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(value_step, expected[size:], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(covariance, np.linalg.inv(dense)[size:, size:], rtol=1e-6, atol=1e-12)
+
+
+def test_derivatives_of_distances_are_the_numerical_ones() -> None:
+    rng = np.random.default_rng(2)
+    knots = place_knots([(0.0, 1.0), (0.2, 1.3), (0.0, 2.0)], 0.4, ConstantVelocity(0.5))
+    fit: Any = SimpleNamespace(knots=knots)
+    states = rng.standard_normal((len(knots.times), 2, 3))
+    pairs = np.array([[0, 1], [1, 2]])
+    pair, times = _sampled(fit, pairs, states.size)
+    assert (times[pair == 0] > 0.2).all()
+    assert (times[pair == 0] < 1.0).all()
+    rows = np.linspace(0, len(times) - 1, 7).astype(int)
+    distances, slopes = _distances(fit, states, pairs[pair[rows]], times[rows])
+    for k in range(states.size):
+        moved = states.ravel().copy()
+        moved[k] += 1e-6
+        after, _ = _distances(fit, moved.reshape(states.shape), pairs[pair[rows]], times[rows])
+        np.testing.assert_allclose((after - distances) / 1e-6, slopes[:, k], atol=2e-5)
