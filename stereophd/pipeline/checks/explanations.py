@@ -32,6 +32,8 @@ LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
 LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
 RATES = (24 / 25, 25 / 24, 0.8, 1.25, 25 / 30, 1.2, 0.6, 5 / 3, 0.5, 2.0, 1.001, 1 / 1.001)
 SHIFT_DETECTIONS = 120
+# Clocks that are tried, and pairs of cameras for each: each is a search through many offsets.
+MOST_CLOCKS, MOST_CLOCK_PAIRS = 12, 6
 # Detections and shifted times of the first trial of an alternative, and alternatives that get a second one.
 FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 100, 3, 6
 # The same where the check is part of another command and must be quick: fewer detections, coarser clock steps.
@@ -192,11 +194,13 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
 
 
 def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> Iterator[Trial]:
-    """Yield clock offsets and rates of single cameras."""
-    for c, sample in enumerate(geometry.samples):
-        concerned = [k for k, pair in enumerate(geometry.pairs) if c in (pair.a, pair.b)]
-        if not concerned or len(sample.times) < 8:
-            continue
+    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least."""
+    cameras = range(len(geometry.samples))
+    of_camera = [[k for k, pair in enumerate(geometry.pairs) if c in (pair.a, pair.b)] for c in cameras]
+    tried = [c for c in cameras if of_camera[c] and len(geometry.samples[c].times) >= 8]
+    tried.sort(key=lambda c: float(np.mean([geometry.given[k].excess for k in of_camera[c]])))
+    for c in sorted(tried[:MOST_CLOCKS]):
+        sample, concerned = geometry.samples[c], of_camera[c][:MOST_CLOCK_PAIRS]
         shift = _best_shift(geometry, concerned, c, steps)
         if shift is not None:
             yield Trial(
