@@ -151,8 +151,8 @@ def commit_files(staged: Path, folder: Path, stale: Iterable[Path]) -> None:
         os.replace(journal, staged)
         raise
     _remove_empty(folder, old)
-    # Without the journal what is left of the folder is rubbish, should this process be killed now.
-    (journal / JOURNAL).unlink()
+        (journal / JOURNAL).unlink()
+    # If the process is killed from here on, the next run removes the rest of the staged folder.
     shutil.rmtree(journal, ignore_errors=True)
 
 

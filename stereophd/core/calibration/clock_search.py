@@ -28,7 +28,7 @@ STEP_FRAMES, REACH = 1.0, 3.0
 HALF_WINDOW = 2
 # Least overlap of two profiles, in steps, and least score (standard deviations of Fisher's z) of a shift.
 LEAST_OVERLAP, LEAST_SCORE = 20, 6.0
-# A profile is alike over about so many steps: independent values are fewer than steps.
+# Correlation length of a profile, in steps. A profile therefore has fewer independent values than steps.
 CORRELATED_STEPS = 5.0
 
 

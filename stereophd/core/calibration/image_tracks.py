@@ -21,7 +21,7 @@ Integers = NDArray[np.int64]
 
 # An alternative is ambiguous within this many times the distance of the nearest, and this many times the noise.
 RATIO, NOISE = 2.0, 4.0
-# A track reaches so far from its prediction, in heights of the image, and over so many frames without a detection.
+# Largest distance from the prediction, in heights of the image, and most successive frames without a detection.
 REACH, MOST_MISSED = 1.0 / 12.0, 2
 # `_continued` returns these for tracks without a detection in reach, and for ambiguous ones.
 MISSED, AMBIGUOUS = -1, -2
@@ -29,7 +29,7 @@ MISSED, AMBIGUOUS = -1, -2
 
 @dataclass
 class _Track:
-    """A track that may go on: its detections, and its last point, time and velocity (None: not known yet)."""
+    """A track that can still grow: its detections, and its last point, time and velocity (None: not known yet)."""
 
     rows: list[int]
     point: Array
@@ -45,7 +45,7 @@ class _Track:
 
 
 def image_tracks(scans: Scans, least: int) -> list[tuple[int, Integers]]:
-    """Link each camera's detections: (camera, detections of the recording) of every track of at least so many."""
+    """Link each camera's detections; return (camera, detections of the recording) of the longer tracks."""
     out = []
     for camera in np.unique(scans.cameras).tolist():
         alone = scans.of_camera(camera)
@@ -96,7 +96,7 @@ def linked(times: Array, first: Integers, points: Array, noise: Array, reach: fl
 
 
 def _continued(tracks: list[_Track], time_s: float, points: Array, noise: Array, reach: float) -> list[int]:
-    """Place of the detection with which each track goes on; `MISSED` or `AMBIGUOUS` of those without one."""
+    """Return the index of the next detection of each track, `MISSED` or `AMBIGUOUS`."""
     if not tracks or not len(points):
         return [MISSED] * len(tracks)
     known = [track.velocity for track in tracks if track.velocity is not None]

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-# A component with its moved forms and what an update makes of it takes up to so much, bytes.
+# Upper bound on the memory of one component, its moved forms and its updated forms, bytes.
 _COMPONENT_BYTES = 4096
 
 

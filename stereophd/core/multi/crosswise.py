@@ -41,14 +41,13 @@ Integers = NDArray[np.int64]
 
 # Fewest kept detections of each track in the camera whose detections are exchanged, and in all others together.
 LEAST_DETECTIONS = 3
-# Largest number of pairs that an event tests: with hundreds of objects there is always one that is due.
+# Most pairs that one event tests. With hundreds of objects, a pair is due at almost every event.
 MOST_TESTS = 1
-# Events until a pair is tested again: at least the first, and one more for each nat that the exchange is behind, up to
-# the second.
+# Events until a pair is tested again: SOONEST, and one more for each nat by which the exchange is behind, up to LATEST.
 SOONEST, LATEST = 2, 64.0
-# The last events are looked at first: most often they decide against an exchange.
+# Events that a test looks at first: most often the last ones decide against an exchange.
 RECENT = 20
-# Fewest samples in view from which a Gaussian is fitted: a detection says that the track is in view.
+# Fewest samples in view for the fit of a Gaussian. Few are enough: a detection shows that the track is in view.
 FEWEST = 2
 
 
@@ -158,8 +157,9 @@ class CrosswiseTest:
         rows, other, there = rows.backwards(), other[::-1], there[::-1]
         owners = np.stack([other, other ^ there]).astype(np.int64)
         found = self._explain(rows, owners, prior)
-        as_is, exchanged = found.log_likelihoods
-        odds = float(-as_is[0] + exchanged[0] - as_is[1] + exchanged[1])
+        # as Python's floats: infinities of both give NaN, without a warning of NumPy
+        (mine_as_is, other_as_is), (mine_exchanged, other_exchanged) = found.log_likelihoods.tolist()
+        odds = -mine_as_is + mine_exchanged - other_as_is + other_exchanged
         if not odds > self.threshold:
             return (0.0 if math.isnan(odds) else odds), None
         forwards = [np.flatnonzero(found.fits[1] & (owners[1] == track))[::-1] for track in (0, 1)]

@@ -112,7 +112,7 @@ class PieceWork:
 
 @dataclass(frozen=True)
 class PieceDone:
-    """What the last file of a piece says: the spans of its chunks, and detections that were left out."""
+    """Content of the last file of a piece: the spans of its chunks, and the number of detections left out."""
 
     spans: list[tuple[float, float]]
     not_invertible: int
