@@ -151,7 +151,7 @@ def commit_files(staged: Path, folder: Path, stale: Iterable[Path]) -> None:
         os.replace(journal, staged)
         raise
     _remove_empty(folder, old)
-        (journal / JOURNAL).unlink()
+    (journal / JOURNAL).unlink()
     # If the process is killed from here on, the next run removes the rest of the staged folder.
     shutil.rmtree(journal, ignore_errors=True)
 

@@ -257,7 +257,7 @@ class _PieceStream(EventStream):
 
 
 def _done(work: PieceWork, piece: LogPiece) -> PieceDone | None:
-    """Return what the last file of a piece says, None if it is not finished."""
+    """Return the content of the last file of a piece; None if the piece is not finished."""
     path = work.chunks(piece).folder / DONE_FILE
     if not path.exists():
         return None
