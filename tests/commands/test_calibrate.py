@@ -258,7 +258,12 @@ def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path) -> None:
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert failure.value.report == report
     assert report["status"] == "undetermined"
-    assert {found["name"].partition(".")[0] for found in report["checks"]} <= {"log", "detector", "camera"}
+    assert {found["name"].partition(".")[0] for found in report["checks"]} <= {
+        "log",
+        "detector",
+        "camera",
+        "calibration",
+    }
     assert "none of 2 starts" in report["reason"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json"}
 

@@ -10,7 +10,7 @@ module is rank-deficient.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, lru_cache
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -90,7 +90,9 @@ def move(
     -------
     Moved
     """
-    first, second = _looks(sets, turn % len(sets.sets))
+    samples = sets.turn(turn)
+    first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
+    second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
     moved = room_for_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
@@ -104,7 +106,7 @@ def move(
             region, moved,
         )  # fmt: skip
 
-    slices = _slices(len(which), sets.size, threads)
+    slices = _slices(len(which), samples.shape[1], threads)
     if len(slices) == 1:
         run(slices[0])
     else:
@@ -129,14 +131,9 @@ def world_moments(
     return out_means, out_covariances
 
 
-@lru_cache(maxsize=256)
-def _looks(sets: SampleSets, turn: int) -> tuple[Look, Look]:
-    """First and second look of the events of a turn."""
-    samples = sets.turn(turn)
-    return (
-        Look(samples, np.ones(samples.shape[1]), minimum_in_view(samples.shape[1])),
-        Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES),
-    )
+@cache
+def _equal_weights(samples: int) -> Array:
+    return np.ones(samples)
 
 
 @cache

@@ -65,9 +65,9 @@ RESERVE_SAMPLES = 1024
 RESERVE_WIDTH = 2.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SampleSets:
-    """Standard-normal sample sets, one per event in rotation; equal to themselves only.
+    """Standard-normal sample sets, one per event in rotation.
 
     Attributes
     ----------
