@@ -13,7 +13,7 @@ gradient of the added terms changes slowly: it is computed at the optimum, and t
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,13 @@ from stereophd.core.calibration.scale import log_scale
 
 Array = NDArray[np.float64]
 
-# Rounds of gradient and minimisation, Newton steps of each, and the step of the gradient in posterior deviations.
-ROUNDS, STEPS, STEP = 2, 3, 0.02
+# Fewest rounds of gradient and minimisation, and most while a round moves a value by more than `SETTLED` posterior
+# deviations; Newton steps of each; and the step of the gradient in posterior deviations.
+ROUNDS, MOST_ROUNDS, SETTLED, STEPS, STEP = 2, 12, 0.2, 3, 0.02
 # Damping of the Newton steps, and the longest move in prior standard deviations that is believed.
 DAMPING, LONGEST_MOVE = 1e-8, 5.0
+# A step is halved until it raises the objective by at most this, but not below the least share of it.
+TOLERANCE, LEAST_SHARE = 0.5, 1.0 / 64.0
 
 
 def marginal_optimum(problem: Problem, found: Adjustment) -> Adjustment:
@@ -45,38 +48,68 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> Adjustment:
     -------
     Adjustment
         The one given where the move fails, is longer than `LONGEST_MOVE` prior standard deviations, or does not
-        increase the marginal posterior: the Newton steps are neither damped nor searched along.
+        increase the marginal posterior.
     """
     linearisation = Linearisation.of(problem)
-    values, states, covariance = found.values, found.states, found.covariance
     prior = problem.parameters.prior_std
     try:
-        for _ in range(ROUNDS):
-            tilt = volume_gradient(linearisation, values, states, np.sqrt(np.diag(covariance)))
+        first = at = _Point.at(linearisation, found.values, found.states)
+        covariance = found.covariance
+        for number in range(MOST_ROUNDS):
+            tilt = volume_gradient(linearisation, at.values, at.states, np.sqrt(np.diag(covariance)))
+            before = at.values
             for _ in range(STEPS):
-                equations = linearisation.at(values, states)
-                tilted = replace(equations, value_vector=equations.value_vector - tilt)
-                value_step, state_step = solve(tilted, DAMPING)
-                values, states = values + value_step, states + state_step.reshape(states.shape)
-            equations = linearisation.at(values, states)
-            covariance = posterior_covariance(equations, prior)
+                moved = _step(linearisation, at, tilt)
+                if moved is None:
+                    break
+                at = moved
+            covariance = posterior_covariance(at.equations, prior)
+            if number + 1 >= ROUNDS and (np.abs(at.values - before) <= SETTLED * np.sqrt(np.diag(covariance))).all():
+                break
     except LinAlgError:
         return found
-    moved = np.abs(values - found.values) / prior
-    if not (np.isfinite(equations.cost) and (moved < LONGEST_MOVE).all()):
-        return found
-    try:
-        before, after = (
-            one.cost + 2.0 * volume(linearisation, at, one)
-            for at, one in ((found.values, linearisation.at(found.values, found.states)), (values, equations))
-        )
-    except LinAlgError:
-        return found
-    if not after <= before:
+    if not ((np.abs(at.values - found.values) / prior < LONGEST_MOVE).all() and at.objective <= first.objective):
         return found
     return replace(
-        found, values=values, states=states, covariance=covariance, cost=equations.cost, distances=equations.distances
-    )
+        found, values=at.values, states=at.states, covariance=covariance, cost=at.equations.cost,
+        distances=at.equations.distances,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Values and knots, their normal equations, and twice the negative logarithm of the marginal posterior there."""
+
+    values: Array
+    states: Array
+    equations: NormalEquations
+    objective: float
+
+    @staticmethod
+    def at(linearisation: Linearisation, values: Array, states: Array) -> _Point:
+        """Return a point; `LinAlgError` where the normal equations are not positive definite."""
+        equations = linearisation.at(values, states)
+        if not np.isfinite(equations.cost):
+            raise LinAlgError("the cost is not finite")
+        return _Point(values, states, equations, equations.cost + 2.0 * volume(linearisation, values, equations))
+
+
+def _step(linearisation: Linearisation, at: _Point, tilt: Array) -> _Point | None:
+    """Return the point after a Newton step, shortened where it is too long; None if no share of it is good."""
+    tilted = replace(at.equations, value_vector=at.equations.value_vector - tilt)
+    value_step, state_step = solve(tilted, DAMPING)
+    share = 1.0
+    while share >= LEAST_SHARE:
+        try:
+            values, states = at.values + share * value_step, at.states + share * state_step.reshape(at.states.shape)
+            moved = _Point.at(linearisation, values, states)
+        except LinAlgError:
+            share *= 0.5
+            continue
+        if moved.objective <= at.objective + TOLERANCE:
+            return moved
+        share *= 0.5
+    return None
 
 
 def volume_gradient(linearisation: Linearisation, values: Array, states: Array, spread: Array) -> Array:
