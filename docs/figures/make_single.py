@@ -48,7 +48,7 @@ def _camera(name: str, x: float, yaw: float, sigma: float = 1.4) -> Camera:
 
 
 def draw_uncertainty(path: Path) -> None:
-    """After the paper's Figure 3: what two noisy detections say of a position, in disparity space and in the world."""
+    """Draw the uncertainty of a position from two detections in both spaces (paper Figure 3)."""
     sigma, point = 8.0, np.array([0.0, 0.0, 150.0])
     left, right = _camera("left", 0.0, 0.0, sigma), _camera("right", 15.0, 0.0, sigma)
     space = DisparitySpace(left, 15.0)

@@ -33,7 +33,8 @@ from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.checkpoint import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, overlap_of, plan_pieces, track_pieces
+from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
+from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,

@@ -132,12 +132,6 @@ class LogReader:
         if ("sigma_u_px" in present) != ("sigma_v_px" in present):
             raise InputError(f"{self.path}: expected both of the columns sigma_u_px and sigma_v_px, found one")
         self._columns = [*REQUIRED, *present]
-        self._seen: set[int] = set()
-
-    @property
-    def silent_cameras(self) -> tuple[str, ...]:
-        """Names of the cameras without a frame so far."""
-        return tuple(camera.name for k, camera in enumerate(self._cameras) if k not in self._seen)
 
     @cached_property
     def is_by_camera(self) -> bool:
@@ -147,7 +141,7 @@ class LogReader:
     def __iter__(self) -> Iterator[Frame]:
         self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
         self.counts["cameras_without_frames"] = len(self._cameras)
-        seen = self._seen = set()
+        seen: set[int] = set()
         exact = all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras)
         if exact and not self.is_by_camera:
             frames = self._frames(None)

@@ -74,11 +74,6 @@ class EventStream:
         """Name of the log in messages."""
         return str(self.frames.path) if isinstance(self.frames, LogReader) else "frames"
 
-    @property
-    def silent_cameras(self) -> tuple[str, ...]:
-        """Names of the cameras of a log without a frame so far."""
-        return self.frames.silent_cameras if isinstance(self.frames, LogReader) else ()
-
     def __iter__(self) -> Iterator[Event]:
         self.not_invertible = 0
         for number, frame in enumerate(covered(self.cameras, self.frames, self.source)):

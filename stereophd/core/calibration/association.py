@@ -156,7 +156,7 @@ def fitted_detections(
     scans : Scans
     knots, states : Knots, array (k, 2, 3)
     padding : float
-        A trajectory goes on without noise for this time before its first and after its last detection, s.
+        A trajectory continues without noise for this time before its first and after its last detection, s.
     counts : array (j,)
         Detections of each trajectory so far.
 

@@ -171,7 +171,7 @@ def _joined(
 
 
 def _following(pairs: TrackPairs, chosen: Integers) -> Integers:
-    """All pairs of tracks that are one object if the chosen pairs are: what a and b, and b and c, say of a and c."""
+    """Return all pairs of tracks that are one object if the chosen pairs are: with a, b and b, c also a, c."""
     group = np.arange(int(pairs.tracks.max()) + 1)
     for one, other in pairs.tracks[chosen].tolist():
         group[group == group[other]] = group[one]

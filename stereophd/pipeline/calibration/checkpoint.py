@@ -76,7 +76,7 @@ class Checkpoint:
                     raise
         elif not force:
             raise InputError(
-                f"{path}: there is a checkpoint of an unfinished run; use `resume=True` to go on with it, or "
+                f"{path}: there is a checkpoint of an unfinished run; use `resume=True` to continue it, or "
                 "`force=True` to begin anew"
             )
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -27,11 +27,12 @@ from stereophd.core.trajectories.joining import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError, StereophdError
 from stereophd.io.checkpoints import read_checkpoint
-from stereophd.io.logs import Frame, LogReader
+from stereophd.io.logs import LogReader
 from stereophd.pipeline.progress import Progress
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import RecordChunks
 from stereophd.pipeline.tracking.loop import Record, RunState
+from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import tracking_with
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.workers import ATTEMPTS, complete, open_workers
@@ -41,43 +42,9 @@ if TYPE_CHECKING:
 
 DONE_FILE = "done.npz"
 
-# A piece is tracked this long before its span, s: an object that one camera alone sees keeps the depth that it had
-# when two did, so that the time is that for which objects stay in one view.
-OVERLAP_S = 60.0
-
-# More pieces than this are a slip: of the length, or a pause of years in the log.
-MOST_PIECES = 100_000
-
-# Frames between two calls of `progress` while a log is read.
-TICK_EVERY = 5000
-
 # Tracks of two pieces are one object if that is more probable than not; below the second it is reported as uncertain.
 PROBABLE = 0.5
 CERTAIN = 0.99
-
-
-@dataclass(frozen=True)
-class LogPiece:
-    """A piece of a log.
-
-    Attributes
-    ----------
-    number : int
-    from_s, to_s : float
-        Its own span of true time.
-    begin_s, end_s : float
-        What is tracked.
-    events_before : int
-        Events of the log before `begin_s`: filters choose their samples by the number of an event, and so choose
-        those of the whole run.
-    """
-
-    number: int
-    from_s: float
-    to_s: float
-    begin_s: float
-    end_s: float
-    events_before: int
 
 
 @dataclass(frozen=True)
@@ -116,66 +83,6 @@ class PieceDone:
 
     spans: list[tuple[float, float]]
     not_invertible: int
-
-
-def overlap_of(length_s: float, overlap_s: float | None) -> float:
-    """Return the overlap of pieces, s: as stated, else 60 s, or the length of shorter pieces.
-
-    Raises
-    ------
-    InputError
-        The length is not above 0, or the overlap is longer than a piece.
-    """
-    if not 0.0 < length_s < math.inf:
-        raise InputError(f"`pieces_s`: expected a length above 0 s, found {length_s:g}")
-    if overlap_s is None:
-        return min(OVERLAP_S, length_s)
-    if not 0.0 < overlap_s <= length_s:
-        raise InputError(
-            f"`overlap_s`: expected more than 0 s and at most a piece's {length_s:g} s, found {overlap_s:g}"
-        )
-    return overlap_s
-
-
-def plan_pieces(
-    frames: Iterable[Frame],
-    length_s: float,
-    overlap_s: float,
-    ahead: bool,
-    progress: Progress | None = None,
-) -> tuple[LogPiece, ...]:
-    """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
-
-    Parameters
-    ----------
-    frames : iterable of Frame
-        Of the log, which is read once, with all its checks.
-    length_s, overlap_s : float
-    ahead : bool
-        Whether pieces continue beyond their spans too.
-    progress : callable, optional
-        Called now and then.
-    """
-    first_s, last_s = math.nan, math.nan
-    before = [0]  # events before what is tracked of each piece
-    for number, frame in enumerate(frames):
-        first_s = frame.time_s if number == 0 else first_s
-        if frame.time_s - first_s > MOST_PIECES * length_s:
-            raise InputError(
-                f"`pieces_s`: expected at most {MOST_PIECES} pieces, found {(frame.time_s - first_s) / length_s:.3g} "
-                f"of {length_s:g} s from {first_s:g} s to {frame.time_s:g} s: choose longer pieces, or cut the log"
-            )
-        while frame.time_s >= first_s + len(before) * length_s - overlap_s:
-            before.append(number)
-        last_s = frame.time_s
-        if progress is not None and number % TICK_EVERY == 0:
-            progress(0, 1)
-    count = 1 + max(0, math.floor((last_s - overlap_s - first_s) / length_s))
-    cuts = [-math.inf, *(first_s + k * length_s for k in range(1, count)), math.inf]
-    more = overlap_s if ahead else 0.0
-    return tuple(
-        LogPiece(k, cuts[k], cuts[k + 1], cuts[k] - overlap_s, cuts[k + 1] + more, before[k]) for k in range(count)
-    )
 
 
 def track_pieces(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stereophd.core.bounds.calibration import calibration_bound
-from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import adjust
-from stereophd.core.calibration.linearisation import Linearisation
+from stereophd.core.calibration import marginal, normal_equations
+from stereophd.core.calibration.adjustment import adjust, solve
+from stereophd.core.calibration.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.problem import SQUARED, Loss, Observations, Problem
@@ -152,6 +152,27 @@ def test_errors_are_those_of_the_bound_with_poses_lenses_and_clocks_unknown() ->
         )
         np.testing.assert_allclose(np.sqrt(np.diag(found.covariance) / np.diag(bound)), 1.0, atol=0.35)
     assert np.mean(squares) < 5.0
+
+
+def test_steps_to_the_marginal_optimum_that_are_too_long_are_shortened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of six times the Newton step would never settle; a quarter of each does."""
+    true = unknowns(rig(), ("center", "rotation", "focal", "clock_offset"))
+    drawn = true.sample(np.random.default_rng(100), 1)[0]
+    guess = true.about(true.guess(drawn))
+    observations, _, points = observe(true.cameras, 0, 3, 8.0)
+    problem, states = problem_of(guess, observations, points)
+    joint = adjust(problem, np.zeros(guess.size), states)
+    expected = marginal_optimum(problem, joint)
+    std = np.sqrt(np.diag(expected.covariance))
+    assert np.abs((expected.values - joint.values) / std).max() > 1.0
+
+    def too_long(equations: NormalEquations, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        values, knots = solve(equations, damping)
+        return 6.0 * values, 6.0 * knots
+
+    monkeypatch.setattr(marginal, "solve", too_long)
+    found = marginal_optimum(problem, joint)
+    np.testing.assert_allclose((found.values - expected.values) / std, 0.0, atol=0.3)
 
 
 def test_shared_parameters_are_one() -> None:
