@@ -56,7 +56,7 @@ class Outcomes(NamedTuple):
     new_covariances: Array
 
 
-class Tracks(NamedTuple):
+class Existences(NamedTuple):
     """Labels in rising order, -1 among them, and the existence of each: the sum of the weights of its outcomes."""
 
     names: Integers
@@ -77,7 +77,7 @@ def group(keys: Integers) -> tuple[Integers, int]:
 
 
 @compiled
-def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Integers, Tracks]:
+def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Integers, Existences]:
     """Outcomes worth making, in their order: those of the most probable tracks that are no negligible part of theirs.
 
     With them, of the intensity of undetected objects, what is not below the pruning weight; and all tracks.
@@ -99,7 +99,7 @@ def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Integ
         if weights[k] >= prune_weight if labels[k] == UNLABELLED else worth:
             index[count] = k
             count += 1
-    return index[:count], Tracks(names, existence)
+    return index[:count], Existences(names, existence)
 
 
 @compiled

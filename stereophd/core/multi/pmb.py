@@ -32,7 +32,7 @@ from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
-from stereophd.core.multi.hypotheses import PmbReduction, Tracks, choose_hypotheses, make_hypotheses
+from stereophd.core.multi.hypotheses import Existences, PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.inputs import Detections, EventNumbers, NewbornPrior, compiled_settings, with_newborns
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.pmb_reduce import reduce_tracks
@@ -79,7 +79,7 @@ class PmbFilter(DisparityFilter):
         integers = np.empty(0, dtype=np.int64)
         return (
             (association_marginals, (integers, integers, np.empty(0), 0, 0)),
-            (reduce_tracks, (empty_mixture(self.state_size), Tracks(integers, np.empty(0)), self.reduction)),
+            (reduce_tracks, (empty_mixture(self.state_size), Existences(integers, np.empty(0)), self.reduction)),
         )
 
     def compile_tests(self) -> None:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.multi.hypotheses import PmbReduction, Tracks, group
+from stereophd.core.multi.hypotheses import Existences, PmbReduction, group
 from stereophd.core.multi.mixture import (
     UNLABELLED,
     GaussianMixture,
@@ -35,13 +35,13 @@ LAST = np.iinfo(np.int64).max
 
 
 @compiled
-def reduce_tracks(mixture: GaussianMixture, known: Tracks, settings: PmbReduction) -> tuple[GaussianMixture, float]:
+def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbReduction) -> tuple[GaussianMixture, float]:
     """Reduce a mixture after an update, of tracks of a known existence.
 
     Returns
     -------
     mixture : GaussianMixture
-        Tracks, ordered by label and then by falling weight, then the intensity of undetected objects.
+        Existences, ordered by label and then by falling weight, then the intensity of undetected objects.
     expected : float
         Sum of the existences of the tracks.
     """
