@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from stereophd.io.log_rows import Floats
+from stereophd.io.log_rows import Floats, values_of
 from stereophd.io.table_reading import cast_column, check_texts, damaged_is_input_error, open_parquet
 from stereophd.io.table_schemas import FLOAT, STRING
 
@@ -52,7 +52,7 @@ def _is_ordered_within_cameras(path: Path) -> bool:
         check_texts(names, "camera", path, start)
         start += len(batch)
         cameras = names.dictionary_encode()
-        codes = cameras.indices.fill_null(-1).to_numpy(zero_copy_only=False)
+        codes = values_of(cameras.indices, np.int32, -1)
         for code, name in enumerate(cameras.dictionary.to_pylist()):
             mine = times[(codes == code) & np.isfinite(times)]
             if not len(mine):
@@ -64,8 +64,7 @@ def _is_ordered_within_cameras(path: Path) -> bool:
 
 
 def _times(batch: pa.RecordBatch, path: Path, start: int) -> Floats:
-    times: Floats = cast_column(batch.column("time_s"), "time_s", FLOAT, path, start).to_numpy(zero_copy_only=False)
-    return times
+    return values_of(cast_column(batch.column("time_s"), "time_s", FLOAT, path, start), np.float64, np.nan)
 
 
 def _pieces(path: Path, columns: list[str]) -> Iterator[pa.RecordBatch]:

@@ -103,18 +103,18 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: 
     sigma = object_id = None
     if "sigma_u_px" in column:
         sigma = np.stack(
-            [_values(column["sigma_u_px"], np.float64, np.nan), _values(column["sigma_v_px"], np.float64, np.nan)],
+            [values_of(column["sigma_u_px"], np.float64, np.nan), values_of(column["sigma_v_px"], np.float64, np.nan)],
             axis=1,
         )
     if "object_id" in column:
-        object_id = _values(column["object_id"], np.int64, -1)
+        object_id = values_of(column["object_id"], np.int64, -1)
     rows = Rows(
         row=np.arange(start, start + len(batch)),
-        time_s=_values(column["time_s"], np.float64, np.nan),
+        time_s=values_of(column["time_s"], np.float64, np.nan),
         camera=_camera_index(column["camera"], cameras),
-        frame=_values(column["frame"], np.int64, 0),
+        frame=values_of(column["frame"], np.int64, 0),
         pixels=np.stack(
-            [_values(column["u_px"], np.float64, np.nan), _values(column["v_px"], np.float64, np.nan)], axis=1
+            [values_of(column["u_px"], np.float64, np.nan), values_of(column["v_px"], np.float64, np.nan)], axis=1
         ),
         empty=null["u_px"] & null["v_px"],
         sigma=sigma,
@@ -128,12 +128,12 @@ def _camera_index(column: pa.Array, cameras: Mapping[str, int]) -> Integers:
     """Return each row's index of the camera, -1 if null or unknown."""
     encoded = pc.dictionary_encode(column)
     index = np.array([cameras.get(name, -1) for name in encoded.dictionary.to_pylist()] + [-1])
-    codes = _values(encoded.indices, np.int32, len(index) - 1)
+    codes = values_of(encoded.indices, np.int32, len(index) - 1)
     cameras_of_rows: Integers = index[codes]
     return cameras_of_rows
 
 
-def _values(column: pa.Array, dtype: type[np.generic], null: float) -> NDArray[Any]:
+def values_of(column: pa.Array, dtype: type[np.generic], null: float) -> NDArray[Any]:
     """Return the values of an array of this type, with `null` in place of nulls."""
     buffer = column.buffers()[1]
     if buffer is None:

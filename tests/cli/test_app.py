@@ -52,6 +52,27 @@ def test_help_imports_nothing_heavy() -> None:
     assert not HEAVY & set(done.stderr.strip().split(","))
 
 
+def test_track_imports_only_what_it_needs(tmp_path: Path) -> None:
+    """Pandas (which Arrow's own conversions load) and trees of neighbours would add 0.3 s to each short run."""
+    data = Path(__file__).resolve().parents[2] / "sample_data"
+    words = [
+        "track",
+        f"{data / 'hall.yaml'}",
+        f"{data / 'hall' / 'detections.parquet'}",
+        "--out",
+        f"{tmp_path / 'out'}",
+    ]
+    script = (
+        f"import sys; from stereophd.cli.app import run; code = run({words!r});"
+        "print(code, *sorted({'.'.join(name.split('.')[:2]) for name in sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    code, *loaded = done.stdout.splitlines()[-1].split()
+    assert code == "0"
+    assert "stereophd.pipeline" in loaded
+    assert not {"pandas", "matplotlib", "scipy.spatial", "scipy.stats", "scipy.optimize"} & set(loaded)
+
+
 def test_version(call: Call) -> None:
     assert call("--version") == Outcome(0, f"stereophd {stereophd.__version__}\n", "")
 

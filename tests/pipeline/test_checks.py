@@ -11,6 +11,7 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs import Frame
+from stereophd.pipeline.checks import sample as sampling
 from stereophd.pipeline.checks.alternatives import OPENGL
 from stereophd.pipeline.checks.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.files import check_files
@@ -153,6 +154,17 @@ def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
     sample = sample_log([*frames[:20], burst, *frames[21:]], CAMERAS)[burst.camera]
     assert len(sample.times) == FRAMES - 1
     assert max(np.diff(sample.first)) < 20
+
+
+def test_all_distances_and_trees_link_the_same_detections(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few detections are compared one by one, many in trees; a pixel whose distances overflow has no neighbour."""
+    frames = _frames(CAMERAS)
+    frames[0] = replace(frames[0], pixels=np.concatenate([frames[0].pixels, [[1e200, 0.0]]]))
+    one_by_one = [one.links for one in sample_log(frames, CAMERAS)]
+    monkeypatch.setattr(sampling, "ALL_DISTANCES", 0)
+    for mine, trees in zip(one_by_one, sample_log(frames, CAMERAS), strict=True):
+        assert np.count_nonzero(trees.linked) > FRAMES
+        np.testing.assert_array_equal(mine, trees.links)
 
 
 @pytest.mark.parametrize("count", [2, 3, 25, 26, 100, 1000])

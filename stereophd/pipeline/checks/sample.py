@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs import Frame
@@ -27,6 +26,8 @@ MOST_FRAMES = 3000
 BURST_SHARE, BURST_LEAST = 20, 1000
 # Candidate gates of a link, px.
 GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+# Most pairs of pixels of which all distances are computed; beyond it a tree finds the nearest.
+ALL_DISTANCES = 20_000
 # Frames of the shortest track that counts.
 LEAST_LENGTH = 6
 
@@ -194,10 +195,8 @@ def _nearest(sample: CameraSample, step: int) -> tuple[Integers, Integers, Array
         c, d = sample.first[k + step], sample.first[k + step + 1]
         if a == b or c == d:
             continue
-        there, back = cKDTree(sample.pixels[c:d]), cKDTree(sample.pixels[a:b])
-        distance, index = there.query(sample.pixels[a:b])
-        _, returned = back.query(sample.pixels[c:d])
-        found = index < d - c  # of a pixel so far away that its distances overflow, the tree finds nothing
+        distance, index, returned = _neighbours(sample.pixels[a:b], sample.pixels[c:d])
+        found = index < d - c
         mutual = np.flatnonzero(found & (returned[np.where(found, index, 0)] == np.arange(b - a)))
         first.append(a + mutual)
         second.append(c + index[mutual])
@@ -205,6 +204,23 @@ def _nearest(sample: CameraSample, step: int) -> tuple[Integers, Integers, Array
     if not first:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
     return np.concatenate(first), np.concatenate(second), np.concatenate(distances)
+
+
+def _neighbours(here: Array, there: Array) -> tuple[Array, Integers, Integers]:
+    """Return the distance to the nearest pixel of another frame and its index, and the nearest index the other way.
+
+    A pixel so far away that its distances overflow has no neighbour: its index is the number of pixels there.
+    """
+    if len(here) * len(there) > ALL_DISTANCES:
+        from scipy.spatial import cKDTree  # costly to import, and few recordings need it
+
+        distance, index = cKDTree(there).query(here)
+        return distance, index, cKDTree(here).query(there)[1]
+    with np.errstate(over="ignore"):
+        squared = ((here[:, None] - there) ** 2).sum(axis=2)
+    index = squared.argmin(axis=1)
+    nearest = np.sqrt(squared[np.arange(len(here)), index])
+    return nearest, np.where(np.isfinite(nearest), index, len(there)), squared.argmin(axis=0)
 
 
 def _link(sample: CameraSample) -> Integers:
