@@ -1,7 +1,7 @@
 """stereophd: 3-D tracks from the detection logs of several cameras.
 
-The names below are the public interface; ``docs/api.md`` shows them at work. Each is imported when it is first used, so
-that ``import stereophd`` costs next to nothing. Modules and names that are not listed here are private: they may change
+The names below are the public interface; ``docs/api.md`` shows how to use them. Each is imported when it is first used, so
+that ``import stereophd`` takes almost no time. Modules and names that are not listed here are private: they may change
 without notice.
 """
 

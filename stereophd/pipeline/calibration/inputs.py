@@ -39,7 +39,7 @@ class CalibrationProblem:
     scale : ScaleMeasurement or None
         A known baseline.
     counts : dict
-        Of the log, as in ``report.json``.
+        Counts of the log, as in ``report.json``.
     """
 
     parameters: ParameterSet
@@ -104,7 +104,7 @@ def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:
         names = ", ".join(quantity.name for quantity in parameters.quantities)
         raise InputError(
             f"{loaded.path}: calibration: expected method annealed with posterior laplace for cameras that move or "
-            f"have unknowns beside their pose ({names}), found {found}"
+            f"have unknowns besides their pose ({names}), found {found}"
         )
 
 
