@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Interval
+from annotated_types import Interval, Len
 from pydantic import model_validator
 
 from stereophd.config.base import Model, Range3
@@ -13,6 +13,7 @@ from stereophd.config.motion import Motion
 from stereophd.core.settings import (
     FINITE,
     LARGEST_COUNT,
+    DegreesSpread,
     Length,
     PositiveDuration,
     Rate,
@@ -49,6 +50,35 @@ class DrawnObjects(Model):
     )
 
 
+class GivenBody(Model):
+    """A rigid body that sways and turns, as a board of corners in a hand does."""
+
+    points: Annotated[tuple[Vector3, ...], Len(1)] = parameter(
+        "objects that move with it, in its own axes", unit="length"
+    )
+    center: Vector3 = parameter("mean position of the origin of its axes", unit="length")
+    rotation_vector_deg: Vector3 = parameter(
+        "mean rotation from its axes to the world's", default=(0.0, 0.0, 0.0), unit="degrees"
+    )
+    center_std: tuple[Length, Length, Length] = parameter(
+        "standard deviation over time of its position", default=(0.0, 0.0, 0.0), unit="length"
+    )
+    rotation_std_deg: tuple[DegreesSpread, DegreesSpread, DegreesSpread] = parameter(
+        "standard deviation over time of its rotation vector, in the axes of the world",
+        default=(0.0, 0.0, 0.0),
+        unit="degrees",
+    )
+    period_s: tuple[PositiveDuration, PositiveDuration] = parameter(
+        "shortest and longest period of the harmonics that it sways by", default=(3.0, 12.0), unit="s"
+    )
+
+    @model_validator(mode="after")
+    def _periods_ascend(self) -> GivenBody:
+        if self.period_s[0] > self.period_s[1]:
+            raise ValueError(f"expected period_s in ascending order, found {list(self.period_s)}")
+        return self
+
+
 class SimulateConfig(Model):
     """The scene that `simulate` makes."""
 
@@ -57,6 +87,7 @@ class SimulateConfig(Model):
     frame_rate_hz: Rate = parameter("of cameras that state none", default=1.0, unit="Hz")
     objects: DrawnObjects | None = parameter("objects drawn at random", default=None)
     given: tuple[GivenObject, ...] = parameter("objects whose paths are given", default=())
+    bodies: tuple[GivenBody, ...] = parameter("rigid bodies, each with several objects", default=())
     acceleration_std: Length | tuple[Length, Length, Length] = parameter(
         "process noise, as motion.acceleration_std", default=0.0, unit="length/s^2"
     )
@@ -72,8 +103,8 @@ class SimulateConfig(Model):
 
     @model_validator(mode="after")
     def _some_objects(self) -> SimulateConfig:
-        if self.objects is None and not self.given:
-            raise ValueError("expected objects or given, found neither")
+        if self.objects is None and not self.given and not self.bodies:
+            raise ValueError("expected objects, given or bodies, found none of them")
         if self.motion is not None and np.any(self.acceleration_std):
             raise ValueError("expected motion or acceleration_std, which is that of motion, found both")
         return self

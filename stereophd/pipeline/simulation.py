@@ -11,13 +11,15 @@ import numpy as np
 from stereophd.config.model import Config
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.numerics.times import SAME_TIME_S
+from stereophd.core.simulation.bodies import Body, BodyPoint
 from stereophd.core.simulation.detections import Scene
 from stereophd.core.simulation.drawing import Drawing, draw_objects
-from stereophd.core.simulation.objects import MovingObject
+from stereophd.core.simulation.objects import MovingObject, SceneObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid
 from stereophd.errors import InputError
 
@@ -65,8 +67,8 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     truth = None if settings.truth_rate_hz is None else Schedule(settings.truth_rate_hz, start_s, end_s)
     grid = TimeGrid(schedules, truth)
     motion = scene_motion(config)
-    given_seed, drawn_seed = seed.spawn(2)
-    objects = _given_objects(settings, grid.start_s, given_seed)
+    given_seed, drawn_seed, body_seed = seed.spawn(3)
+    objects: tuple[SceneObject, ...] = _given_objects(settings, grid.start_s, given_seed)
     if settings.objects is not None:
         box = settings.objects.box
         drawing = Drawing(
@@ -79,7 +81,24 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
             mean_lifetime_s=settings.objects.mean_lifetime_s,
         )
         objects += draw_objects(drawing, cameras, grid, motion, drawn_seed, len(objects))
+    objects += _body_points(settings, grid.start_s, body_seed, len(objects))
     return Scene(tuple(cameras), grid, objects, motion)
+
+
+def _body_points(
+    settings: SimulateConfig, start_s: float, seed: np.random.SeedSequence, first_id: int
+) -> tuple[BodyPoint, ...]:
+    """Points of the bodies of a scene, labelled from `first_id` on."""
+    points: list[BodyPoint] = []
+    for given, child in zip(settings.bodies, seed.spawn(len(settings.bodies)), strict=True):
+        std = np.concatenate([np.array(given.center_std), np.deg2rad(given.rotation_std_deg)])
+        turn = rotation_from_vector(np.deg2rad(given.rotation_vector_deg))
+        body = Body.drawn(
+            np.array(given.points), np.array(given.center), turn, std, given.period_s, start_s,
+            np.random.default_rng(child),
+        )  # fmt: skip
+        points += [BodyPoint(first_id + len(points) + k, body, k, start_s) for k in range(len(given.points))]
+    return tuple(points)
 
 
 def _check_covered(cameras: Sequence[Camera], schedules: Sequence[Schedule], start_s: float, end_s: float) -> None:

@@ -67,7 +67,8 @@ def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -
     rates = [camera.frame_rate_hz or settings.frame_rate_hz for camera in loaded.cameras.values()]
     drawn = settings.objects
     births = 0.0 if drawn is None else drawn.births_per_s * duration
-    count = len(settings.given) + (0 if drawn is None else drawn.count) + births
+    points = sum(len(body.points) for body in settings.bodies)
+    count = len(settings.given) + points + (0 if drawn is None else drawn.count) + births
     lifetime = duration if drawn is None or drawn.mean_lifetime_s is None else min(drawn.mean_lifetime_s, duration)
     alive = count - births + births * min(1.0, lifetime / duration)
     frames = duration * sum(rates)

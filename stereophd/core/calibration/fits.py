@@ -287,12 +287,13 @@ def _fit(
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:
     """Knots of trajectories with the given detections, near the given positions."""
     spans = []
-    for j in range(int(observations.trajectories.max()) + 1):
+    counts = np.bincount(observations.trajectories)
+    for j in range(len(counts)):
         times = observations.times[observations.trajectories == j]
         spans.append((float(times.min()), float(times.max())))
     noise = _length_of_noise(task, observations, points, values)
     spacing = knot_spacing(task.filter.motion, noise)
-    return place_knots(spans, spacing, task.filter.motion)
+    return place_knots(spans, spacing, task.filter.motion, counts)
 
 
 def _length_of_noise(task: Task, observations: Observations, points: Array, values: Array) -> float:

@@ -28,6 +28,8 @@ Integers = NDArray[np.int64]
 DEVIATION = 0.3
 # Accelerations below this part of the largest axis count as this: no axis is exactly straight while others turn.
 LEAST_AXIS = 1e-3
+# Most knots of a trajectory for each of its detections.
+KNOTS_PER_DETECTION = 3
 # Weight of a unit velocity of a static object, against positions in pixels: it stays zero.
 STATIC_WEIGHT = 1e6
 
@@ -72,12 +74,22 @@ class Knots:
         return np.flatnonzero(inner)
 
 
-def place_knots(spans: Sequence[tuple[float, float]], spacing: float, motion: Motion) -> Knots:
-    """Place knots over spans of time, no further apart than `spacing`; one knot for motion without noise."""
+def place_knots(
+    spans: Sequence[tuple[float, float]], spacing: float, motion: Motion, counts: Integers | None = None
+) -> Knots:
+    """Place knots over spans of time, no further apart than `spacing`; one knot for motion without noise.
+
+    Where the numbers of detections `counts` of the trajectories are given, a trajectory has at most
+    `KNOTS_PER_DETECTION` knots for each: the work of an adjustment then grows no faster than the detections. Only
+    cameras that are badly wrong ask for more, those that put objects so near that the noise is no length at all.
+    """
     std = motion.noise_std
     pieces = []
-    for start, end in spans:
-        parts = 0 if not motion.noisy or end <= start else max(int(np.ceil((end - start) / spacing)), 1)
+    for j, (start, end) in enumerate(spans):
+        parts = 0
+        if motion.noisy and end > start:
+            most = np.inf if counts is None else KNOTS_PER_DETECTION * float(counts[j])
+            parts = int(max(min(np.ceil((end - start) / spacing), most), 1.0))
         pieces.append(np.linspace(start, end, parts + 1) if parts else np.array([start]))
     first = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
     times = np.concatenate([*pieces, np.empty(0)])

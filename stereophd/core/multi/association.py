@@ -16,6 +16,7 @@ ms. Static objects (d = 3) have not moved.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ Integers = NDArray[np.int64]
 REACH_SIGMAS = 9.0
 # Their square, and some more for rounding.
 FAR = 1.0001 * REACH_SIGMAS**2
+# Pairs a component that there is room for at first.
+ROOM_FOR_PAIRS = 16
 
 
 @compiled
@@ -85,11 +88,15 @@ def pair_likelihoods(
             low[k] = np.searchsorted(column, from_u - reach)
             high[k] = np.searchsorted(column, to_u + reach)
             total += high[k] - low[k]
-    components = np.empty(total, dtype=np.int64)
-    detections = np.empty(total, dtype=np.int64)
-    densities = np.empty(total)
+    # room grows: of thousands of objects whose depth is unknown, few of the pairs near in u are near in v
+    room = min(total, ROOM_FOR_PAIRS * (count + 1))
+    components, detections, densities = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room)
     found = 0
     for k in range(count):
+        if found + high[k] - low[k] > room:
+            room = min(total, 2 * room + high[k] - low[k])
+            components, detections = _enlarged(components, room), _enlarged(detections, room)
+            densities = _enlarged(densities, room)
         for j in range(low[k], high[k]):
             s00 = covariances[k, 0, 0] + noises[j, 0, 0]
             s01 = covariances[k, 0, 1] + noises[j, 0, 1]
@@ -114,6 +121,15 @@ def pair_likelihoods(
             densities[found] = areas[j] * math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(determinant))
             found += 1
     return components[:found], detections[:found], densities[:found]
+
+
+@compiled
+def _enlarged(values: NDArray[Any], room: int) -> NDArray[Any]:
+    """Return a larger array that begins with these values."""
+    out = np.empty(room, dtype=values.dtype)
+    for i in range(len(values)):
+        out[i] = values[i]
+    return out
 
 
 @compiled

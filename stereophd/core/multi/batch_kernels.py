@@ -15,11 +15,12 @@ from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
 from stereophd.core.disparity.sample_move import Look, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
 from stereophd.core.motion.arrays import MotionArrays
+from stereophd.core.multi.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.multi.phd_update import PhdReduction, reduce_intensity, update_intensity
-from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
-from stereophd.core.multi.pmb_update import update_tracks
+from stereophd.core.multi.pmb_reduce import reduce_tracks
+from stereophd.core.multi.pmb_update import associate_tracks
 from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.numerics.compilation import compiled
 
@@ -193,8 +194,9 @@ def update_track_sets(
     found, first = 0, 0
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
-        updated, log_likelihoods[h], _ = update_tracks(before, seen, event, numbers, reduction.prune_weight)
-        after, _ = reduce_tracks(updated, reduction)
+        outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, reduction.prune_weight)
+        chosen, tracks = choose_hypotheses(outcomes, reduction)
+        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, chosen), tracks, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]

@@ -41,23 +41,24 @@ def allocate_outcomes(
 
 @compiled
 def fill_missed(
-    mixture: GaussianMixture, moved: Moved, weights: Array, numbers: EventNumbers, out: GaussianMixture
+    mixture: GaussianMixture, moved: Moved, index: Integers, numbers: EventNumbers, out: GaussianMixture
 ) -> None:
-    """Components as they are if the event did not detect them, with these weights (n,).
+    """Place the components with these indices (m,) at the beginning of `out`, as they are if the event missed them.
 
-    Components wholly in view move to the event's space; others stay at home, where they are Gaussian.
+    Components wholly in view move to the event's space; others stay at home, where they are Gaussian. Weights, labels
+    and identities are not filled in.
     """
     _, means, covariances, cameras, times, _, _, _ = mixture
     moved_means, moved_covariances, _, status, missed_means, missed_covariances, inside = moved
-    to_weights, to_means, to_covariances, to_cameras, to_times, _, _, _ = out
+    _, to_means, to_covariances, to_cameras, to_times, _, _, _ = out
     camera, time_s = numbers.camera, numbers.time_s
-    for k in range(len(weights)):
-        to_weights[k] = weights[k]
-        to_cameras[k] = camera if status[k] == IN_VIEW else cameras[k]
-        to_times[k] = time_s if status[k] == IN_VIEW else times[k]
+    for i in range(len(index)):
+        k = index[i]
+        to_cameras[i] = camera if status[k] == IN_VIEW else cameras[k]
+        to_times[i] = time_s if status[k] == IN_VIEW else times[k]
         if status[k] == IN_VIEW:
-            copy_gaussian(moved_means, moved_covariances, k, to_means, to_covariances, k)
+            copy_gaussian(moved_means, moved_covariances, k, to_means, to_covariances, i)
         elif status[k] == PARTLY_IN_VIEW or inside[k] < 1.0:
-            copy_gaussian(missed_means, missed_covariances, k, to_means, to_covariances, k)
+            copy_gaussian(missed_means, missed_covariances, k, to_means, to_covariances, i)
         else:
-            copy_gaussian(means, covariances, k, to_means, to_covariances, k)
+            copy_gaussian(means, covariances, k, to_means, to_covariances, i)

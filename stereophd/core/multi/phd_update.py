@@ -72,7 +72,8 @@ def update_intensity(
     kept = places(weights >= prune_weight)
     components, detections = components[kept], detections[kept]
     out = allocate_outcomes(mixture, components, numbers, len(points))
-    fill_missed(mixture, moved, mixture.weights - detected, numbers, out)
+    fill_missed(mixture, moved, np.arange(len(detected)), numbers, out)
+    out.weights[: len(detected)] = mixture.weights - detected
     means, covariances = kalman_updates(moved.means, moved.covariances, components, detections, points, noises, delays)
     begin, end = len(detected), len(detected) + len(kept)
     out.weights[begin:end], out.means[begin:end], out.covariances[begin:end] = weights[kept], means, covariances

@@ -32,10 +32,11 @@ from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
+from stereophd.core.multi.hypotheses import Existences, PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.inputs import Detections, EventNumbers, NewbornPrior, compiled_settings, with_newborns
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
-from stereophd.core.multi.pmb_reduce import PmbReduction, reduce_tracks
-from stereophd.core.multi.pmb_update import update_tracks
+from stereophd.core.multi.pmb_reduce import reduce_tracks
+from stereophd.core.multi.pmb_update import associate_tracks
 from stereophd.core.multi.undetected import reduction_for_births
 from stereophd.core.numerics.compilation import compiled
 
@@ -78,7 +79,7 @@ class PmbFilter(DisparityFilter):
         integers = np.empty(0, dtype=np.int64)
         return (
             (association_marginals, (integers, integers, np.empty(0), 0, 0)),
-            (reduce_tracks, (empty_mixture(self.state_size), self.reduction)),
+            (reduce_tracks, (empty_mixture(self.state_size), Existences(integers, np.empty(0)), self.reduction)),
         )
 
     def compile_tests(self) -> None:
@@ -125,10 +126,14 @@ def _update(
     reduction: PmbReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None]:
-    """`update_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
+    """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
     event = with_newborns(detected, prior, mixture.means.shape[1])
-    updated, log_likelihood, by = update_tracks(mixture, moved, event, numbers, reduction.prune_weight)
-    labels, detections = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
-    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
-    reduced, expected = reduce_tracks(updated, reduction)
+    outcomes, log_likelihood = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
+    known, weights, made = outcomes.labels, outcomes.weights, outcomes.made
+    labels, detections = detected_labels(known, weights, len(mixture.weights), made)
+    claims = claims_of(known, weights, len(mixture.weights), made) if with_claims else None
+    chosen, tracks = choose_hypotheses(outcomes, reduction)
+    reduced, expected = reduce_tracks(
+        make_hypotheses(mixture, moved, event, numbers, outcomes, chosen), tracks, reduction
+    )  # fmt: skip
     return reduced, log_likelihood, expected, labels, detections, claims

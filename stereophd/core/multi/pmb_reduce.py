@@ -7,11 +7,11 @@ and improbable tracks are recycled into the intensity of undetected objects.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.multi.hypotheses import Existences, PmbReduction, group
 from stereophd.core.multi.mixture import (
     UNLABELLED,
     GaussianMixture,
@@ -20,7 +20,6 @@ from stereophd.core.multi.mixture import (
     slice_components,
     take_components,
 )
-from stereophd.core.multi.pmb_update import group
 from stereophd.core.multi.reduce import merge_sorted
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
@@ -35,37 +34,21 @@ MOST_EXISTENCE = 1.0 - 1e-9
 LAST = np.iinfo(np.int64).max
 
 
-class PmbReduction(NamedTuple):
-    """Settings of the reduction: the fields of `PmbSettings` with the same names."""
-
-    recycle_below: float
-    prune_weight: float
-    merge_distance: float
-    max_components: int
-    hypothesis_distance: float
-    least_share: float
-
-
 @compiled
-def reduce_tracks(mixture: GaussianMixture, settings: PmbReduction) -> tuple[GaussianMixture, float]:
-    """Reduce a mixture after an update.
+def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbReduction) -> tuple[GaussianMixture, float]:
+    """Reduce a mixture after an update, of tracks of a known existence.
 
     Returns
     -------
     mixture : GaussianMixture
-        Tracks, ordered by label and then by falling weight, then the intensity of undetected objects.
+        Existences, ordered by label and then by falling weight, then the intensity of undetected objects.
     expected : float
         Sum of the existences of the tracks.
     """
     prune_weight, hypothesis_distance = settings.prune_weight, settings.hypothesis_distance
     weights, labels = mixture.weights, mixture.labels
-    member, n_groups = group(labels)
-    existence = np.zeros(n_groups)
-    names = np.empty(n_groups, dtype=np.int64)
-    for k in range(len(weights)):
-        names[member[k]] = labels[k]
-        existence[member[k]] += weights[k]
-    _keep_most_probable(existence, names, settings.max_components)
+    names, existence = known
+    member = np.searchsorted(names, labels)
     index, kept_weights = _drop_negligible(mixture, member, existence, prune_weight, settings.least_share)
     hypotheses = _merge_hypotheses(mixture, index, kept_weights, hypothesis_distance)
     held = existence[np.searchsorted(names, hypotheses.labels)] >= settings.recycle_below
@@ -84,19 +67,6 @@ def reduce_tracks(mixture: GaussianMixture, settings: PmbReduction) -> tuple[Gau
     if changed:
         out = _concatenate(joined, slice_components(out, first, len(out.weights)))
     return out, joined.weights.sum()
-
-
-@compiled
-def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> None:
-    """Set the existence of all but the most probable tracks to 0."""
-    if len(existence) <= max_tracks:
-        return
-    found = 0
-    for g in stable_order(-existence):
-        if names[g] != UNLABELLED:
-            found += 1
-            if found > max_tracks:
-                existence[g] = 0.0
 
 
 @compiled

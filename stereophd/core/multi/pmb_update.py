@@ -13,6 +13,7 @@ detection out among the alternatives, w_hj = m_ij p_h l_hj / sum_h p_h l_hj.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +21,11 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association import kalman_updates, pair_likelihoods
 from stereophd.core.multi.exact_association import association_marginals
+from stereophd.core.multi.hypotheses import Outcomes, group
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
-from stereophd.core.multi.outcomes import allocate_outcomes, fill_missed
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+from stereophd.core.numerics.sorting import picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -37,23 +38,10 @@ LEAST_SHARE = 1e-4
 
 
 @compiled
-def group(keys: Integers) -> tuple[Integers, int]:
-    """Number equal keys alike: the number of each key (n,) in order of the keys, and how many there are."""
-    order = stable_order(keys)
-    member = np.empty(len(keys), dtype=np.int64)
-    count = 0
-    for i in range(len(keys)):
-        if i > 0 and keys[order[i]] != keys[order[i - 1]]:
-            count += 1
-        member[order[i]] = count
-    return member, count + 1 if len(keys) > 0 else 0
-
-
-@compiled
-def update_tracks(
+def associate_tracks(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, prune_weight: float
-) -> tuple[GaussianMixture, float, Integers]:
-    """Update tracks and the intensity of undetected objects; no reduction.
+) -> tuple[Outcomes, float]:
+    """Share the detections of an event out among tracks, the intensity of undetected objects, clutter and new objects.
 
     Parameters
     ----------
@@ -63,16 +51,14 @@ def update_tracks(
         The same components in the event's space.
     event, numbers : EventArrays, EventNumbers
     prune_weight : float
-        Hypotheses far below this weight are not made.
+        Pairs far below this weight are left out.
 
     Returns
     -------
-    mixture : GaussianMixture
-        Missed components, detected ones, and one new track a detection, in this order.
+    outcomes : Outcomes
+        Missed components, detected ones, and one new track a detection.
     log_likelihood : float
         Of the event's detections, per distorted pixel: the value of the association problem.
-    updated : array of int
-        Detection of each detected component.
     """
     weights, labels = mixture.weights, mixture.labels
     points, noises, areas, delays, _, _ = event
@@ -107,47 +93,91 @@ def update_tracks(
     for j in range(n_detections):
         log_likelihood += math.log(background[j])
 
-    # a track claims a detection as a whole: the pairs of its alternatives are one pair
     claiming = places(claims)
-    pair, n_pairs = group(picked(member, picked(components, claiming)) * n_detections + picked(detections, claiming))
-    owners = np.empty(n_pairs, dtype=np.int64)
-    wanted = np.empty(n_pairs, dtype=np.int64)
-    claim = np.zeros(n_pairs)
-    for i in range(len(claiming)):
-        p = claiming[i]
-        owners[pair[i]], wanted[pair[i]] = member[components[p]], detections[p]
-        claim[pair[i]] += joint[p]
-    odds = claim / (picked(missed, owners) * picked(background, wanted))
-    share, untouched, unclaimed, log_bethe = association_marginals(owners, wanted, odds, n_groups, n_detections)
+    claim = _track_claims(member, components, detections, joint, claiming, n_detections)
+    odds = claim.sums / (picked(missed, claim.owners) * picked(background, claim.wanted))
+    share, untouched, unclaimed, log_bethe = association_marginals(
+        claim.owners, claim.wanted, odds, n_groups, n_detections
+    )
 
-    taken = np.empty(len(claiming))
-    for i in range(len(claiming)):
-        p = claiming[i]
-        taken[i] = share[pair[i]] * joint[p] / claim[pair[i]] if claim[pair[i]] > 0.0 else 0.0
+    taken = np.empty(len(claim.order))
+    for i in range(len(taken)):
+        whole = claim.sums[claim.pair[i]]
+        taken[i] = share[claim.pair[i]] * joint[claim.order[i]] / whole if whole > 0.0 else 0.0
     kept = places(taken >= LEAST_SHARE * prune_weight)
-    chosen = picked(claiming, kept)
+    chosen = picked(claim.order, kept)
     owned, made = picked(components, chosen), picked(detections, chosen)
-    out = allocate_outcomes(mixture, owned, numbers, n_detections)
-    still = untouched / missed
-    remaining = weights - detected
-    for k in range(count):
-        if labels[k] != UNLABELLED:
-            remaining[k] *= still[member[k]]
-    fill_missed(mixture, moved, remaining, numbers, out)
-    means, covariances = kalman_updates(moved.means, moved.covariances, owned, made, points, noises, delays)
     existence = unclaimed * first / background
     new_means, new_covariances = _first_detections(
         moved, event, existence, birth / first, components, detections, joint, claims, first, prune_weight
     )
-    out_weights, out_means, out_covariances = out.weights, out.means, out.covariances
+    out_labels = np.empty(count + len(chosen) + n_detections, dtype=np.int64)
+    out_weights = weights - detected
+    still = untouched / missed
+    for k in range(count):
+        out_labels[k] = labels[k]
+        if labels[k] != UNLABELLED:
+            out_weights[k] *= still[member[k]]
+    out_weights = np.concatenate((out_weights, picked(taken, kept), existence))
     for i in range(len(chosen)):
-        out_weights[count + i] = taken[kept[i]]
-        copy_gaussian(means, covariances, i, out_means, out_covariances, count + i)
-    end = count + len(chosen)
+        out_labels[count + i] = labels[owned[i]]
     for j in range(n_detections):
-        out_weights[end + j] = existence[j]
-        copy_gaussian(new_means, new_covariances, j, out_means, out_covariances, end + j)
-    return out, log_likelihood + log_bethe, made
+        out_labels[count + len(chosen) + j] = numbers.next_label + j
+    return Outcomes(out_labels, out_weights, owned, made, new_means, new_covariances), log_likelihood + log_bethe
+
+
+class TrackClaims(NamedTuple):
+    """Pairs of a track and a detection: a track claims a detection as a whole, with all its alternatives.
+
+    Attributes
+    ----------
+    owners, wanted : arrays (n,) of int
+        Track and detection of each pair, in order of both.
+    sums : array (n,)
+        Sum over the alternatives.
+    order : array (c,) of int
+        Places of the alternatives among all pairs of a component and a detection.
+    pair : array (c,) of int
+        Pair of each of them.
+    """
+
+    owners: Integers
+    wanted: Integers
+    sums: Array
+    order: Integers
+    pair: Integers
+
+
+@compiled
+def _track_claims(
+    member: Integers, components: Integers, detections: Integers, joint: Array, claiming: Integers, n_detections: int
+) -> TrackClaims:
+    """Add up the pairs (p,) of components, of those `claiming`, by their track (`member`) and detection."""
+    # the components of a track follow one another, but for those that came by other ways
+    order = picked(claiming, stable_order(picked(member, picked(components, claiming))))
+    owners, wanted = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
+    sums, pair = np.empty(len(order)), np.empty(len(order), dtype=np.int64)
+    place = np.full(n_detections, -1)
+    found, start = 0, 0
+    while start < len(order):
+        track, end, first = member[components[order[start]]], start, found
+        while end < len(order) and member[components[order[end]]] == track:
+            j = detections[order[end]]
+            if place[j] < 0:
+                place[j], wanted[found] = found, j
+                found += 1
+            end += 1
+        sorted_ones = picked(wanted[first:found], stable_order(wanted[first:found]))
+        for i in range(len(sorted_ones)):
+            j = sorted_ones[i]
+            place[j], wanted[first + i], owners[first + i], sums[first + i] = first + i, j, track, 0.0
+        for i in range(start, end):
+            pair[i] = place[detections[order[i]]]
+            sums[pair[i]] += joint[order[i]]
+        for i in range(first, found):
+            place[wanted[i]] = -1
+        start = end
+    return TrackClaims(owners[:found], wanted[:found], sums[:found], order, pair)
 
 
 @compiled

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
-from stereophd.core.simulation.objects import BoolArray, MovingObject, StateWindow, state_windows
+from stereophd.core.simulation.objects import BoolArray, SceneObject, StateWindow, state_windows
 from stereophd.core.simulation.timing import FloatArray, IntArray, TimeGrid, instants
 
 # Label of a false detection.
@@ -31,14 +31,14 @@ class Scene:
     cameras : tuple of Camera
     grid : TimeGrid
         Its schedules are those of `cameras`, in order.
-    objects : tuple of MovingObject
+    objects : tuple of SceneObject
     motion : Motion
-        Of the objects.
+        Of those objects that a motion model moves.
     """
 
     cameras: tuple[Camera, ...]
     grid: TimeGrid
-    objects: tuple[MovingObject, ...]
+    objects: tuple[SceneObject, ...]
     motion: Motion
 
     def windows(self) -> Iterator[StateWindow]:

@@ -1,9 +1,10 @@
-"""How the objects of a scene move: by a motion model, discretised exactly."""
+"""How the objects of a scene move: by a motion model, discretised exactly, or with a body."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,41 @@ class MovingObject:
     position: FloatArray
     velocity: FloatArray
     noise_seed: int
+
+    def path(self, motion: Motion) -> Path:
+        """Return its path by a motion model."""
+        return Path(self, motion)
+
+
+class SomePath(Protocol):
+    """What gives the states of an object at ascending instants."""
+
+    def states(self, times_s: FloatArray) -> FloatArray:
+        """Return position and velocity (n, 6), world frame, at ascending true times (n,) of its life."""
+        ...
+
+
+class SceneObject(Protocol):
+    """An object of a scene: `MovingObject`, or a point of a body (`stereophd.core.simulation.bodies`)."""
+
+    @property
+    def object_id(self) -> int:
+        """Its label in the truth."""
+        ...
+
+    @property
+    def birth_s(self) -> float:
+        """First true time of its life."""
+        ...
+
+    @property
+    def death_s(self) -> float:
+        """Last true time of its life."""
+        ...
+
+    def path(self, motion: Motion) -> SomePath:
+        """Return its path; what a motion model moves follows `motion`."""
+        ...
 
 
 class Path:
@@ -101,22 +137,22 @@ class StateWindow:
     states: FloatArray
 
 
-def state_windows(objects: Sequence[MovingObject], grid: TimeGrid, motion: Motion) -> Iterator[StateWindow]:
+def state_windows(objects: Sequence[SceneObject], grid: TimeGrid, motion: Motion) -> Iterator[StateWindow]:
     """Yield the states of all objects, window by window, in memory that does not grow with the run.
 
     Parameters
     ----------
-    objects : sequence of MovingObject
+    objects : sequence of SceneObject
     grid : TimeGrid
         Instants of the run.
     motion : Motion
     """
     waiting = sorted(objects, key=lambda item: (item.birth_s, item.object_id), reverse=True)
-    living: dict[int, tuple[MovingObject, Path]] = {}
+    living: dict[int, tuple[SceneObject, SomePath]] = {}
     for lower_s, upper_s in grid.windows():
         while waiting and waiting[-1].birth_s < upper_s:
             born = waiting.pop()
-            living[born.object_id] = (born, Path(born, motion))
+            living[born.object_id] = (born, born.path(motion))
         times_s = grid.times(lower_s, upper_s)
         states = np.full((len(living), times_s.size, 6), np.nan)
         for row, (item, path) in enumerate(living.values()):

@@ -14,6 +14,7 @@ from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED, obser
 from stereophd.core.calibration.problem import SQUARED, Loss, Problem
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
 from stereophd.core.calibration.trajectories import (
+    KNOTS_PER_DETECTION,
     fit_states,
     interpolation,
     knot_spacing,
@@ -173,6 +174,19 @@ def test_knots_follow_a_manoeuvre_to_a_part_of_the_noise() -> None:
     interpolated = interpolation(knots, np.zeros(400, dtype=int), times)
     states = fit_states(knots, *interpolated, path, np.full(400, 0.1**-2))
     assert np.abs(positions(states, *interpolated) - path).max() < 0.05
+
+
+def test_knots_grow_with_the_detections_however_small_the_noise_seems() -> None:
+    motion = ConstantVelocity([0.5, 0.5, 0.5])
+    spans, counts = [(0.0, 20.0), (3.0, 5.0), (1.0, 1.0)], np.array([40, 9, 1])
+    spacing = knot_spacing(motion, 1e-9)
+    assert len(place_knots(spans, spacing, motion).times) > 100_000
+    knots = place_knots(spans, spacing, motion, counts)
+    np.testing.assert_array_equal(np.diff(knots.first), [KNOTS_PER_DETECTION * 40 + 1, KNOTS_PER_DETECTION * 9 + 1, 1])
+    usual = knot_spacing(motion, 10.0)
+    np.testing.assert_array_equal(
+        place_knots(spans, usual, motion, counts).times, place_knots(spans, usual, motion).times
+    )
 
 
 def test_motion_precision_has_no_say_on_straight_lines() -> None:

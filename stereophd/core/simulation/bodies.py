@@ -1,0 +1,131 @@
+"""Rigid bodies of a scene that sway and turn: the corners of a board, or the ends of a wand, in a hand.
+
+Each coordinate of a body's centre and of its rotation vector is a sum of harmonics of random period and phase: a smooth
+random path of stated standard deviation that stays near its middle however long the run is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.geometry.rotations import cross_matrices, rotations
+from stereophd.core.motion.base import Motion
+from stereophd.core.simulation.timing import FloatArray
+
+# Harmonics of each coordinate.
+HARMONICS = 4
+# Angle, rad, below which (a - sin a) / a^3 is taken from its series.
+SMALL_ANGLE = 1e-3
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body and its path.
+
+    Parameters
+    ----------
+    points : (n, 3)
+        Its points, in its own axes, length.
+    center : (3,)
+        World frame, where the origin of its axes is on average.
+    rotation : (3, 3)
+        From its axes to the world, on average.
+    start_s : float
+        True time from which the phases count.
+    amplitudes : (h, 6)
+        Of the harmonics: of the centre, length, and of the rotation vector in the axes of the world, rad.
+    frequencies, phases : (h, 6)
+        Of the harmonics, rad/s and rad.
+    """
+
+    points: FloatArray
+    center: FloatArray
+    rotation: FloatArray
+    start_s: float
+    amplitudes: FloatArray
+    frequencies: FloatArray
+    phases: FloatArray
+
+    @staticmethod
+    def drawn(
+        points: FloatArray,
+        center: FloatArray,
+        rotation: FloatArray,
+        std: FloatArray,
+        period_s: tuple[float, float],
+        start_s: float,
+        generator: np.random.Generator,
+    ) -> Body:
+        """Draw the path of a body.
+
+        Parameters
+        ----------
+        points, center, rotation, start_s
+            As of `Body`.
+        std : (6,)
+            Standard deviations, over time, of the centre, length, and of the rotation vector, rad.
+        period_s : (float, float)
+            Shortest and longest period of a harmonic, s; the logarithm of the period is uniform.
+        generator : numpy.random.Generator
+        """
+        shape = (HARMONICS, 6)
+        shortest, longest = np.log(period_s).tolist()
+        periods = np.exp(generator.uniform(shortest, longest, shape))
+        phases = generator.uniform(0.0, 2.0 * np.pi, shape)
+        amplitudes = np.broadcast_to(std * np.sqrt(2.0 / HARMONICS), shape)
+        return Body(points, center, rotation, start_s, amplitudes, 2.0 * np.pi / periods, phases)
+
+    def states(self, point: int, times_s: FloatArray) -> FloatArray:
+        """Return position and velocity (n, 6), world frame, of one point at true times (n,)."""
+        angles = self.frequencies * (times_s[:, None, None] - self.start_s) + self.phases
+        sway = (self.amplitudes * np.cos(angles)).sum(axis=1)
+        rate = -(self.amplitudes * self.frequencies * np.sin(angles)).sum(axis=1)
+        arm = rotations(sway[:, 3:]) @ (self.rotation @ self.points[point])
+        turning = _angular_velocities(sway[:, 3:], rate[:, 3:])
+        return np.concatenate([self.center + sway[:, :3] + arm, rate[:, :3] + np.cross(turning, arm)], axis=1)
+
+
+def _angular_velocities(vectors: FloatArray, rates: FloatArray) -> FloatArray:
+    """Angular velocities (n, 3), rad/s, of rotation vectors (n, 3), rad, that change at rates (n, 3), rad/s.
+
+    The left Jacobian of the rotation group (J. Sola et al., "A micro Lie theory", 2018, eq. 145).
+    """
+    angle = np.linalg.norm(vectors, axis=1)[:, None]
+    safe = np.maximum(angle, SMALL_ANGLE)
+    second = np.where(angle < SMALL_ANGLE, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
+    cross = cross_matrices(vectors)
+    once = np.einsum("nij,nj->ni", cross, rates)
+    twice = np.einsum("nij,nj->ni", cross, once)
+    return np.asarray(rates + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * once + second * twice)
+
+
+@dataclass(frozen=True)
+class BodyPoint:
+    """One point of a body, as an object of a scene.
+
+    Parameters
+    ----------
+    object_id : int
+        Its label in the truth.
+    body : Body
+    point : int
+        Which of its points.
+    birth_s, death_s : float
+        It exists at true times ``birth_s <= t <= death_s``.
+    """
+
+    object_id: int
+    body: Body
+    point: int
+    birth_s: float
+    death_s: float = np.inf
+
+    def path(self, _motion: Motion) -> BodyPoint:
+        """Return what gives its states: itself, for no motion model moves it."""
+        return self
+
+    def states(self, times_s: FloatArray) -> FloatArray:
+        """Return position and velocity (n, 6), world frame, at true times (n,)."""
+        return self.body.states(self.point, times_s)
