@@ -199,7 +199,10 @@ def _events_of(
     for place, frame in enumerate(frames.tolist()):
         one = order[ends[place] : ends[place + 1]]
         delays = camera.row_delays(pixels[one, 1])
-        event = Event(float(times[frame]), number, points[one], covariances[one], areas[one], delays)
+        lost = int(counts[place]) - len(one)
+        event = Event(
+            float(times[frame]), number, points[one], covariances[one], areas[one], delays, not_invertible=lost
+        )
         out.append((place, event, rows[one]))
     return out
 

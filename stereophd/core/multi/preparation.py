@@ -5,6 +5,7 @@ Two processes that share the folder of kept kernels compile from the two ends, s
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numba
@@ -36,6 +37,7 @@ def small_filter(kind: str) -> DisparityFilter:
     return built
 
 
+@cache
 def last_kernel(kind: str) -> Any:
     """Return the kernel that ends a filter's update: what is kept of it tells whether the filter has been compiled.
 
