@@ -128,6 +128,17 @@ WAYS = {
         ),
         4,
     ),
+    "smc of a lens and a clock": (
+        (
+            "calibration.posterior=smc",
+            "calibration.smc={particles: 8, moves: 1, max_events: 30}",
+            "calibration.priors.right.focal_std=0.05",
+            "calibration.priors.right.clock_offset_std_s=0.05",
+            "calibration.select=all",
+            *ONE_START,
+        ),
+        4,
+    ),
 }
 
 
