@@ -199,3 +199,24 @@ def test_a_log_of_many_cameras_says_what_is_left_out() -> None:
     nothing = CameraSample(CAMERAS[0], np.empty(0), np.empty(0, int), np.zeros(1, int), np.empty((0, 2)))
     geometry = Geometry([replace(nothing, camera=camera) for camera in cameras], (), (), ())
     assert [one.name for one in check_geometry(geometry, False)] == ["geometry.left_out"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("clutter", [0.0, 3.0], ids=["no clutter", "clutter"])
+def test_a_crowd_that_moves_far_between_frames_is_no_clutter(seed: int, clutter: float) -> None:
+    # twelve objects in 360 px that move by 9 to 36 px between frames: the gate of chains leaves the fast ones out
+    rng = np.random.default_rng(seed)
+    rate, phase = rng.uniform(0.05, 0.2, (2, 12)), rng.uniform(0.0, 2.0 * np.pi, (2, 12))
+    frames = []
+    for k in range(60):
+        swing = np.column_stack([np.sin(rate[0] * k + phase[0]), np.cos(rate[1] * k + phase[1])])
+        pixels = [400.0, 300.0] + 180.0 * swing + rng.normal(0.0, 1.0, (12, 2))
+        pixels = pixels[rng.random(12) < 0.9]
+        false = rng.uniform([0, 0], [799, 599], (rng.poisson(clutter), 2))
+        frames.append(Frame(k / RATE, 0, k, np.concatenate([pixels, false])))
+    (sample,) = sample_log(frames, CAMERAS[:1])
+    if clutter:
+        assert 1.5 <= sample.isolated_per_frame <= 4.0
+    else:
+        assert np.median(np.bincount(sample.frame_of[~sample.linked], minlength=60)) >= 1.0
+        assert sample.isolated_per_frame == 0.0

@@ -18,6 +18,7 @@ from stereophd.io.logs import Frame
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 # Frames of each camera that are kept.
 MOST_FRAMES = 3000
@@ -26,6 +27,8 @@ MOST_FRAMES = 3000
 BURST_SHARE, BURST_LEAST = 20, 1000
 # Candidate gates of a link, px.
 GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+# Standard deviations above chance from which steps beyond the gate are those of objects.
+LEAST_SURE = 4.0
 # Most pairs of pixels of which all distances are computed; beyond it a tree finds the nearest.
 ALL_DISTANCES = 20_000
 # Frames of the shortest track that counts.
@@ -76,7 +79,7 @@ class CameraSample:
         return _link(self)
 
     @cached_property
-    def linked(self) -> NDArray[np.bool_]:
+    def linked(self) -> Booleans:
         """Whether each detection (n,) belongs to a chain of frames."""
         linked = self.links >= 0
         linked[self.links[linked]] = True
@@ -105,10 +108,16 @@ class CameraSample:
 
     @property
     def isolated_per_frame(self) -> float:
-        """Median number of detections of a frame that belong to no chain: the median leaves out fast movements."""
+        """Median number of detections of a frame that belong to no chain: the median leaves out fast movements.
+
+        Objects near one another that move far between frames leave the gate of a chain too, all the time. What they
+        leave over in successive frames lies nearer together than in frames that lie far apart, unlike false detections,
+        and is not isolated.
+        """
         if not len(self.times):
             return 0.0
-        return float(np.median(np.bincount(self.frame_of[~self.linked], minlength=len(self.times))))
+        alone = ~(self.linked | _leaping(self))
+        return float(np.median(np.bincount(self.frame_of[alone], minlength=len(self.times))))
 
     @cached_property
     def noise_px(self) -> float | None:
@@ -187,19 +196,26 @@ def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
     )
 
 
-def _nearest(sample: CameraSample, step: int) -> tuple[Integers, Integers, Array]:
-    """Return mutually nearest detections of frames k and k + step: first, second, distance in px."""
+def _nearest(
+    sample: CameraSample, step: int, going: Booleans | None = None, coming: Booleans | None = None
+) -> tuple[Integers, Integers, Array]:
+    """Return mutually nearest detections of frames k and k + step: first, second, distance in px.
+
+    Among all detections, or among those (n,) of frame k that are `going` and those of frame k + step that are `coming`.
+    """
     first, second, distances = [], [], []
     for k in range(len(sample.times) - step):
-        a, b = sample.first[k], sample.first[k + 1]
-        c, d = sample.first[k + step], sample.first[k + step + 1]
-        if a == b or c == d:
+        here = np.arange(sample.first[k], sample.first[k + 1])
+        there = np.arange(sample.first[k + step], sample.first[k + step + 1])
+        here = here if going is None else here[going[here]]
+        there = there if coming is None else there[coming[there]]
+        if not (len(here) and len(there)):
             continue
-        distance, index, returned = _neighbours(sample.pixels[a:b], sample.pixels[c:d])
-        found = index < d - c
-        mutual = np.flatnonzero(found & (returned[np.where(found, index, 0)] == np.arange(b - a)))
-        first.append(a + mutual)
-        second.append(c + index[mutual])
+        distance, index, returned = _neighbours(sample.pixels[here], sample.pixels[there])
+        found = index < len(there)
+        mutual = np.flatnonzero(found & (returned[np.where(found, index, 0)] == np.arange(len(here))))
+        first.append(here[mutual])
+        second.append(there[index[mutual]])
         distances.append(distance[mutual])
     if not first:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
@@ -226,12 +242,41 @@ def _neighbours(here: Array, there: Array) -> tuple[Array, Integers, Integers]:
 def _link(sample: CameraSample) -> Integers:
     """Link detections of successive frames within the gate that gains most over frames that lie far apart."""
     following = np.full(len(sample.pixels), -1, dtype=np.int64)
-    first, second, distances = _nearest(sample, 1)
-    if not len(first):
-        return following
-    _, _, chance = _nearest(sample, max(2, min(len(sample.times) // 3, 200)))
-    expected = len(distances) / max(1, len(chance))
-    gains = [np.count_nonzero(distances <= gate) - expected * np.count_nonzero(chance <= gate) for gate in GATES_PX]
-    near = distances <= GATES_PX[int(np.argmax(gains))]
+    first, second, near, _ = _gated(sample, None, None)
     following[first[near]] = second[near]
     return following
+
+
+def _gated(
+    sample: CameraSample, going: Booleans | None, coming: Booleans | None
+) -> tuple[Integers, Integers, Booleans, float]:
+    """Mutually nearest detections of successive frames, whether they lie within the best gate, and how sure that is.
+
+    The gate is that which gains most over frames that lie far apart. The last value is its gain in standard deviations
+    of what chance gives.
+    """
+    first, second, distances = _nearest(sample, 1, going, coming)
+    if not len(first):
+        return first, second, np.empty(0, dtype=np.bool_), 0.0
+    _, _, chance = _nearest(sample, max(2, min(len(sample.times) // 3, 200)), going, coming)
+    expected = len(distances) / max(1, len(chance))
+    by_chance = np.array([expected * np.count_nonzero(chance <= gate) for gate in GATES_PX])
+    gains = np.array([np.count_nonzero(distances <= gate) for gate in GATES_PX]) - by_chance
+    best = int(np.argmax(gains))
+    # the expectation is itself a count, scaled
+    sure = gains[best] / np.sqrt((1.0 + expected) * max(by_chance[best], 1.0))
+    return first, second, distances <= GATES_PX[best], float(sure)
+
+
+def _leaping(sample: CameraSample) -> Booleans:
+    """Whether each detection (n,) has a step beyond the gate of the chains, among what the chains leave over."""
+    leaps = np.zeros(len(sample.pixels), dtype=np.bool_)
+    following = sample.links
+    going, coming = following < 0, np.ones(len(following), dtype=np.bool_)
+    coming[following[following >= 0]] = False
+    while True:
+        first, second, near, sure = _gated(sample, going, coming)
+        if sure < LEAST_SURE:
+            return leaps
+        leaps[first[near]], leaps[second[near]] = True, True
+        going[first[near]], coming[second[near]] = False, False

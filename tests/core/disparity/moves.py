@@ -9,6 +9,7 @@ must stay within five of these for their own N, in the worst of all coordinates.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -23,6 +24,14 @@ from tests.core.disparity.cases import converging, make_camera, make_space, orac
 
 METHODS = ("qmc", "particle", "adaptive", "unscented", "linear")
 REFERENCE_SAMPLES = 200_000
+
+
+@cache
+def reference_samples() -> np.ndarray:
+    """Standard normal samples (12, `REFERENCE_SAMPLES`) for reference moments."""
+    samples = np.random.default_rng(99).standard_normal((12, REFERENCE_SAMPLES))
+    samples.flags.writeable = False
+    return samples
 
 
 def sample_sets(method: str, samples: int, motion: Motion, seed: int = 1) -> SampleSets:
@@ -51,7 +60,7 @@ class Case:
         return oracle_trip(self.mean, self.covariance, samples, self.home, self.destination, self.dt, self.motion)
 
     def reference(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.trip(np.random.default_rng(99).standard_normal((12, REFERENCE_SAMPLES)))
+        return self.trip(reference_samples())
 
 
 def nearly_linear(size: int = 6) -> Case:
