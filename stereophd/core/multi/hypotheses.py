@@ -84,7 +84,7 @@ class Existences(NamedTuple):
     recycle_below: float
 
 
-class Choice(NamedTuple):
+class ChosenOutcomes(NamedTuple):
     """Outcomes worth making.
 
     Attributes
@@ -116,7 +116,7 @@ def group(keys: Integers) -> tuple[Integers, int]:
 
 
 @compiled
-def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Choice, Existences]:
+def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[ChosenOutcomes, Existences]:
     """Outcomes worth making, in their order: those of the most probable tracks that are no negligible part of theirs.
 
     With them, of the intensity of undetected objects, what is not below the pruning weight; and all tracks. Where they
@@ -144,13 +144,13 @@ def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Choic
         most = max(LEAST_BOUND, HYPOTHESES_A_DETECTION * len(outcomes.new_means))
     if count <= most:
         index = index[:count]
-        return Choice(index, picked(weights, index), 0), Existences(names, existence, settings.recycle_below)
+        return ChosenOutcomes(index, picked(weights, index), 0), Existences(names, existence, settings.recycle_below)
     recycle_below = max(settings.recycle_below, RECYCLE_BELOW)
     return _likeliest(outcomes, index[:count], member, n_groups, most), Existences(names, existence, recycle_below)
 
 
 @compiled
-def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: int, most: int) -> Choice:
+def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: int, most: int) -> ChosenOutcomes:
     """Return the heaviest of the outcomes with these indices.
 
     A detection that a hypothesis does not get remains undecided for it: its weight goes to the hypothesis as if the
@@ -182,7 +182,7 @@ def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: 
     for k in index:
         left_out += 0 if kept[k] else 1
     chosen = places(kept)
-    return Choice(chosen, picked(weights, chosen), left_out)
+    return ChosenOutcomes(chosen, picked(weights, chosen), left_out)
 
 
 @compiled
@@ -205,7 +205,7 @@ def make_hypotheses(
     event: EventArrays,
     numbers: EventNumbers,
     outcomes: Outcomes,
-    choice: Choice,
+    choice: ChosenOutcomes,
 ) -> GaussianMixture:
     """Return the chosen outcomes as components.
 
@@ -214,7 +214,7 @@ def make_hypotheses(
     mixture, moved, event, numbers
         The same as in `stereophd.core.multi.pmb_update.associate_tracks`.
     outcomes : Outcomes
-    choice : Choice
+    choice : ChosenOutcomes
     """
     chosen = choice.chosen
     out = allocate_mixture(len(chosen), mixture.means.shape[1])
