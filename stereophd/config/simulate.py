@@ -84,7 +84,7 @@ class SimulateConfig(Model):
 
     duration_s: PositiveDuration = parameter("frames lie in [start_s, start_s + duration_s)", unit="s")
     start_s: Time = parameter("true time of the start", default=0.0, unit="s")
-    frame_rate_hz: Rate = parameter("of cameras that state none", default=1.0, unit="Hz")
+    frame_rate_hz: Rate = parameter("frame rate of the cameras that state none", default=1.0, unit="Hz")
     objects: DrawnObjects | None = parameter("objects drawn at random", default=None)
     given: tuple[GivenObject, ...] = parameter("objects whose paths are given", default=())
     bodies: tuple[GivenBody, ...] = parameter("rigid bodies, each with several objects", default=())
@@ -92,12 +92,12 @@ class SimulateConfig(Model):
         "process noise, as motion.acceleration_std", default=0.0, unit="length/s^2"
     )
     motion: Motion | None = parameter(
-        "how the objects move; default the model of the section motion, its noise replaced by acceleration_std (of "
-        "static, constant_velocity)",
+        "how the objects move; by default as the model of the section motion, with the noise acceleration_std "
+        "in place of its own (models static and constant_velocity)",
         default=None,
     )
     truth_rate_hz: Rate | None = parameter(
-        "of truth.parquet; default every distinct frame time", default=None, unit="Hz"
+        "rate of the rows of truth.parquet; by default they are at every distinct frame time", default=None, unit="Hz"
     )
     object_id: bool = parameter("write the true object_id of each detection (-1 clutter) into the log", default=False)
 

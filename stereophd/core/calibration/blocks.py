@@ -48,7 +48,7 @@ class BlockPath:
     Attributes
     ----------
     evidence : LogEvidence
-        Of the whole log.
+        Evidence of the whole log.
     settings : SequentialSettings
     """
 
@@ -75,7 +75,7 @@ class BlockPath:
         annealed = [Stage(first, factor) for factor in self.settings.inflation]
         if not annealed or annealed[-1].inflation != 1.0:
             annealed.append(Stage(first, 1.0))
-        # the cost of a stage is that of its events, and a bridge takes as many steps as the data ask for
+        # the cost of a stage is that of its events, and a bridge takes as many steps as the data need
         ends = []
         while first < count:
             first = count if LAST_GROWTH * first >= count else 2 * first

@@ -134,9 +134,9 @@ class PoseSpread:
     rotation : float
         rad.
     direction : float
-        Of the translation from the reference, rad.
+        Standard deviation of the direction of the translation from the reference, rad.
     scale : float
-        Of the logarithm of its length.
+        Standard deviation of the logarithm of its length.
     center : float
         Length.
     """

@@ -130,7 +130,7 @@ class Scans:
     events : tuple of Event
         In order of true time, ties in the order of the cameras.
     times, cameras : arrays (e,)
-        Of the events.
+        True times, s, and indices of the cameras of the events.
     first : array (e + 1,) of int
         Event i has the detections first[i] to first[i + 1] - 1.
     points, precisions : arrays (n, 2), (n, 2, 2)

@@ -69,7 +69,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
     Parameters
     ----------
     labels, weights, n_missed, updated
-        As of `claims_of`; negative labels stand for objects never detected, and are left out.
+        The same as in `claims_of`; negative labels stand for objects never detected, and are left out.
 
     Returns
     -------

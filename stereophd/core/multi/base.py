@@ -202,7 +202,7 @@ class DisparityFilter(ABC):
 
     @cached_property
     def _left(self) -> list[Array]:
-        """Of the objects in view of each camera, the share (c,) that a frame leaves, for the frames of each camera."""
+        """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
         return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
     def expected_births(

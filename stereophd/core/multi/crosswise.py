@@ -62,7 +62,7 @@ class CrosswiseTest:
     rig : Rig
     motion : Motion
     samples : array (rows, s)
-        Of the moves.
+        Samples of the moves.
     birth : BirthPrior
     threshold : float
         Log-odds above which detections are exchanged.

@@ -1,4 +1,4 @@
-"""What filters return beside their state: the objects reported, and diagnostics of an event."""
+"""What filters return besides their state: the objects reported, and diagnostics of an event."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Info:
     detected : array of int
         Labels that the event detected (`stereophd.core.multi.attribution.detected_labels`).
     claims : Claims, optional
-        Which detections they were; None unless the filter is asked for them (`DisparityFilter.claims`).
+        Which detections they were; None unless `DisparityFilter.claims` is set.
     left_out : int
         Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
     burst : int

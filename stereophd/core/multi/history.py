@@ -29,7 +29,7 @@ class ClaimedDetections(NamedTuple):
     labels, detections : arrays (k,) of int
         Labels, and the detection that each claims or `UNDECIDED`.
     points, noises : arrays (m, 2), (m, 2, 2)
-        Of all detections: undistorted pixels and their covariances.
+        Undistorted pixels of all detections, and their covariances.
     delays : array (m,) or None
         As in `stereophd.core.disparity.events.Event`.
     """

@@ -41,7 +41,8 @@ class Outcomes(NamedTuple):
     Attributes
     ----------
     labels, weights : arrays (n + c + m,)
-        Of the components that the event missed, of those that it detected, and of one new track a detection.
+        Labels and weights of the components that the event missed, of those that it detected, and of one new track for
+        each detection.
     owned, made : arrays (c,) of int
         Component and detection of each pair.
     new_means, new_covariances : arrays (m, d), (m, d, d)
@@ -129,7 +130,7 @@ def make_hypotheses(
     Parameters
     ----------
     mixture, moved, event, numbers
-        As of `stereophd.core.multi.pmb_update.associate_tracks`.
+        The same as in `stereophd.core.multi.pmb_update.associate_tracks`.
     outcomes : Outcomes
     chosen : array (k,) of int
     """

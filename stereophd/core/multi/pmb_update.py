@@ -58,7 +58,7 @@ def associate_tracks(
     outcomes : Outcomes
         Missed components, detected ones, and one new track a detection.
     log_likelihood : float
-        Of the event's detections, per distorted pixel: the value of the association problem.
+        Log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
     """
     weights, labels = mixture.weights, mixture.labels
     points, noises, areas, delays, _, _ = event

@@ -185,7 +185,7 @@ class ExportOptions:
     rate_hz
         Times are resampled to this rate, by linear interpolation within a track; None: as in the source.
     tentative
-        Write tentative estimates beside the confirmed ones.
+        Write tentative estimates too, not only confirmed ones.
     """
 
     tracks: Sequence[int] | None = None

@@ -39,7 +39,7 @@ class CalibrationProblem:
     scale : ScaleMeasurement or None
         A known baseline.
     counts : dict
-        Of the log, as in ``report.json``.
+        Counts of the log, as in ``report.json``.
     """
 
     parameters: ParameterSet
@@ -107,7 +107,7 @@ def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:
         names = ", ".join(quantity.name for quantity in parameters.quantities)
         raise InputError(
             f"{loaded.path}: calibration.sequential.moves: expected rerun for cameras that move or have unknowns "
-            f"beside their pose ({names}), found none"
+            f"besides their pose ({names}), found none"
         )
 
 

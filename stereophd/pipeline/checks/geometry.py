@@ -48,7 +48,7 @@ class Geometry:
     samples : list of CameraSample
     pairs : tuple of Candidates
     given : tuple of Meeting
-        Of every pair, with the cameras as stated.
+        How well rays meet for every pair, with the cameras as stated.
     expected : tuple of float
         Excess that the configuration promises, pair by pair.
     """

@@ -69,7 +69,7 @@ class Candidates:
     a, b : int
         The cameras.
     detections : array (n,) of int
-        Of A.
+        Indices of the detections of A.
     times : array (n,)
         True times of these, s.
     pixels_a : array (n, 2)

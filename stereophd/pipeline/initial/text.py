@@ -31,7 +31,7 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     ----------
     draft : Draft
     version : str
-        Of the program.
+        Version of the program.
     source : str
         What the values are from, in words.
     cameras_file : str

@@ -113,7 +113,7 @@ class RecordChunks:
     folder : Path
         Made when there is something to keep.
     identity : str
-        Of configuration and log; files of another run are refused.
+        Identity of configuration and log; files of another run are refused.
     """
 
     def __init__(self, folder: Path, identity: str) -> None:
@@ -173,7 +173,7 @@ class RecordJournal:
     Parameters
     ----------
     folder, identity
-        As of `RecordChunks`.
+        The same as in `RecordChunks`.
     estimator : Estimator
         What runs.
     """
@@ -224,7 +224,7 @@ def journaled_records(
     Parameters
     ----------
     estimator, events, times, keep_events
-        As of `stereophd.pipeline.tracking.loop.run_estimator`; all events of the log.
+        The same as in `stereophd.pipeline.tracking.loop.run_estimator`; all events of the log.
     journal : RecordJournal
         Loaded.
 
