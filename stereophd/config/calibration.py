@@ -92,7 +92,7 @@ class LengthScale(Model):
 
     kind: Literal["length"] = parameter("what fixes the scale")
     length: PositiveLength = parameter(
-        "distance of two objects; of many pairs, the most frequent distance that the priors allow", unit="length"
+        "distance of two objects; among many pairs the most frequent distance that the priors allow", unit="length"
     )
     std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 

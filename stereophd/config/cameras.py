@@ -144,7 +144,7 @@ class CameraConfig(Model):
         "rolling shutter: a detection in row v was made readout_s * v / height after the time of its frame, s; "
         "negative: read from the bottom up",
         default=0.0,
-        advice="0 for a global shutter; of a rolling shutter at most the time between two frames.",
+        advice="0 for a global shutter; for a rolling shutter at most the time between two frames.",
     )
 
     @model_validator(mode="after")

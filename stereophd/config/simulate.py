@@ -31,8 +31,8 @@ class GivenObject(Model):
 
     position: Vector3 = parameter("position at birth_s", unit="length")
     velocity: Vector3 = parameter("velocity at birth_s", default=(0.0, 0.0, 0.0), unit="length/s")
-    birth_s: Time | None = parameter("first time; default the start of the run", default=None, unit="s")
-    death_s: Time | None = parameter("last time; default the end of the run", default=None, unit="s")
+    birth_s: Time | None = parameter("first time; by default the start of the run", default=None, unit="s")
+    death_s: Time | None = parameter("last time; by default the end of the run", default=None, unit="s")
 
 
 class DrawnObjects(Model):
@@ -46,7 +46,7 @@ class DrawnObjects(Model):
     )
     births_per_s: BirthsPerSecond = parameter("further objects appear at this rate", default=0.0, unit="1/s")
     mean_lifetime_s: PositiveDuration | None = parameter(
-        "mean of the exponential lifetime; default to the end of the run", default=None, unit="s"
+        "mean of the exponential lifetime; by default objects live until the end of the run", default=None, unit="s"
     )
 
 
@@ -69,7 +69,7 @@ class GivenBody(Model):
         unit="degrees",
     )
     period_s: tuple[PositiveDuration, PositiveDuration] = parameter(
-        "shortest and longest period of the harmonics that it sways by", default=(3.0, 12.0), unit="s"
+        "shortest and longest period of the harmonics of its motion", default=(3.0, 12.0), unit="s"
     )
 
     @model_validator(mode="after")

@@ -73,7 +73,7 @@ def read_checkpoint(path: Path, identity: str, classes: Iterable[type]) -> dict[
     path
         The file.
     identity
-        What it must have been written with.
+        The identity with which it must have been written.
     classes
         Dataclasses and named tuples that the parts may hold; those in their fields are found by their annotations.
 

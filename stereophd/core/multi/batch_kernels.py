@@ -195,8 +195,8 @@ def update_track_sets(
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
         outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, reduction.prune_weight)
-        chosen, tracks = choose_hypotheses(outcomes, reduction)
-        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, chosen), tracks, reduction)
+        choice, tracks = choose_hypotheses(outcomes, reduction)
+        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, choice), tracks, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]

@@ -87,6 +87,8 @@ class Info:
         Which detections they were; None unless `DisparityFilter.claims` is set.
     left_out : int
         Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
+    hypotheses_left_out : int
+        Hypotheses of tracks beyond the bound on their number (PMB).
     burst : int
         Detections that were taken as a burst of clutter (`stereophd.core.multi.undetected.burst_of`).
     """
@@ -98,3 +100,4 @@ class Info:
     claims: Claims | None = field(default=None, compare=False)
     left_out: int = field(default=0, compare=False)
     burst: int = field(default=0, compare=False)
+    hypotheses_left_out: int = field(default=0, compare=False)

@@ -213,7 +213,7 @@ class Format:
     Attributes
     ----------
     title
-        What it is, in a line.
+        Description in one line.
     read
         Reads files into a `ForeignRecording`; None: it is only written.
     recognises_cameras

@@ -1,4 +1,4 @@
-"""From a configuration and a log to the problem of a calibration."""
+"""Make the problem of a calibration from a configuration and a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a configuration to the unknowns of a calibration, and cameras drawn about them."""
+"""Make the unknowns of a calibration from a configuration, and draw wrong cameras from their priors."""
 
 from __future__ import annotations
 

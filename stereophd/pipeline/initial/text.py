@@ -33,7 +33,7 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     version : str
         Version of the program.
     source : str
-        What the values are from, in words.
+        Source of the values, in words.
     cameras_file : str
         Path of the cameras for a draft that holds none.
     """

@@ -156,7 +156,7 @@ class RecordChunks:
                     yield record
 
     def keep_only(self, spans: Sequence[tuple[float, float]]) -> None:
-        """Take over the first chunks, and forget the others."""
+        """Keep the first chunks, and remove the others."""
         self.spans = list(spans)
         kept = {self._path(number).name for number in range(len(self.spans))}
         for path in self.folder.glob("records-*.npz"):

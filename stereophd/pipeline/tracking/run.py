@@ -77,7 +77,7 @@ def reported_records(
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
 
-    With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs. With a
+    With `keep_events`, smoothed tracks reach back to detections that the filter did not assign to them. With a
     `journal` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
