@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from typing import Any
 
 import hypothesis
 import numpy as np
@@ -29,11 +30,31 @@ HANDLED_SIGNALS = tuple(
 )
 
 
+# The process that compiles the kernels of the filters before several workers start.
+COMPILING = pytest.StashKey["subprocess.Popen[bytes]"]()
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels of the filters before several workers start: each of them would compile them by itself."""
+    """Compile the kernels of the filters while the workers collect: each of them would compile them by itself.
+
+    One process does so: two that compile from both ends are hardly faster, and take half as much processor time again.
+    """
     several = config.getoption("numprocesses", None) and not config.getoption("collectonly")
     if several and not hasattr(config, "workerinput"):
-        subprocess.run([sys.executable, "-m", "stereophd.cli.app", "compile", "--jobs", "2", "-q"], check=False)
+        config.stash[COMPILING] = subprocess.Popen([sys.executable, "-m", "stereophd.cli.app", "compile", "-q"])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Tests begin when the kernels are there."""
+    node.config.stash[COMPILING].wait()
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """A run that ends before its tests began leaves no process behind."""
+    if compiling := config.stash.get(COMPILING, None):
+        compiling.kill()
+        compiling.wait()
 
 
 @pytest.fixture(autouse=True)

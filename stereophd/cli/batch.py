@@ -24,7 +24,7 @@ _PIPED_WIDTH = 180
 
 
 def are_many(paths: Sequence[Path]) -> bool:
-    """Whether paths, some of which may be patterns, name several files or none."""
+    """Return whether paths and patterns name several files, or none; the alternative is exactly one file."""
     from stereophd.pipeline.batch.names import expand
 
     return len(paths) > 1 or len(expand(paths)) > 1
@@ -39,7 +39,7 @@ def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = Fals
     found : mapping
         What `stereophd.pipeline.batch.run.run_batch` returns.
     strict : bool
-        Whether warnings of checks ask for exit code 1.
+        Whether the exit code is 1 if a check warns.
     """
     rows = found["logs"]
     if session.json:

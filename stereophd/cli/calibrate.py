@@ -10,7 +10,7 @@ import typer
 from stereophd.cli import options
 from stereophd.cli.batch import are_many, finish_batch
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
-from stereophd.errors import GateError
+from stereophd.errors import GateError, InputError
 
 
 class Require(StrEnum):
@@ -27,7 +27,7 @@ def calibrate_command(
     out: options.Out,
     cameras: options.Cameras = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", metavar="N", help="Processes (-1: all cores); the outputs do not depend on it.")
+        int, typer.Option("--jobs", metavar="N", help="Processes (-1: all cores); the results do not depend on it.")
     ] = -1,
     dask: options.Dask = None,
     resume: Annotated[
@@ -49,7 +49,9 @@ def calibrate_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Estimate camera poses from a detection log of moving objects: cameras.yaml, posterior and report.
+    """Estimate cameras (poses, and lenses and clocks if they have priors) from a detection log of moving objects.
+
+    Writes cameras.yaml, posterior.parquet, history.parquet and report.json.
 
     With several logs, each is calibrated separately and has a folder in DIR; DIR/summary.parquet has a row for each.
     """
@@ -63,6 +65,8 @@ def calibrate_command(
             found = calibrate_logs(loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least)
         finish_batch(session, found, strict)
         return
+    if dask is not None:
+        raise InputError("--dask: expected several logs, found one; its starts run on the processes of --jobs")
     from stereophd.commands.calibrate import calibrate
     from stereophd.pipeline.batch.names import expand
 

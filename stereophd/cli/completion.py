@@ -55,7 +55,7 @@ def _configuration() -> Any:
     from stereophd.config.yaml import read_yaml
     from stereophd.errors import InputError
 
-    # The parser gives up at an option without a value, so that only the line itself names the file. Bash and the
+    # The parser stops at an option without a value, so that only the line itself names the file. Bash and the
     # other shells hand it over under different names.
     line = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS", "")
     path = next((Path(word) for word in line.split() if word.endswith((".yaml", ".yml"))), None)

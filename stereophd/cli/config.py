@@ -81,7 +81,7 @@ def schema_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Print the JSON schema of a configuration, which editors use (with or without --json)."""
+    """Print the JSON schema of a configuration, which editors use. --json changes nothing."""
     from stereophd.config.loading import schema_text
 
     print_data(schema_text().rstrip("\n"))

@@ -23,6 +23,8 @@ OF_TRACKS = (
     "tentative", "align", "align_clock", "plots", "jobs", "dask",
 )  # fmt: skip
 OF_CAMERAS = ("config", "seed")
+# Options that only folders of runs have.
+OF_FOLDERS = ("jobs", "dask")
 
 
 def evaluate_command(
@@ -97,6 +99,7 @@ def evaluate_command(
             found = evaluate_runs(tracks, truth, out, force, progress, jobs, dask, **words)
         finish_batch(session, found)
         return
+    _refuse(context, OF_FOLDERS, "folders of runs, found one run")
     from stereophd.commands.evaluate import evaluate
 
     score = partial(evaluate, tracks, truth, out, force=force, **words)

@@ -69,7 +69,7 @@ Within = Annotated[float | None, option("--within", "S", "Time span of --seen-by
 Ospa2Window = Annotated[
     int, typer.Option("--ospa2-window", metavar="SCANS", min=1, help="Scored scans in a window of OSPA(2).")
 ]
-Tentative = Annotated[bool, typer.Option("--tentative", help="Score tentative estimates beside the confirmed ones.")]
+Tentative = Annotated[bool, typer.Option("--tentative", help="Score tentative estimates too, not only confirmed ones.")]
 Align = Annotated[
     Alignment,
     typer.Option(

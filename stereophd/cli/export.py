@@ -26,7 +26,7 @@ def export_command(
     track: Annotated[list[int] | None, options.option("--track", "ID", "Write this track only (repeatable).")] = None,
     rate: Annotated[float | None, options.option("--rate", "HZ", "Resample the tracks to this rate.", min=1e-9)] = None,
     tentative: Annotated[
-        bool, typer.Option("--tentative", help="Write tentative estimates beside the confirmed ones.")
+        bool, typer.Option("--tentative", help="Write tentative estimates too, not only confirmed ones.")
     ] = False,
     force: options.Force = False,
     json: options.Json = False,

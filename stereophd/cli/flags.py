@@ -1,7 +1,7 @@
-"""Options in messages: the package names parameters of its functions, the command line its options.
+"""Translation of messages: names of parameters become options of the command line.
 
-A message from below names a parameter in backquotes, such as ``use `force=True` to replace it``. A caller from Python
-reads it unchanged; here it becomes ``use --force to replace it``.
+The messages of the package name parameters of its functions in backquotes, such as ``use `force=True` to replace it``.
+A caller from Python reads them unchanged. The command line translates them: ``use --force to replace it``.
 """
 
 from __future__ import annotations

@@ -39,7 +39,9 @@ def init_command(
     cameras: Annotated[
         Path | None,
         options.option(
-            "--cameras", "FILE", "Cameras, native or of another program; default: cameras.yaml beside the log."
+            "--cameras",
+            "FILE",
+            "Cameras, native or of another program; default: cameras.yaml in the log's folder.",
         ),
     ] = None,
     length_unit: Annotated[
@@ -50,7 +52,7 @@ def init_command(
         ObjectKind | None,
         typer.Option(
             "--kind",
-            help="Kind of the objects, for values that the log does not give; default lab.",
+            help="Kind of the objects, for values that the log does not show; default lab.",
             show_default=False,
         ),
     ] = None,
@@ -61,7 +63,7 @@ def init_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Write a commented configuration; estimate its values from a log and cameras where these are informative."""
+    """Write a commented configuration, with values estimated from a log and cameras as far as these show them."""
     session = begin(context)
     from stereophd.commands.init import init
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and the like end a run as exceptions, so that unfinished outputs are removed on the way out.
+"""Signals such as Ctrl-C end a run by an exception, so that unfinished outputs are removed before it exits.
 
 The first signal raises an exception. Python prints and drops an exception that a signal raises inside a destructor or
 inside a callback from compiled code, as the compiler of the kernels uses. This module suppresses the print and raises

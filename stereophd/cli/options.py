@@ -46,7 +46,8 @@ Logs = Annotated[
 ]
 Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
 Dask = Annotated[
-    str | None, option("--dask", "ADDRESS", "Run on the workers of a Dask cluster, such as tcp://host:8786.")
+    str | None,
+    option("--dask", "ADDRESS", "Run the parts (logs, pieces, runs) on a Dask cluster, such as tcp://host:8786."),
 ]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]
 
@@ -77,8 +78,8 @@ Plots = Annotated[
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
-ForceSize = Annotated[bool, typer.Option("--force-size", help="Run even if that takes very long or much room.")]
-# Callbacks put the values of the following four into the session, where the commands read them.
+ForceSize = Annotated[bool, typer.Option("--force-size", help="Run even if that takes very long or much disk space.")]
+# The callbacks of Json, Quiet, Verbose and Debug put their values into the session, where the commands read them.
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON document.", callback=_to_session("json"), is_eager=True)
 ]

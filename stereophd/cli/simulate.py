@@ -26,7 +26,10 @@ def simulate_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Simulate a scene: detections.parquet, truth.parquet and cameras.yaml."""
+    """Simulate a scene: detections.parquet, truth.parquet and cameras.yaml.
+
+    If the configuration has a section calibration, guess.yaml is written too: wrong cameras for calibrate.
+    """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
     from stereophd.commands.simulate import simulate

@@ -1,4 +1,4 @@
-"""Tables for the terminal."""
+"""Tables that the command line prints on the terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-# One row: what it is, its value, and what else there is to know.
+# One row: name, value, and a note (may be empty).
 Row = tuple[str, str, str]
 
 
@@ -107,7 +107,7 @@ def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
         if report["alignment"]["clock"]:
             yield "  clock aligned", _number(clock["shift_s"], " s"), f"rate {clock['rate']:.7g}"
     if report["tentative"]:
-        yield "  tentative estimates", "", "scored beside the confirmed ones"
+        yield "  tentative estimates", "", "scored together with the confirmed ones"
     if report["seen_by"] is not None:
         seen = report["seen_by"]
         yield "  only objects", "", f"seen by {seen['cameras']} cameras within {seen['within_s']:g} s"

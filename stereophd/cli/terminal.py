@@ -1,4 +1,4 @@
-"""Printing of commands: data on stdout, progress and messages on stderr."""
+"""What commands print: data on stdout, progress and messages on stderr."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def load(config: Path, overrides: list[str] | None, seed: int | None, cameras: P
 
 
 def print_data(text: str) -> None:
-    """Print data on stdout; whoever reads it may have had enough (``| head``)."""
+    """Print data on stdout, which the reader may close before the end (``| head``)."""
     with quiet_pipe():
         print(text, flush=True)
 
@@ -64,7 +64,7 @@ def quiet_pipe() -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:
-        # Python flushes stdout once more on its way out: that must not fail again.
+        # Python flushes stdout once more when it exits, and that must not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(EXIT_BROKEN_PIPE) from None
 
@@ -115,7 +115,7 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
             # A table: the file holds it, the summary counts its rows.
             yield f"{prefix}{key}: {len(value)}"
         elif value is None or (prefix == "input." and value == 0):
-            # what was not asked for or did not happen; the file has it all
+            # The summary leaves out what the run did not do or did not find; the file states it.
             continue
         elif isinstance(value, list):
             yield f"{prefix}{key}: {', '.join(map(str, value))}"
@@ -125,7 +125,7 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 @contextlib.contextmanager
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
-    """Give a function (done, total) for the steps of a run: it moves a bar on stderr if anybody sees it."""
+    """Yield a function (done, total) for the steps of a run: it moves a bar on stderr if that is a terminal."""
     if session.quiet or not sys.stderr.isatty():
         yield lambda done, total: interrupts.check()
         return

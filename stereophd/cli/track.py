@@ -18,7 +18,15 @@ def track_command(
     log: options.Logs,
     out: options.Out,
     cameras: options.Cameras = None,
-    jobs: options.Jobs = 1,
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs",
+            metavar="N",
+            min=1,
+            help="Processes for several logs, or for the pieces of one; the results do not depend on it.",
+        ),
+    ] = 1,
     dask: options.Dask = None,
     threads: Annotated[
         int, typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it.")
@@ -28,7 +36,8 @@ def track_command(
         options.option(
             "--pieces",
             "S",
-            "Cut the log into pieces of at most S seconds, track them independently, and join their tracks.",
+            "Cut the log into pieces of S seconds, track them independently, and join their tracks. The last piece is "
+            "shorter, or longer by up to the overlap.",
         ),
     ] = None,
     overlap: Annotated[
@@ -63,13 +72,15 @@ def track_command(
     """
     session = begin(context)
     if overlap is not None and pieces is None:
-        raise InputError("--overlap: expected --pieces S beside it, found none")
+        raise InputError("--overlap: expected --pieces S too, found none")
     loaded = load(config, overrides, seed, cameras)
     wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
     wanted += ["report.associations=true"] if associations or plots else []
     if wanted:
         loaded = load(config, [*(overrides or []), *wanted], seed, cameras)
     many = are_many(log)
+    if dask is not None and not many and pieces is None:
+        raise InputError("--dask: expected several logs, or --pieces S for one, found one log without")
     try:
         with progress_bar(session, "track") as progress:
             if many:

@@ -66,8 +66,8 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def checkpoint_path(out_dir: Path | str) -> Path:
-    """Where the checkpoint of a run into a folder lies: beside the folder."""
-    folder = Path(os.path.abspath(out_dir))  # a name of its own, of the current folder too
+    """Return the path of the checkpoint of a run: next to its output folder, with the ending ``.checkpoint``."""
+    folder = Path(os.path.abspath(out_dir))  # An absolute path has a name, also that of the current folder.
     if not folder.name:
         raise InputError(f"output folder {out_dir}: expected a folder in another, found the root folder")
     return folder.with_name(f"{folder.name}.checkpoint")

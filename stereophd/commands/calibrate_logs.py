@@ -18,7 +18,7 @@ from stereophd.pipeline.progress import Progress
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-# Columns of ``summary.parquet`` beside those of every batch; the standard deviations are the largest of the cameras.
+# Columns of ``summary.parquet`` besides those of every batch; the standard deviations are the largest of the cameras.
 COLUMNS = {
     "calibration": STRING,
     **dict.fromkeys(("frames", "detections"), INTEGER),
@@ -45,7 +45,7 @@ def calibrate_logs(
     Parameters
     ----------
     loaded : LoadedConfig
-        As of `stereophd.commands.calibrate.calibrate`.
+        The same as in `stereophd.commands.calibrate.calibrate`.
     logs : sequence of path
         Detection logs, or patterns.
     out_dir : path
@@ -62,7 +62,7 @@ def calibrate_logs(
     dask : str, optional
         Address of a Dask scheduler whose workers do the work instead.
     **options
-        As of `stereophd.commands.calibrate.calibrate`.
+        The same as in `stereophd.commands.calibrate.calibrate`.
 
     Returns
     -------

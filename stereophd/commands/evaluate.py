@@ -67,7 +67,7 @@ def evaluate(
     Parameters
     ----------
     tracks_path, truth_path : path
-        Tables as in ``docs/formats.md``. With ``scans.parquet`` beside the tracks every event is known, also
+        Tables as in ``docs/formats.md``. With ``scans.parquet`` in the folder of the tracks every event is known, also
         those that reported nothing; without it, the times of the truth stand in for them.
     out_dir : path, optional
         Where to write; nothing is written without it.
@@ -92,7 +92,7 @@ def evaluate(
     ospa2_window : int
         Number of scored scans in a window of OSPA(2).
     tentative : bool
-        Score tentative estimates beside the confirmed ones.
+        Score tentative estimates too, not only confirmed ones.
     align : str
         ``rigid``: score the tracks after the rotation and translation that bring them nearest to the truth, as those
         of cameras that calibrated themselves; ``similarity``: and after a change of scale.

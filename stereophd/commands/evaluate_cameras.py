@@ -194,7 +194,7 @@ def error_figures(estimated: list[Camera], true: list[Camera], reference: int) -
 
 
 def quantity_errors(estimated: list[Camera], true: list[Camera]) -> dict[str, Any]:
-    """Errors (estimated less true) of what the cameras have beside a pose, each in its unit; ratios are relative."""
+    """Return errors (estimated less true) of all quantities but poses, in their units; errors of factors are ratios."""
     out: dict[str, Any] = {}
     for one, other in zip(estimated, true, strict=True):
         figures = {}

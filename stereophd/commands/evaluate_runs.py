@@ -16,7 +16,7 @@ from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, run_batch
 from stereophd.pipeline.progress import Progress
 
-# Columns of ``summary.parquet`` beside those of every batch.
+# Columns of ``summary.parquet`` besides those of every batch.
 COLUMNS = {
     "scans": INTEGER,
     **dict.fromkeys(("ospa", "ospa2", "gospa", "rmse_position", "rmse_velocity", "cardinality_bias"), FLOAT),
@@ -51,9 +51,9 @@ def evaluate_runs(
     progress : callable, optional
         Called with the runs done and their number.
     jobs, dask : int, str
-        As of `stereophd.commands.track_logs.track_logs`.
+        The same as in `stereophd.commands.track_logs.track_logs`.
     **options
-        As of `stereophd.commands.evaluate.evaluate`.
+        The same as in `stereophd.commands.evaluate.evaluate`.
 
     Returns
     -------

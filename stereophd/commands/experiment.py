@@ -71,7 +71,7 @@ def experiment(
     progress : callable, optional
         Called with the runs done and their total.
     force_size : bool
-        Whether an experiment that takes very long is meant.
+        Whether to run even if that takes very long.
 
     Returns
     -------

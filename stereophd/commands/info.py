@@ -1,4 +1,4 @@
-"""Contents and origin of a file or an output folder."""
+"""Describe a file or an output folder: its contents and its origin."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ def info(path: Path | str) -> dict[str, Any]:
     -------
     dict
         ``path``, ``kind`` (``detections``, ``tracks``, ``truth``, ``cameras``, ``configuration``, ``report``,
-        ``folder``, or another kind of table), ``origin`` (command, version, seed, hashes; null if unknown), and what
-        the kind has. Of a folder, ``files`` has the same of each file, and ``origin`` is that of its report.
+        ``folder``, or another kind of table), ``origin`` (command, version, seed, hashes; null if unknown), and values
+        that depend on the kind. For a folder, ``files`` describes each file in the same way, and ``origin`` is that of
+        its report.
 
     Raises
     ------
     InputError
-        No such file, or one that is of no known kind.
+        The file does not exist, or its kind is unknown.
     """
     source = Path(path)
     if not source.exists():

@@ -32,7 +32,7 @@ def report(
     logs, truths : sequences of path
         Detection logs and truths that lie elsewhere.
     title : str
-        Of the page.
+        Title of the page.
     force : bool
         Whether an existing file may be replaced.
 

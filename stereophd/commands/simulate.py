@@ -31,12 +31,11 @@ if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.config.simulate import SimulateConfig
 
-# Called with (done, total): frames of a single run, runs of several.
-
 DETECTIONS_FILE = "detections.parquet"
 TRUTH_FILE = "truth.parquet"
 CAMERAS_FILE = "cameras.yaml"
-# Written for a scenario with a calibration section: cameras about which the true ones are a draw from the prior.
+# Written only if the configuration has a section `calibration`: cameras that differ from the true ones by a draw from
+# its priors.
 GUESS_FILE = "guess.yaml"
 FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
 
@@ -55,6 +54,9 @@ def simulate(
 ) -> dict[str, Any]:
     """Simulate the scene of a configuration and write ``detections.parquet truth.parquet cameras.yaml``.
 
+    If the configuration has a section ``calibration``, ``guess.yaml`` is written too: cameras that differ from the true
+    ones by a draw from its priors.
+
     Parameters
     ----------
     loaded : LoadedConfig
@@ -71,7 +73,7 @@ def simulate(
     progress : callable, optional
         Called with ``(done, total)``: frames of one run, runs of several.
     force_size : bool
-        Whether a run that takes very long, or much room on the disk, is meant.
+        Whether to run even if that takes very long or much disk space.
 
     Returns
     -------
@@ -146,7 +148,7 @@ def _simulate_one(task: tuple[LoadedConfig, int, dict[str, Path]]) -> dict[str, 
 
 
 def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None) -> dict[str, int]:
-    """Write the three files of one run, and return what they hold."""
+    """Write the files of one run, and return how many frames, detections and objects they hold."""
     config = loaded.config
     settings = config.simulate
     assert settings is not None  # checked in simulate
@@ -200,6 +202,6 @@ def _write_log(
 
 
 def _every(progress: Progress, total: int, done: int) -> None:
-    """Pass on only some of the frames, and the last: a display needs no more."""
+    """Call `progress` every `PROGRESS_EVERY` frames and at the last one, which is enough for a display."""
     if done % PROGRESS_EVERY == 0 or done == total:
         progress(done, total)

@@ -1,7 +1,7 @@
-"""Track the objects of a detection log: tracks, one row an event, and a report.
+"""Track the objects of a detection log: write the estimates, a table of events, and a report.
 
-Memory does not depend on the length of the log: frames are read as they come, and estimates are
-written as they are made (smoothing, which needs the whole run, holds it in memory).
+Frames are read and estimates are written one after the other, so that memory does not depend on the length of the log.
+Two cases differ: smoothing holds the whole run in memory, and a run in pieces holds one piece for each process.
 """
 
 from __future__ import annotations
@@ -89,14 +89,15 @@ def track(
     force : bool
         Whether the outputs of an earlier run may be replaced.
     threads : int
-        Threads of the sample trips; the outputs do not depend on it.
+        Threads that carry samples between disparity spaces; the outputs do not depend on it.
     progress : callable, optional
         Called with the rows done and their total.
     resume : bool
         Whether to continue an unfinished run of this configuration and log, and to leave the results of a finished
         one as they are; the outputs are those of an undisturbed run.
     pieces_s : float, optional
-        Longest piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
+        Length of a piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
+        The last piece is shorter, or longer by up to the overlap.
     overlap_s : float, optional
         Time before its own span from which a piece is tracked, s; by default 60, or the length of shorter pieces.
     jobs, dask : int, str
@@ -113,8 +114,8 @@ def track(
     Raises
     ------
     InputError
-        The configuration has no filter or no cameras; the log is not usable; the output folder is not
-        ours or cannot be written.
+        The configuration has no filter or no cameras; the log is not usable; the output folder holds
+        other files or cannot be written to.
     """
     loaded, motion = with_estimated_motion(loaded, log_path)
     tracking = build_tracking(loaded, threads)
@@ -174,7 +175,7 @@ class _Run:
         return joined
 
     def lasting(self, records: Iterator[Record]) -> Iterator[Record]:
-        """Leave out short tracks, if the configuration asks for it."""
+        """Leave out tracks shorter than ``report.min_track_length``."""
         least = self.loaded.config.report.min_track_length
         return lasting(records, least) if least > 0.0 else records
 

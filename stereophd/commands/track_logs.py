@@ -18,7 +18,7 @@ from stereophd.pipeline.unfinished import UNFINISHED_FILES
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-# Columns of ``summary.parquet`` beside those of every batch.
+# Columns of ``summary.parquet`` besides those of every batch.
 COLUMNS = {
     **dict.fromkeys(("frames", "detections", "tracks", "estimates"), INTEGER),
     **dict.fromkeys(("duration_s", "log_likelihood"), FLOAT),
@@ -55,7 +55,7 @@ def track_logs(
         ``summary.parquet``. NAME is the log's file name without its ending, or the name of its folder if the file is
         called ``detections.parquet``.
     force, threads, progress : bool, int, callable
-        As of `stereophd.commands.track.track`; `progress` is called with the logs done and their number.
+        The same as in `stereophd.commands.track.track`; `progress` is called with the logs done and their number.
     resume : bool
         Whether logs that are tracked already are left as they are.
     jobs : int
@@ -63,7 +63,7 @@ def track_logs(
     dask : str, optional
         Address of a Dask scheduler whose workers do the work instead.
     pieces_s, overlap_s, plots : float, float, bool, optional
-        As of `stereophd.commands.track.track`.
+        The same as in `stereophd.commands.track.track`.
 
     Returns
     -------

@@ -78,9 +78,9 @@ class Units(Model):
 class Range3(Model):
     """An axis-aligned box in the world."""
 
-    x: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
-    y: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
-    z: tuple[Coordinate, Coordinate] = parameter("from and to", unit="length")
+    x: tuple[Coordinate, Coordinate] = parameter("least and greatest x", unit="length")
+    y: tuple[Coordinate, Coordinate] = parameter("least and greatest y", unit="length")
+    z: tuple[Coordinate, Coordinate] = parameter("least and greatest z", unit="length")
 
     @model_validator(mode="after")
     def _order(self) -> Range3:

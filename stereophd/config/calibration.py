@@ -26,7 +26,9 @@ def _prior_field(quantity: Quantity) -> Any:
     """Type and description of the prior of a quantity."""
     size = len(quantity.components)
     if quantity.named:
-        names: Any = {name: (NonNegative, Field(0.0, description=f"of {name}")) for name in quantity.components}
+        names: Any = {
+            name: (NonNegative, Field(0.0, description=f"standard deviation of {name}")) for name in quantity.components
+        }
         named = create_model(f"{quantity.name.title()}Prior", __base__=Model, __doc__=quantity.description, **names)
         return (named | None, Field(None, description=quantity.description))
     one: Any = NonNegative
@@ -90,7 +92,7 @@ class LengthScale(Model):
 
     kind: Literal["length"] = parameter("what fixes the scale")
     length: PositiveLength = parameter(
-        "distance of two objects; of many pairs, the most frequent distance that the priors allow", unit="length"
+        "distance of two objects; among many pairs the most frequent distance that the priors allow", unit="length"
     )
     std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 
@@ -109,11 +111,11 @@ class CalibrationConfig(Model):
 
     method: Literal["annealed", "sequential"] = parameter("how the parameters are found", default="annealed")
     posterior: Literal["laplace", "smc"] = parameter(
-        "of method annealed: Gaussian at the optimum, or particles", default="laplace"
+        "posterior of method annealed: a Gaussian at the optimum, or particles", default="laplace"
     )
     reference: str = parameter("the camera whose pose is known and fixes the frame")
     priors: Annotated[dict[str, CameraPrior], Len(1)] = parameter(
-        "of the unknown cameras by name; a camera without a prior is known"
+        "priors of the unknown cameras by name; a camera without a prior is known"
     )
     shared: list[list[str]] = parameter(
         "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list
@@ -124,7 +126,7 @@ class CalibrationConfig(Model):
         default="auto",
     )
     select: Literal["auto", "all"] = parameter(
-        "which unknowns beside poses and clocks are estimated: all; auto: fewer of them if a smaller set predicts "
+        "which unknowns are estimated besides poses and clocks: all; auto: fewer of them if a smaller set predicts "
         "held-out stretches of the log better",
         default="auto",
     )

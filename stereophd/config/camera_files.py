@@ -1,4 +1,4 @@
-"""Files of cameras as trees: the native form, or a file of another program that its content shows."""
+"""Read files of cameras as YAML trees: native files, and files of other programs, recognised by their content."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class CameraTree:
     Attributes
     ----------
     tree
-        With the keys ``units`` and ``cameras``, if the file is well-formed.
+        The content of the file. A complete file has the keys ``units`` and ``cameras``.
     has_unit
         Whether the file (or its format) states the unit of length; if not, the unit of the configuration is assumed.
     sha256
-        Of the bytes that were read.
+        Hash of the bytes that were read.
     """
 
     tree: Tree
@@ -33,12 +33,12 @@ class CameraTree:
 
 
 def read_camera_tree(path: Path) -> CameraTree:
-    """Read a file of cameras.
+    """Read a file of cameras, native or of another program.
 
     Raises
     ------
     InputError
-        It cannot be read, or is of no known form.
+        The file cannot be read, or its format is unknown.
     """
     refused: InputError | None = None
     native: CameraTree | None = None
@@ -49,7 +49,7 @@ def read_camera_tree(path: Path) -> CameraTree:
         refused = error
     if native is not None and isinstance(native.tree.data, dict) and {"units", "cameras"} <= native.tree.data.keys():
         return native
-    # only now: the formats are not loaded for native files
+    # Imported here: native files do not need the other formats.
     from stereophd.io.interchange.camera_files import read_foreign_cameras
 
     foreign = read_foreign_cameras(path)

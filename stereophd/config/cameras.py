@@ -131,7 +131,7 @@ class CameraConfig(Model):
         DetectorConfig,
         BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
     ] = parameter("what its detector does, or estimate: all of it is estimated from the log (track)")
-    distortion: Distortion = parameter("of the lens", default_factory=NoDistortion)
+    distortion: Distortion = parameter("the distortion of the lens", default_factory=NoDistortion)
     frame_rate_hz: Rate | None = parameter(
         "frames per second (simulate)",
         default=None,
@@ -139,12 +139,12 @@ class CameraConfig(Model):
         advice="needed by simulate only; logs carry their times.",
     )
     phase_s: Time = parameter("time of the first frame after the start (simulate)", default=0.0, unit="s")
-    clock: ClockConfig = parameter("from the log's time to true time", default_factory=ClockConfig)
+    clock: ClockConfig = parameter("how the times of the log become true times", default_factory=ClockConfig)
     readout_s: Readout = parameter(
         "rolling shutter: a detection in row v was made readout_s * v / height after the time of its frame, s; "
         "negative: read from the bottom up",
         default=0.0,
-        advice="0 for a global shutter; of a rolling shutter at most the time between two frames.",
+        advice="0 for a global shutter; for a rolling shutter at most the time between two frames.",
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""The ``experiment`` section of a configuration: a scenario, methods, cases, a number of runs."""
+"""The ``experiment`` section of a configuration: its scenario, its methods, its cases and the number of runs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class OspaSettings(Model):
 
 
 class MultiObjectScenario(Model):
-    """The scene of ``simulate``, tracked by ``filter``, scored by OSPA over time."""
+    """A scenario in which ``filter`` tracks the scene of ``simulate``, and OSPA over time scores it."""
 
     kind: Literal["multi_object"] = parameter("what is run")
     tracker: Literal["filter", "known_association"] = parameter(
@@ -52,7 +52,7 @@ class MultiObjectScenario(Model):
         " a limit for all trackers of straight paths",
         default="filter",
     )
-    tentative: bool = parameter("whether tentative objects are scored beside the confirmed ones", default=False)
+    tentative: bool = parameter("whether tentative objects are scored too, not only confirmed ones", default=False)
     ospa: Annotated[tuple[OspaSettings, ...], Field(min_length=1)] = parameter("distances that are reported")
 
 
@@ -60,9 +60,9 @@ class LocalisationScenario(Model):
     """A static object observed by one camera after another, located by ``filter`` (kind single)."""
 
     kind: Literal["localisation"] = parameter("what is run")
-    position: Vector3 = parameter("of the object, in the world", unit="length")
+    position: Vector3 = parameter("position of the object in the world", unit="length")
     sequence: Annotated[tuple[str, ...], Field(min_length=1)] = parameter("name of the camera of each observation")
-    rounds: Count = parameter("how often the sequence is gone through", default=1)
+    rounds: Count = parameter("how often the sequence is repeated", default=1)
     interval_s: PositiveDuration = parameter("time between observations, for the figure", default=1.0, unit="s")
     bound_with_prior: bool = parameter("whether the bound counts the prior of the disparity", default=False)
 
@@ -71,10 +71,10 @@ class TrackingScenario(Model):
     """A moving object seen by all cameras at the same times, tracked by ``filter`` (kind single)."""
 
     kind: Literal["tracking"] = parameter("what is run")
-    position: Vector3 = parameter("of the object at the first time", unit="length")
-    velocity: Vector3 = parameter("of the object at the first time; it accelerates according to ``motion``")
+    position: Vector3 = parameter("position of the object at the first time", unit="length")
+    velocity: Vector3 = parameter("velocity of the object at the first time; it accelerates according to ``motion``")
     steps: Count = parameter("number of times")
-    interval_s: PositiveDuration = parameter("between them", unit="s")
+    interval_s: PositiveDuration = parameter("time between two of them", unit="s")
     bound_trajectories: Count = parameter(
         "drawn trajectories over which the information of the bound is averaged", default=100
     )
@@ -97,18 +97,20 @@ class MoveScenario(Model):
 
 
 class CalibrationScenario(Model):
-    """The scene of ``simulate``, its cameras calibrated with the settings of ``calibration``, from a wrong guess."""
+    """A scenario in which ``calibration`` estimates the cameras of the scene of ``simulate`` from a wrong guess."""
 
     kind: Literal["calibration"] = parameter("what is run")
-    every_s: PositiveDuration = parameter("time between two looks at the estimate so far", unit="s")
+    every_s: PositiveDuration = parameter("time between two scores of the estimate so far", unit="s")
     bound_scenes: Count = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
 
 
 class StaticSceneScenario(Model):
-    """Points that stand still, seen in the views of ``simulate``: feature correspondence by ``filter``."""
+    """A scenario in which ``filter`` finds the correspondence of points that stand still in views of ``simulate``."""
 
     kind: Literal["static_scene"] = parameter("what is run")
-    cutoff: PositiveLength = parameter("an estimate further than this from a point is none of it", unit="length")
+    cutoff: PositiveLength = parameter(
+        "a point without an estimate within this distance counts as missed", unit="length"
+    )
     bound_scenes: Count = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
 
 
@@ -124,13 +126,13 @@ Scenario = Annotated[
 
 
 class AxisConfig(Model):
-    """One thing that differs between the cases; the cases are all combinations of the axes."""
+    """A setting that differs between the cases; the cases are all combinations of the axes."""
 
     key: str | None = parameter("dotted path of the key that takes the values", default=None)
     values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = parameter("values of that key", default=None)
-    unit: str = parameter("of the values, for names and figures", default="")
+    unit: str = parameter("unit of the values, for names and figures", default="")
     settings: Annotated[dict[str, Settings], Field(min_length=1)] | None = parameter(
-        "instead of key and values: name of the value -> the keys that it sets, and their values", default=None
+        "in place of key and values: for each name of a value, the keys that it sets and their values", default=None
     )
 
     @model_validator(mode="after")
@@ -158,10 +160,12 @@ class FigureConfig(Model):
 
     title: str | None = parameter("title of the figure; the number of runs is added", default=None)
     quantities: Annotated[tuple[str, ...], Field(min_length=1)] | None = parameter(
-        "names of quantities; default all that vary with time, or else all", default=None
+        "names of quantities; by default all that vary with time, or all if none does", default=None
     )
     over: str | None = parameter(
-        "the axis of the cases along the figure; default time, or else the first axis", default=None
+        "horizontal axis of the figure: the name of an axis of the cases; by default time, or the first axis if the "
+        "quantities do not vary with time",
+        default=None,
     )
     log: bool = parameter("logarithmic scale of the quantities", default=False)
     most: Positive | None = parameter("upper end of the scale of the quantities", default=None)
@@ -170,18 +174,19 @@ class FigureConfig(Model):
 class ExperimentConfig(Model):
     """Monte Carlo runs of a scenario: every method in every case sees the same data in run k."""
 
-    name: str | None = parameter("name in the results; default the name of the file", default=None)
-    scenario: Scenario = parameter("what is run, by its kind")
+    name: str | None = parameter("name in the results; by default the name of the file", default=None)
+    scenario: Scenario = parameter("what is run; its kind determines the other keys")
     runs: Count = parameter("number of runs of each method in each case")
     methods: Annotated[dict[str, Settings], Field(min_length=1)] = parameter(
-        "name -> dotted paths of any keys of this file, and the values they take for this method"
+        "for each name of a method, dotted paths of any keys of this file and the values that they take for this method"
     )
-    cases: dict[str, AxisConfig] = parameter("name of an axis -> what varies along it", default_factory=dict)
+    cases: dict[str, AxisConfig] = parameter("for each name of an axis, what varies along it", default_factory=dict)
     windows: dict[str, tuple[Time, Time]] = parameter(
-        "name -> first and last time, s: of every quantity also the mean over it", default_factory=dict
+        "for each name of a window, its first and last time, s: the results also give every quantity's mean over it",
+        default_factory=dict,
     )
     table: tuple[str, ...] | None = parameter(
-        "quantities of the table on the terminal; default those without time", default=None
+        "quantities of the table on the terminal; by default those that do not vary with time", default=None
     )
     figure: FigureConfig = parameter("what the figure shows", default_factory=FigureConfig)
 

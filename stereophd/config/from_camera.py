@@ -1,4 +1,4 @@
-"""From a camera back to its configuration."""
+"""Build the configuration of a camera from the camera: the inverse of `CameraConfig.build`."""
 
 from __future__ import annotations
 

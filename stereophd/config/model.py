@@ -30,7 +30,7 @@ class Config(Model):
     units: Units = Field(default_factory=Units, description="units of all files of a run")
     seed: Annotated[int, Interval(ge=0, le=2**63 - 1)] = Field(0, description="seed of all random numbers of a run")
     cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)] | str | None = Field(
-        None, description="the cameras, or the path of a cameras.yaml beside this file"
+        None, description="the cameras, or the path of a cameras.yaml, relative to this file"
     )
     detector: Literal["given", "estimate"] = Field(
         "given",

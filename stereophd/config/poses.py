@@ -113,7 +113,7 @@ class PoseConfig(Model):
         others = {"center", "rotation_matrix", "rotation_vector_deg", "velocity", "rotation_rate_deg_s", "time_s"}
         defaults = {name: field.default for name, field in type(self).model_fields.items()}
         if stated := [name for name in sorted(others) if getattr(self, name) != defaults[name]]:
-            raise ValueError(f"expected nothing but mount beside trajectory, found {', '.join(stated)}")
+            raise ValueError(f"expected only mount besides trajectory, found {', '.join(stated)}")
         return self
 
     @property

@@ -1,4 +1,4 @@
-"""Reading and writing in a configuration: how a log is read, and which estimates are written."""
+"""Sections ``report``, ``input`` and ``evaluation`` of a configuration: what is written, read and scored."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class SmoothConfig(Model):
     """Fixed-interval smoothing of every track."""
 
     max_gap_s: Duration = parameter(
-        "tracks that end and begin within this time, and fit, are stitched into one, and detections of an object "
-        "are looked for this long before its first known one",
+        "two tracks are joined if the second begins at most this long after the end of the first and continues it; and "
+        "detections of an object are searched up to this long before its first known one",
         default=1.0,
-        advice="the longest time for which objects are hidden.",
+        advice="the longest time for which an object is hidden.",
     )
     reassociate: bool = parameter(
         "smoothed tracks choose their detections anew, so that neighbours that the filter took for each other are "
@@ -42,12 +42,12 @@ class GridTimes(Model):
     grid: PositiveDuration = parameter("step of the grid: its times are the multiples of it", unit="s")
 
 
-# A finer grid would repeat times that are written to the nanosecond, and fill the disk.
+# Times are written to the nanosecond: a much finer grid would repeat them, and its estimates would fill the disk.
 SHORTEST_GRID_S = 1e-6
 
 
 def _parse_times(value: Any) -> Any:
-    """Turn the short forms ``camera NAME`` and ``grid DT`` into mappings; refuse what is neither, in a sentence."""
+    """Turn the short forms ``camera NAME`` and ``grid DT`` into mappings; refuse any other value in a full sentence."""
     if value == "events":
         return value
     found = value
@@ -90,10 +90,10 @@ class ReportConfig(Model):
         advice="grid for plots and comparisons, camera for one estimate a frame, events for everything.",
     )
     max_position_std: PositiveLength | None = parameter(
-        "leave out estimates whose position is less certain (square root of the trace of its covariance): "
-        "depth is not seen while one camera alone sees an object",
+        "leave out estimates whose position has a larger standard deviation (square root of the trace of its "
+        "covariance): while one camera alone sees an object, its depth is not known",
         default=None,
-        advice="the largest error that is of use to you; it hides tracks that one camera alone sees.",
+        advice="the largest error that you can use; it hides tracks that one camera alone sees.",
     )
     min_track_length: Duration = parameter(
         "leave out tracks whose first and last estimates are less than this apart, s",
@@ -111,7 +111,8 @@ class ReportConfig(Model):
         advice="true for programs that cannot read the column covariance.",
     )
     smooth: SmoothConfig | None = parameter(
-        "smooth every track over the whole log, which is then held in memory; default off", default=None
+        "smooth every track over the whole log, which is then held in memory; by default tracks are not smoothed",
+        default=None,
     )
 
 

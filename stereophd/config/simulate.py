@@ -31,8 +31,8 @@ class GivenObject(Model):
 
     position: Vector3 = parameter("position at birth_s", unit="length")
     velocity: Vector3 = parameter("velocity at birth_s", default=(0.0, 0.0, 0.0), unit="length/s")
-    birth_s: Time | None = parameter("first time; default the start of the run", default=None, unit="s")
-    death_s: Time | None = parameter("last time; default the end of the run", default=None, unit="s")
+    birth_s: Time | None = parameter("first time; by default the start of the run", default=None, unit="s")
+    death_s: Time | None = parameter("last time; by default the end of the run", default=None, unit="s")
 
 
 class DrawnObjects(Model):
@@ -46,7 +46,7 @@ class DrawnObjects(Model):
     )
     births_per_s: BirthsPerSecond = parameter("further objects appear at this rate", default=0.0, unit="1/s")
     mean_lifetime_s: PositiveDuration | None = parameter(
-        "mean of the exponential lifetime; default to the end of the run", default=None, unit="s"
+        "mean of the exponential lifetime; by default objects live until the end of the run", default=None, unit="s"
     )
 
 
@@ -69,7 +69,7 @@ class GivenBody(Model):
         unit="degrees",
     )
     period_s: tuple[PositiveDuration, PositiveDuration] = parameter(
-        "shortest and longest period of the harmonics that it sways by", default=(3.0, 12.0), unit="s"
+        "shortest and longest period of the harmonics of its motion", default=(3.0, 12.0), unit="s"
     )
 
     @model_validator(mode="after")
@@ -84,7 +84,7 @@ class SimulateConfig(Model):
 
     duration_s: PositiveDuration = parameter("frames lie in [start_s, start_s + duration_s)", unit="s")
     start_s: Time = parameter("true time of the start", default=0.0, unit="s")
-    frame_rate_hz: Rate = parameter("of cameras that state none", default=1.0, unit="Hz")
+    frame_rate_hz: Rate = parameter("frame rate of the cameras that state none", default=1.0, unit="Hz")
     objects: DrawnObjects | None = parameter("objects drawn at random", default=None)
     given: tuple[GivenObject, ...] = parameter("objects whose paths are given", default=())
     bodies: tuple[GivenBody, ...] = parameter("rigid bodies, each with several objects", default=())
@@ -92,12 +92,12 @@ class SimulateConfig(Model):
         "process noise, as motion.acceleration_std", default=0.0, unit="length/s^2"
     )
     motion: Motion | None = parameter(
-        "how the objects move; default the model of the section motion, its noise replaced by acceleration_std (of "
-        "static, constant_velocity)",
+        "how the objects move; by default as the model of the section motion, with the noise acceleration_std "
+        "in place of its own (models static and constant_velocity)",
         default=None,
     )
     truth_rate_hz: Rate | None = parameter(
-        "of truth.parquet; default every distinct frame time", default=None, unit="Hz"
+        "rate of the rows of truth.parquet; by default they are at every distinct frame time", default=None, unit="Hz"
     )
     object_id: bool = parameter("write the true object_id of each detection (-1 clutter) into the log", default=False)
 

@@ -31,7 +31,9 @@ class RegionConfig(Model):
     """Where objects can be: a box in the world, a range of depth before the cameras, or both."""
 
     box: Range3 | None = parameter(
-        "in the world", default=None, advice="the room or the arena, with a margin of the position noise."
+        "a box in the axes of the world",
+        default=None,
+        advice="the room or the arena, with a margin of the position noise.",
     )
     depth: tuple[Length, PositiveLength] | None = parameter(
         "nearest and farthest depth before the camera that saw the object last",

@@ -1,6 +1,6 @@
 """How a parameter is declared, once: name, default, bounds, unit, meaning and advice.
 
-The settings of an algorithm are a frozen dataclass beside it, written with `settings` and `parameter`::
+The settings of an algorithm are a frozen dataclass in its module, written with `settings` and `parameter`::
 
     @settings
     class PruneSettings:
@@ -109,7 +109,7 @@ def parameter(
         ``length``, ``length/s``, ``px``, ``s``, ``deg``, ...; empty for plain numbers and words. ``length`` is the
         unit that the configuration names.
     discriminator : str
-        Of a union of settings: the field that distinguishes its members.
+        The field that distinguishes the members of a union of settings.
     advice : str
         How to choose the value: printed on the reference page only.
     """

@@ -2,8 +2,8 @@
 
 Everything is written under a temporary name on the same file system, flushed to the disk, and put into place in one
 step (`stereophd.io.commit`); a failure before that (an error, a full disk, Ctrl-C) leaves no trace, and the next run
-removes what a killed process left. One run at a time writes to a folder (`stereophd.io.locks`). The user's faults, such
-as a folder that holds other files or a disk without room, become `InputError`.
+removes what a killed process left. One run at a time writes to a folder (`stereophd.io.locks`). Errors of
+the user, such as a folder that holds other files or a full disk, become `InputError`.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     Raises
     ------
     InputError
-        The place cannot be written to (no room, no permission, ...).
+        The place cannot be written to (disk full, no permission, ...).
     """
     target = Path(path)
     temporary: Path | None = None
@@ -161,7 +161,7 @@ def tidy(path: Path | str) -> None:
     Raises
     ------
     InputError
-        A run is at work in the folder, or it cannot be written to.
+        A run is writing to the folder, or the folder cannot be written to.
     """
     folder = Path(path)
     if not folder.is_dir():

@@ -40,7 +40,7 @@ def write_checkpoint(path: Path, identity: str, parts: Mapping[str, Any]) -> Non
     path
         The file; usually a temporary one of `stereophd.io.atomic.atomic_write`.
     identity
-        Of the run: configuration, inputs and version.
+        Identity of the run: configuration, inputs and version.
     parts
         Name -> numbers, text, None, arrays, sequences, mappings with text keys, dataclasses and named tuples of them.
 
@@ -73,7 +73,7 @@ def read_checkpoint(path: Path, identity: str, classes: Iterable[type]) -> dict[
     path
         The file.
     identity
-        What it must have been written with.
+        The identity with which it must have been written.
     classes
         Dataclasses and named tuples that the parts may hold; those in their fields are found by their annotations.
 

@@ -182,7 +182,7 @@ def complete(folder: Path) -> None:
     Raises
     ------
     InputError
-        They cannot be finished: a run is at work in the folder, or it cannot be written to.
+        They cannot be finished: a run is writing to the folder, or the folder cannot be written to.
     """
     journal = folder / COMMIT_NAME
     if not journal.is_dir():

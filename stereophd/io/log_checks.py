@@ -165,7 +165,8 @@ def frame_starts(rows: Rows) -> Integers:
 def duplicate_fault(rows: Rows) -> Fault:
     """Return the rows that repeat another of their frame, in rows sorted by frame.
 
-    A detection at exactly the pixels of an earlier row of the frame; an empty row beside another row.
+    Such a row is a detection at exactly the pixels of an earlier row of the frame, or an empty row of a frame that has
+    another row.
     """
     starts = frame_starts(rows)
     sizes = np.diff(np.concatenate([starts, [len(rows)]]))
@@ -180,7 +181,7 @@ def duplicate_fault(rows: Rows) -> Fault:
 
     def say(i: int) -> str:
         if rows.empty[i]:
-            return f"expected an empty frame to have one row, found others beside it (frame {rows.frame[i]})"
+            return f"expected an empty frame to have one row, found others too (frame {rows.frame[i]})"
         return f"expected each detection once, found a duplicate row (frame {rows.frame[i]})"
 
     return Fault("duplicate_row", bad, say)

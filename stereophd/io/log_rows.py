@@ -1,6 +1,7 @@
 """Rows of a detection log as arrays, decoded from pieces of the file.
 
-NumPy reads Arrow's buffers itself: Arrow's own conversion imports pandas where that is installed (0.2 s).
+The columns are read from Arrow's buffers by NumPy: Arrow's own conversion imports pandas if it is installed, which
+takes 0.2 s.
 """
 
 from __future__ import annotations

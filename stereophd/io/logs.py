@@ -89,13 +89,13 @@ class LogReader:
     image_margin_px
         A detection further than this outside the image is a bad row.
     from_s
-        True time before which no frame is asked for: row groups that end before it are not read. (Frames before it
+        True time before which the caller needs no frame: row groups that end before it are not read. (Frames before it
         may still come.)
 
     Attributes
     ----------
     counts
-        Of the last (or running) iteration: ``rows``, ``frames``, ``empty_frames``, ``detections``, one
+        Counts of the last (or running) iteration: ``rows``, ``frames``, ``empty_frames``, ``detections``, one
         for each kind of bad row (`stereophd.io.log_checks.KINDS`), and ``cameras_without_frames``.
     num_rows
         Rows of the file.

@@ -30,7 +30,7 @@ class ConfigRecord:
     resolved : mapping
         The resolved configuration as JSON-able values.
     sha256 : str
-        Of its `canonical_json`.
+        SHA-256 of its `canonical_json`.
     inputs : mapping
         Role -> SHA-256 of the files that the configuration names.
     seed : int
@@ -73,7 +73,7 @@ def origin(path: Path | str) -> dict[str, str] | None:
         try:
             metadata = pq.read_schema(stream).metadata  # by the stream: names may be no text
         except (pa.ArrowException, OSError):
-            return None  # damaged: whoever reads its rows reports that
+            return None  # The file is damaged; the reader of its rows reports that.
     text = (metadata or {}).get(METADATA_KEY)
     record = from_metadata(metadata)
     if text is None or record is None:

@@ -1,4 +1,4 @@
-"""Filters over arrays in memory, without files: what ``import stereophd`` offers beside the commands."""
+"""Filters over arrays in memory, without files: what ``import stereophd`` offers besides the commands."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def make_filter(
     motion, moments, disparity, region : mapping, optional
         Sections of the same names of a configuration, such as ``motion={"acceleration_std": 0.3}``.
     seed : int
-        Of the samples.
+        Seed of the samples.
     threads : int
-        Threads of the sample trips; results do not depend on it.
+        Threads that carry samples between disparity spaces; results do not depend on it.
     **settings
         Keys of the section ``filter``, such as ``birth={"per_s": 0.05, ...}``.
 

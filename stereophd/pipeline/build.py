@@ -88,7 +88,7 @@ def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], pat
         if existence < LEAST_PRUNING * settings.prune_weight:
             raise InputError(
                 f"{path}: filter.birth.{key}: expected births that outlive prune_weight "
-                f"{settings.prune_weight:g}, found {rate:g}: beside the clutter of "
+                f"{settings.prune_weight:g}, found {rate:g}: with the clutter of "
                 f"{camera.name} a newborn weighs {existence:.2g}"
             )
     if birth.per_frame is not None:

@@ -21,7 +21,7 @@ def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) 
     folder : path
         Its output folder.
     record : mapping
-        Provenance of the run that is asked for (`stereophd.io.provenance.provenance`).
+        Provenance of the wanted run (`stereophd.io.provenance.provenance`).
     force : bool
         Whether results of another run may be replaced.
 

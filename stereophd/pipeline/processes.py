@@ -44,7 +44,7 @@ def on_processes(
     Yields
     ------
     Result
-        Of each call.
+        The result of each call.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def on_processes(
 
     from joblib import Parallel, delayed
 
-    # That work is given up when the iterator is closed is meant.
+    # Work is given up on purpose when the iterator is closed.
     warnings.filterwarnings("ignore", message=".*tasks which were still being processed", category=UserWarning)
     with _without_interrupts():
         pool = Parallel(
@@ -83,7 +83,7 @@ def end_with(parent: int) -> None:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Ignore SIGINT: so do, for good, the processes that are started here.
+    """Ignore SIGINT for a while; the processes that are started meanwhile ignore it until they end.
 
     A terminal sends Ctrl-C to all processes of a command. Workers are ended by the one that started them; one that
     is interrupted by itself prints where it was. (A blocked signal would not do: joblib unblocks it.)

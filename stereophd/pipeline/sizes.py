@@ -1,7 +1,7 @@
 """How large a run is going to be, estimated before it begins.
 
-A run that does not fit into the memory or on the disk is refused. One that takes very long, or fills much of a disk,
-may be meant, but is more often a slip of a few digits: it begins only once that is confirmed.
+A run that does not fit into the memory or on the disk is refused. A run that takes very long, or fills much of a disk,
+may be wanted, but more often a number in the configuration is wrong: it begins only if the user confirms it.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> N
     folder : path
         Output folder.
     confirmed : bool
-        Whether the user accepts any time and any room on the disk.
+        Whether the user accepts any time and any disk space.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def available_memory() -> float:
 
 
 def free_disk(folder: Path) -> float:
-    """Return the free room on the disk of a folder, or of the first folder above it that exists, in bytes."""
+    """Return the free disk space of a folder, or of the first folder above it that exists, in bytes."""
     for place in (folder, *folder.absolute().parents):
         with contextlib.suppress(OSError):
             return float(shutil.disk_usage(place).free)

@@ -133,7 +133,7 @@ def open_stream(
     path : path
         The log.
     progress : callable, optional
-        As of `EventStream`.
+        The same as in `EventStream`.
 
     Raises
     ------

@@ -86,7 +86,7 @@ class DaskWorkers:
     Parameters
     ----------
     address : str
-        Of its scheduler, such as ``tcp://host:8786``.
+        Address of its scheduler, such as ``tcp://host:8786``.
 
     Raises
     ------
@@ -132,7 +132,7 @@ class DaskWorkers:
 
 @contextmanager
 def open_workers(jobs: int, dask: str | None) -> Iterator[Workers]:
-    """Give the workers that a user asks for.
+    """Open the workers that the options state, and close them at the end.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class CalibrationPictures:
     Attributes
     ----------
     names, units : tuple of str
-        Of the parameters; the unit is ``length`` or ``rad``.
+        Names and units of the parameters; the unit is ``length`` or ``rad``.
     length_unit : str
     prior_std : array (m,)
     times : array (t,)
@@ -167,7 +167,7 @@ def draw_posterior(pictures: CalibrationPictures) -> Figure:
 
 
 def draw_residuals(pictures: CalibrationPictures) -> Figure:
-    """Draw reprojection residuals over time, and their distribution beside that of normal noise."""
+    """Draw reprojection residuals over time, and their distribution compared with normal noise."""
     figure, axes = _grid(1, 2, 5.0, 3.0)
     over_time, distribution = axes[0][0], axes[0][1]
     for number, name in enumerate(pictures.cameras):

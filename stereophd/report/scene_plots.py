@@ -69,7 +69,7 @@ def view_axes(view: SceneView, scene: FloatArray, title: str, unit: str) -> tupl
     across, along = limits(view.project(scene))
     width, height = across[1] - across[0], along[1] - along[0]
     scale = min(8.0 / width, 6.5 / height)
-    # Room for labels and for the legend beside the axes.
+    # Space for labels and for the legend next to the axes.
     figure = Figure(figsize=(scale * width + 3.6, scale * height + 1.1), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()

@@ -67,7 +67,7 @@ class Pictures:
     columns : mapping
         Columns of ``per_scan.parquet``, arrays over the scored scans.
     order, cutoff, base
-        Of OSPA.
+        Parameters of OSPA.
     truth : Truth
         All rows of the truth; those at scored times are drawn.
     max_gap_s : float

@@ -226,7 +226,7 @@ def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:
 
 
 def verdict(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None = None) -> str:
-    """Return in one line what came of a run, and what is doubtful."""
+    """Return one line with the results of a run and the doubts about them."""
     return "; ".join(_clauses(report, evaluation)) + "."
 
 

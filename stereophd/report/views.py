@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
 
-# A view is never drawn narrower or flatter than this: long, thin scenes get more room beside them.
+# A view is never drawn narrower or flatter than this: long, thin scenes get wider margins.
 LARGEST_ASPECT = 2.0
 MARGIN = 0.06
 

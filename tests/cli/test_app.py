@@ -157,6 +157,22 @@ def test_parts_of_a_usage_error(call: Call, words: list[str], place: str | None,
     assert document["found"] in (found, None)  # some versions of typer do not name the value
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["calibrate", "a", "b", "--out", "c", "--dask", "d"], "--dask: expected several logs"),
+        (["track", "a", "b", "--out", "c", "--dask", "d"], "--dask: expected several logs, or --pieces S"),
+        (["track", "a", "b", "--out", "c", "--overlap", "3"], "--overlap: expected --pieces S too"),
+        (["evaluate", "a", "b", "--dask", "d"], "--dask: expected only for folders of runs"),
+        (["evaluate", "a", "b", "--jobs", "2"], "--jobs: expected only for folders of runs"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(call: Call, config: Path, words: list[str], sentence: str) -> None:
+    outcome = call(*[config if word == "a" and words[0] != "evaluate" else word for word in words])
+    assert outcome.code == 2
+    assert outcome.sentence.startswith(f"error: {sentence}")
+
+
 def test_errors_with_json_are_one_document(call: Call, config: Path, tmp_path: Path) -> None:
     for words, kind, file in (
         (["config", "show", tmp_path / "none.yaml", "--json"], "input", str(tmp_path / "none.yaml")),
@@ -297,15 +313,21 @@ def test_outputs_of_an_earlier_run_need_force(call: Call, config: Path, tmp_path
     assert (out / "truth.parquet").read_bytes() != before["truth.parquet"]
 
 
-@pytest.mark.parametrize("environment", [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {}])
-def test_names_outside_ascii(tmp_path: Path, environment: dict[str, str]) -> None:
+@pytest.mark.parametrize("plain_locale", [True, False])
+def test_names_outside_ascii(call: Call, tmp_path: Path, plain_locale: bool) -> None:
     name = tmp_path / "é\udcff"
     name.mkdir()
     config = write_config(name / "ü.yaml")
     log = write_log(name / "log.parquet")
-    process = start("track", config, log, "--out", name / "aus", "--json", env={**os.environ, **environment})
-    out, err = process.communicate()
-    assert process.returncode == 0, err
+    words = ("track", config, log, "--out", name / "aus", "--json")
+    if plain_locale:
+        process = start(*words, env={**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"})
+        out, err = process.communicate()
+        code = process.returncode
+    else:
+        outcome = call(*words)
+        code, out, err = outcome.code, outcome.out, outcome.err
+    assert code == 0, err
     assert json.loads(out)["report_version"] == 1
     assert len(list((name / "aus").iterdir())) == 3
 

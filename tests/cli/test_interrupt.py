@@ -147,7 +147,7 @@ def test_a_signal_that_compiled_code_made_into_another_error(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_to_the_process(config: Path, tmp_path: Path, number: signal.Signals) -> None:
     # Far more frames than are tracked before the signal comes.
-    log = write_log(tmp_path / "long.parquet", frames=50_000, detections=10)
+    log = write_log(tmp_path / "long.parquet", frames=10_000, detections=10)
     out = tmp_path / "out"
     process = start("track", config, log, "--out", out)
     try:

@@ -22,7 +22,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibratio
 THREE = CONFIG.parent.parent / "three_cameras_calibration.yaml"
 # a shorter scene with less clutter, to be quick; two starts at most
 QUICK = (
-    "simulate.duration_s=50",
+    "simulate.duration_s=30",
     "calibration.annealed.starts=2",
     *(f"cameras.{name}.detector.clutter_per_frame=3" for name in ("left", "right")),
 )
@@ -125,6 +125,17 @@ WAYS = {
             "calibration.smc={particles: 8, moves: 1}",
             *ONE_START,
             "calibration.scale={kind: baseline, cameras: [left, right], distance: 40, std: 0.5}",
+        ),
+        4,
+    ),
+    "smc of a lens and a clock": (
+        (
+            "calibration.posterior=smc",
+            "calibration.smc={particles: 8, moves: 1, max_events: 30}",
+            "calibration.priors.right.focal_std=0.05",
+            "calibration.priors.right.clock_offset_std_s=0.05",
+            "calibration.select=all",
+            *ONE_START,
         ),
         4,
     ),
@@ -306,7 +317,8 @@ def test_a_known_scale_is_kept(tmp_path: Path, scale: str) -> None:
 def test_a_known_length_between_two_objects_is_kept(tmp_path: Path) -> None:
     rod = [{"position": [x, 10, 130], "velocity": [0.9, -0.6, 0.3]} for x in (-25, -10)]
     other = {"position": [15, -15, 180], "velocity": [-1.2, 0.3, -0.6]}
-    overrides = (*QUICK, *ONE_START, "simulate.objects=null", f"simulate.given={json.dumps([*rod, other])}")
+    shown = ("simulate.duration_s=50", "simulate.objects=null", f"simulate.given={json.dumps([*rod, other])}")
+    overrides = (*QUICK, *ONE_START, *shown)
     simulate(load_config(CONFIG, overrides), tmp_path / "scene")
     log, outcomes = tmp_path / "scene" / "detections.parquet", {}
     for length in (18.0, 30.0):

@@ -89,7 +89,7 @@ def test_trajectories_that_end_too_early_are_refused(tmp_path: Path) -> None:
     ("pose", "message"),
     [
         ("{}", "expected center or trajectory, found neither"),
-        ("{trajectory: poses.txt, center: [0, 0, 0]}", "expected nothing but mount beside trajectory, found center"),
+        ("{trajectory: poses.txt, center: [0, 0, 0]}", "expected only mount besides trajectory, found center"),
         ("{center: [0, 0, 0], mount: {center: [0, 0, 1]}}", "mount: expected a trajectory"),
         ("{trajectory: absent.txt}", r"cameras.carried.pose.trajectory: .*absent.txt: cannot be read"),
         ("{trajectory: {file: a, poses: AAAA}}", "expected"),

@@ -16,8 +16,8 @@ from stereophd.pipeline.checks.alternatives import OPENGL
 from stereophd.pipeline.checks.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry import MOST_PAIRS, measure, pairs_of
-from stereophd.pipeline.checks.geometry_findings import check_geometry
+from stereophd.pipeline.checks.geometry import MOST_PAIRS, Geometry, measure, pairs_of
+from stereophd.pipeline.checks.geometry_findings import check_geometry, left_out
 from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.tracking import check_tracking
@@ -125,12 +125,18 @@ def test_tracks_of_one_camera_are_reported() -> None:
 
 
 def test_what_a_run_leaves_out_is_a_warning() -> None:
-    summary = {"events": 9, "left_out": {"events": 0, "most": 0, "burst_frames": 0, "burst_detections": 0}}
+    nothing = dict.fromkeys(
+        ["events", "most", "burst_frames", "burst_detections", "hypothesis_events", "most_hypotheses"], 0
+    )
+    summary = {"events": 9, "left_out": nothing}
     counts = {"rows": 60, "not_invertible": 0, "duplicate_row": 0}
     assert list(check_losses(summary, counts)) == []
-    summary["left_out"] = {"events": 3, "most": 5, "burst_frames": 1, "burst_detections": 400}
+    summary["left_out"] = dict.fromkeys(nothing, 3) | {"burst_detections": 400, "most_hypotheses": 777}
     found = list(check_losses(summary, {**counts, "not_invertible": 2, "duplicate_row": 1}))
-    assert [one.name for one in found] == ["input.rows", "input.lens", "filter.max_components", "filter.bursts"]
+    assert [one.name for one in found] == [
+        "input.rows", "input.lens", "filter.max_components", "filter.max_hypotheses", "filter.bursts"
+    ]  # fmt: skip
+    assert "777" in found[3].message
     assert {one.status for one in found} == {"warning"}
     assert found[0].message == "1 of 60 rows dropped (duplicate_row 1)"
 
@@ -174,6 +180,25 @@ def test_the_pairs_of_many_cameras_are_bounded(count: int) -> None:
     assert len(set(pairs)) == len(pairs) == min(count * (count - 1) // 2, max(count, MOST_PAIRS // count * count))
     assert all(0 <= a < b < count for a, b in pairs)
     assert len(set(np.bincount(np.array(pairs).ravel(), minlength=count).tolist())) == 1
+
+
+@pytest.mark.parametrize("count", [2, 12, 13, 25, 26, 100])
+def test_pairs_and_clocks_that_are_left_out_are_stated(count: int) -> None:
+    """Nothing is said of up to twelve cameras; of more, what the checks do not look at, with its number."""
+    found = list(left_out(count))
+    missing = count * (count - 1) // 2 - len(pairs_of(count))
+    assert len(found) == (count > 12)
+    for one in found:
+        assert (one.status, one.value) == ("not checked", missing)
+        assert (f"{missing} of" in one.message) == (count > 25)
+        assert f"{count - 12} of {count} clocks" in one.message
+
+
+def test_a_log_of_many_cameras_says_what_is_left_out() -> None:
+    cameras = tuple(replace(CAMERAS[0], name=f"camera {k}") for k in range(27))
+    nothing = CameraSample(CAMERAS[0], np.empty(0), np.empty(0, int), np.zeros(1, int), np.empty((0, 2)))
+    geometry = Geometry([replace(nothing, camera=camera) for camera in cameras], (), (), ())
+    assert [one.name for one in check_geometry(geometry, False)] == ["geometry.left_out"]
 
 
 @pytest.mark.parametrize("seed", range(4))

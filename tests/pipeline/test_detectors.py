@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -53,6 +55,26 @@ def estimated(logs: Path, out: Path, number: int, *overrides: str) -> dict:
     return track(loaded, logs / f"log{number}" / "detections.parquet", out)
 
 
+@pytest.fixture(scope="module")
+def from_far_away(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[dict, Path]]:
+    """Reports and outputs of the three logs, where all detectors are estimated from a start far from them."""
+    outputs = [tmp_path_factory.mktemp("far-away") / "out" for _ in range(3)]
+    overrides = ("detector=estimate", *given(dict.fromkeys(TRUE, START)))
+    return [(estimated(logs, out, number, *overrides), out) for number, out in enumerate(outputs)]
+
+
+@pytest.fixture(scope="module")
+def short(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first 40 s of the three logs."""
+    folder = tmp_path_factory.mktemp("short")
+    shutil.copy(logs / "scene.yaml", folder)
+    for log in logs.glob("log*"):
+        (folder / log.name).mkdir()
+        table = pq.read_table(log / "detections.parquet")
+        pq.write_table(table.filter(pc.field("time_s") < 40.0), folder / log.name / "detections.parquet")
+    return folder
+
+
 def errors_in_deviations(found: dict, name: str) -> list[float]:
     (sigma_u, sigma_v), p_detect, clutter = TRUE[name]
     mine = found["cameras"][name]
@@ -65,7 +87,7 @@ def errors_in_deviations(found: dict, name: str) -> list[float]:
     return list(np.subtract(values, [sigma_u, sigma_v, p_detect, clutter]) / deviations)
 
 
-def test_the_true_values_are_found_from_a_start_far_away(logs: Path, tmp_path: Path) -> None:
+def test_the_true_values_are_found_from_a_start_far_away(from_far_away: list[tuple[dict, Path]]) -> None:
     """Every value within five of its stated standard errors, and their mean over logs and cameras within five of its.
 
     Six estimates of each kind: the mean error is below 5 / sqrt(6) = 2.0 deviations, and the root mean square of
@@ -73,8 +95,7 @@ def test_the_true_values_are_found_from_a_start_far_away(logs: Path, tmp_path: P
     stated right).
     """
     errors = []
-    for number in range(3):
-        found = estimated(logs, tmp_path / str(number), number, "detector=estimate", *given(dict.fromkeys(TRUE, START)))
+    for found, _ in from_far_away:
         assert found["detectors"]["converged"]
         errors += [errors_in_deviations(found["detectors"], name) for name in TRUE]
         for name in TRUE:
@@ -93,19 +114,19 @@ def test_the_true_values_are_found_from_a_start_far_away(logs: Path, tmp_path: P
     assert 0.4 < np.sqrt((values**2).mean()) < 1.6
 
 
-def test_tracks_with_estimated_detectors_are_as_with_the_true_ones(logs: Path, tmp_path: Path) -> None:
+def test_tracks_with_estimated_detectors_are_as_with_the_true_ones(
+    logs: Path, from_far_away: list[tuple[dict, Path]], tmp_path: Path
+) -> None:
     """Median error of all but the first fifth: within a tenth of what the true values give. NEES within 0.5.
 
     From noise of 5 px, claimed where there are 1.4 and less, covariances are several times too large.
     """
     scores = {}
-    for name, overrides in {
-        "true": given(TRUE),
-        "start": given(dict.fromkeys(TRUE, START)),
-        "estimated": ("detector=estimate", *given(dict.fromkeys(TRUE, START))),
-    }.items():
-        estimated(logs, tmp_path / name, 0, *overrides)
-        report = evaluate(tmp_path / name / "tracks.parquet", logs / "log0" / "truth.parquet", cutoff=20.0, from_s=20.0)
+    outputs = {"true": tmp_path / "true", "start": tmp_path / "start", "estimated": from_far_away[0][1]}
+    estimated(logs, outputs["true"], 0, *given(TRUE))
+    estimated(logs, outputs["start"], 0, *given(dict.fromkeys(TRUE, START)))
+    for name, out in outputs.items():
+        report = evaluate(out / "tracks.parquet", logs / "log0" / "truth.parquet", cutoff=20.0, from_s=20.0)
         scores[name] = (report["position_error"]["median"], report["nees"]["position"])
     assert scores["estimated"][0] < 1.1 * scores["true"][0]
     assert abs(scores["estimated"][1] - scores["true"][1]) < 0.5
@@ -113,38 +134,38 @@ def test_tracks_with_estimated_detectors_are_as_with_the_true_ones(logs: Path, t
 
 
 @pytest.mark.parametrize("start", [((3.0, 3.0), 1.0, 0.0), ((0.7, 0.7), 0.6, 0.5)], ids=["too good", "too sharp"])
-def test_from_other_starts(logs: Path, tmp_path: Path, start: tuple[tuple[float, float], float, float]) -> None:
+def test_from_other_starts(short: Path, tmp_path: Path, start: tuple[tuple[float, float], float, float]) -> None:
     """Detectors said never to miss and never to be wrong, or much sharper than they are: the same values."""
     overrides = ("detector=estimate", *given(dict.fromkeys(TRUE, start)))
-    found = estimated(logs, tmp_path / "out", 0, *overrides)["detectors"]
+    found = estimated(short, tmp_path / "out", 0, *overrides)["detectors"]
     for name in TRUE:
         assert np.abs(errors_in_deviations(found, name)).max() < 5.0
 
 
-def test_only_the_cameras_that_ask_for_it(logs: Path, tmp_path: Path) -> None:
+def test_only_the_cameras_that_ask_for_it(short: Path, tmp_path: Path) -> None:
     overrides = (*given({"left": TRUE["left"]}), "cameras.right.detector=estimate")
-    found = estimated(logs, tmp_path / "out", 1, *overrides)["detectors"]
+    found = estimated(short, tmp_path / "out", 1, *overrides)["detectors"]
     assert list(found["cameras"]) == ["right"]
     assert np.abs(errors_in_deviations(found, "right")).max() < 5.0
-    assert estimated(logs, tmp_path / "given", 1, *given(TRUE))["detectors"] is None
+    assert estimated(short, tmp_path / "given", 1, *given(TRUE))["detectors"] is None
 
 
-def test_for_a_phd_filter_too_and_the_same_again(logs: Path, tmp_path: Path) -> None:
+def test_for_a_phd_filter_too_and_the_same_again(short: Path, tmp_path: Path) -> None:
     overrides = ("filter.kind=phd", "simulate.duration_s=100.0", "detector=estimate")
-    first = estimated(logs, tmp_path / "one", 2, *overrides)
-    again = estimated(logs, tmp_path / "two", 2, *overrides)
+    first = estimated(short, tmp_path / "one", 2, *overrides)
+    again = estimated(short, tmp_path / "two", 2, *overrides)
     assert first == again
     assert (tmp_path / "one" / "tracks.parquet").read_bytes() == (tmp_path / "two" / "tracks.parquet").read_bytes()
     assert json.loads((tmp_path / "one" / "report.json").read_text())["detectors"] == first["detectors"]
 
 
-def test_noise_that_the_log_states_is_not_estimated(logs: Path, tmp_path: Path) -> None:
-    log = pq.read_table(logs / "log2" / "detections.parquet")
+def test_noise_that_the_log_states_is_not_estimated(short: Path, tmp_path: Path) -> None:
+    log = pq.read_table(short / "log2" / "detections.parquet")
     for name, k in (("sigma_u_px", 0), ("sigma_v_px", 1)):
         values = [TRUE[camera][0][k] for camera in log["camera"].to_pylist()]
         log = log.append_column(name, pa.array(values))
     pq.write_table(log, tmp_path / "log.parquet")
-    loaded = load_config(logs / "scene.yaml", (*SIMULATED, "detector=estimate", *given(dict.fromkeys(TRUE, START))), 4)
+    loaded = load_config(short / "scene.yaml", (*SIMULATED, "detector=estimate", *given(dict.fromkeys(TRUE, START))), 4)
     found = track(loaded, tmp_path / "log.parquet", tmp_path / "out")["detectors"]["cameras"]
     for name, (_, p_detect, clutter) in TRUE.items():
         assert found[name]["sigma_px"] == [5.0, 5.0]
@@ -168,10 +189,12 @@ def test_too_little_to_estimate_from(logs: Path, tmp_path: Path, caplog: pytest.
     assert "too few to estimate the noise" in caplog.text
 
 
-def test_errors_that_last_are_not_taken_for_noise(logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_errors_that_last_are_not_taken_for_noise(
+    short: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """A camera that leans by 0.3 degrees sees all objects 5 px off: residuals of successive frames agree."""
     rotation = "cameras.right.pose.rotation_vector_deg=[0.3, 10.0, 0.0]"
-    found = estimated(logs, tmp_path / "out", 0, "detector=estimate", rotation, *given(TRUE))["detectors"]["cameras"]
+    found = estimated(short, tmp_path / "out", 0, "detector=estimate", rotation, *given(TRUE))["detectors"]["cameras"]
     assert max(found[name]["residual_correlation"][1] for name in TRUE) > 0.5
     assert "errors last from frame to frame" in caplog.text
 

@@ -48,7 +48,7 @@ def calibration_bound(
     motion : Motion
         How the objects move.
     objects, cameras, times, positions : arrays (n,), (n,), (n,), (n, 3)
-        True position of every object (0, 1, ...) at every frame of every camera; those in view count.
+        True position of every object (0, 1, ...) at every frame of every camera; those in view are used.
     scale : ScaleMeasurement, optional
         What is known of the scale.
     """

@@ -97,7 +97,7 @@ def localisation_bounds(information: Iterable[Array], prior: Array | None = None
     Parameters
     ----------
     information : iterable of arrays (3, 3)
-        Of each detection, in order: in the world, or all in one disparity space.
+        Information about the position in each detection, in order: in the world, or all in one disparity space.
     prior : array (3, 3), optional
         Information before the first.
 

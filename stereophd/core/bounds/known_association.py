@@ -103,12 +103,12 @@ def noiseless_paths(
     Parameters
     ----------
     detections : AssociatedDetections
-        Of n objects.
+        Detections of n objects.
     first : sequence of n tuples
-        Of each object's first detection: the disparity space, the time, and the undistorted pixel (2,);
+        For each object, its first detection: the disparity space, the time, and the undistorted pixel (2,);
         None of an object that is never seen.
     prior : BirthPrior
-        Of depth and velocity.
+        Prior of depth and velocity.
     times_s : array (t,)
         Times, increasing.
     motion : Motion

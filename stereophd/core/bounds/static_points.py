@@ -31,13 +31,13 @@ def static_point_information(
     Parameters
     ----------
     detections : AssociatedDetections
-        Of n points.
+        Detections of n points.
     positions : array (n, 3)
         True positions in the world, length.
     first : sequence of n DisparitySpace
         Space of the camera that saw each point first; None of a point that no camera saw, whose information is 0.
     prior : BirthPrior
-        Of the disparity.
+        Prior of the disparity.
     """
     information = np.zeros((len(positions), 3, 3))
     slopes = detections.whitening @ projective(detections.projection, positions[detections.row])[1]

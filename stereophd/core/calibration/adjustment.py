@@ -44,7 +44,7 @@ class Adjustment:
     states : array (k, 2, 3)
         Knots.
     covariance : array (m, m)
-        Of the values, trajectories integrated out.
+        Covariance of the values, trajectories integrated out.
     cost : float
         Twice the negative logarithm of the posterior density, without its constant.
     distances : array (n,)

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 # Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
 PAIRED_INFLATION = 3.5
-# Pairings of a start that are followed, and share of the best one's gain from which another is followed beside it.
+# Pairings of a start that are followed, and share of the best one's gain from which another is followed too.
 MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
 # The detections that a start explains must be this near to their noise: mean squared residual of accepted detections,
 # in squared sigmas per coordinate.
@@ -61,7 +61,7 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     values : array (m,)
         Where it begins.
     seed : SeedSequence
-        Of the further draws among which one-camera tracks are paired.
+        Seed of the further draws among which one-camera tracks are paired.
     """
     pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS]
     tried: list[Start] = []

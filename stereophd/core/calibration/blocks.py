@@ -15,19 +15,16 @@ Each particle always carries the intensity of the filter conditional on it: move
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.association import inflated
 from stereophd.core.calibration.bridging import BridgeSampler
-from stereophd.core.calibration.likelihood import Evidence
+from stereophd.core.calibration.likelihood import LogEvidence
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.settings import SequentialSettings
-from stereophd.core.disparity.events import Event
 
 Array = NDArray[np.float64]
 
@@ -50,12 +47,12 @@ class BlockPath:
 
     Attributes
     ----------
-    evidence : Evidence
-        Of the whole log.
+    evidence : LogEvidence
+        Evidence of the whole log.
     settings : SequentialSettings
     """
 
-    evidence: Evidence
+    evidence: LogEvidence
     settings: SequentialSettings
 
     modes = None
@@ -73,12 +70,12 @@ class BlockPath:
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
         """What the density at the end of each stage counts."""
-        count = len(self.evidence.events)
+        count = self.evidence.n_events
         first = min(self.settings.block_events, count)
         annealed = [Stage(first, factor) for factor in self.settings.inflation]
         if not annealed or annealed[-1].inflation != 1.0:
             annealed.append(Stage(first, 1.0))
-        # the cost of a stage is that of its events, and a bridge takes as many steps as the data ask for
+        # the cost of a stage is that of its events, and a bridge takes as many steps as the data need
         ends = []
         while first < count:
             first = count if LAST_GROWTH * first >= count else 2 * first
@@ -93,12 +90,6 @@ class BlockPath:
             max(settings.first_particles, settings.particles) if stage.inflation > 1.0 else settings.particles
             for stage in self.stages
         )
-
-    @cached_property
-    def _events(self) -> dict[float, Sequence[Event]]:
-        """Events of the log at each factor on the noise."""
-        factors = {stage.inflation for stage in self.stages}
-        return {factor: [inflated(event, factor) for event in self.evidence.events] for factor in factors}
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Draw values (count, m) from the prior."""
@@ -119,8 +110,7 @@ class BlockPath:
 
     def _likelihoods(self, values: Array, *stages: Stage) -> Array:
         """Evidence (s, k) after the events of stages of one factor on the noise, in one run."""
-        events = self._events[stages[-1].inflation][: stages[-1].n_events]
-        return replace(self.evidence, events=events).after(values, [stage.n_events for stage in stages])
+        return self.evidence.after(values, [stage.n_events for stage in stages], stages[-1].inflation)
 
 
 def block_sampler(path: BlockPath, seed: np.random.SeedSequence) -> BridgeSampler:

@@ -65,13 +65,13 @@ class BridgeInfo:
     temperature : float
         After the step.
     effective_sample_size : float
-        Of the weights of a tempering step before resampling; NaN of a move.
+        Effective sample size of the weights of a tempering step before resampling; NaN of a move.
     acceptance : float
         Share of particles moved; NaN of a tempering step.
     step_size : float
         Factor of the proposals in the step.
     mean, covariance : arrays (m,), (m, m)
-        Of the particles after the step.
+        Moments of the particles after the step.
     """
 
     kind: str
@@ -97,7 +97,7 @@ class BridgeResult:
     log_evidence : float
         Logarithm of the ratio of the integrals of the last density and the first.
     acceptance : float
-        Of the moves at the last density itself.
+        Share of accepted proposals of the moves at the last density itself.
     effective_sample_size : float
         The smallest of the tempering steps, as a share of the particles.
     ancestors : int

@@ -39,6 +39,7 @@ from stereophd.core.calibration.trajectories import (
     place_knots,
     positions,
 )
+from stereophd.core.numerics.random_streams import SHARED_ERRORS_SEED
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -55,8 +56,6 @@ SEARCHED_PART = 0.1
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 # Relative change of the cost at which an adjustment ends, and one that others follow where more than poses is unknown.
 TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
-# Seed of the errors that are drawn to find what a fit absorbs.
-SHARED_ERRORS_SEED = 0
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 # Passes are weighted from this one on.

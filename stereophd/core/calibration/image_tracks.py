@@ -62,7 +62,7 @@ def linked(times: Array, first: Integers, points: Array, noise: Array, reach: fl
     Parameters
     ----------
     times : array (f,)
-        Of the frames, s, increasing.
+        Times of the frames, s, increasing.
     first : array (f + 1,) of int
         Frame i has the detections first[i] to first[i + 1] - 1.
     points, noise : arrays (n, 2), (n,)

@@ -108,9 +108,9 @@ def known_distance(
 ) -> tuple[float, float]:
     """Find which of the distances (p,) of pairs is the known length; return log(length / distance) and its error.
 
-    Of all corners of a board many neighbours are the known length apart and other pairs are not, so the peak of the
-    logarithms of the distances is taken, among those that the prior of the scale allows. Where it allows none, the
-    pair that keeps its distance best is taken.
+    Many neighbouring corners of a board are the known length apart, and other pairs are not. The peak of the logarithms
+    of the distances is therefore taken, among those that the prior of the scale allows. If it allows none, the pair
+    that keeps its distance best is taken.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Multi-object log-likelihood of a detection log given camera hypotheses (paper VII-B): the evidence.
+"""Multi-object log-likelihood of a detection log given hypotheses of the poses (paper VII-B): the evidence.
 
 The log-likelihoods of the events, which the filter conditional on a hypothesis returns, add up to that of the
 log. With the PHD filter it is the paper's; with the PMB filter it is the sum over all associations of each
@@ -8,16 +8,20 @@ Scale. Scaling camera distances, depths and speeds together leaves the images un
 the scale. The priors of the objects' depth and speed do, and strongly: if they are too broad, each of n objects
 multiplies the evidence of cameras s times as far apart by a power of s. `Evidence` can therefore compare all hypotheses
 at the scale of the prior mean, so that only the prior of the cameras constrains the scale.
+
+Hypotheses of anything else than poses need events of their own: `stereophd.core.calibration.recording_evidence`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.calibration.association import inflated
 from stereophd.core.calibration.parameters import ParameterSet, taken
 from stereophd.core.calibration.scale import ScaleMeasurement, predicted
 from stereophd.core.disparity.events import Event, Rig, make_rig
@@ -27,9 +31,31 @@ from stereophd.core.multi.batch import FilterBatch
 Array = NDArray[np.float64]
 
 
+class LogEvidence(Protocol):
+    """Log-likelihood of a log, or of its first events, as a function of parameter values."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Unknowns and their priors."""
+
+    @property
+    def n_events(self) -> int:
+        """Number of events of the log."""
+
+    def __call__(self, values: Array) -> Array:
+        """Return the log-likelihoods (k,) of values (k, m)."""
+
+    def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
+        """Return the log-likelihoods (s, k) of values (k, m) after the first events, for each of several counts.
+
+        `counts` are increasing, and at most the number of events; `inflation` is a factor on the noise of all
+        detections.
+        """
+
+
 @dataclass(frozen=True)
 class Evidence:
-    """Log-likelihood of a log as a function of parameter values.
+    """Log-likelihood of a log as a function of the poses of cameras that stand still.
 
     Attributes
     ----------
@@ -52,36 +78,40 @@ class Evidence:
     scale_reference: int | None = None
     scale: ScaleMeasurement | None = None
 
+    @property
+    def n_events(self) -> int:
+        """Number of events."""
+        return len(self.events)
+
     def __call__(self, values: Array) -> Array:
-        """Return the log-likelihoods (k,) of values (k, m)."""
+        """See `LogEvidence`."""
         return np.asarray(self.after(values, [len(self.events)])[0])
 
-    def after(self, values: Array, counts: Sequence[int]) -> Array:
-        """Return the log-likelihoods (s, k) of values (k, m) after the first events, for each of several counts.
-
-        `counts` are increasing, and at most the number of events; all come from one run of the filters.
-        """
-        total = self._log_scale(values)
+    def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
+        """See `LogEvidence`; all counts come from one run of the filters."""
+        total = log_density_of_scale(self.parameters, self.scale_reference, self.scale, values)
         spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
         if self.scale_reference is not None:
             nominal = hypothesis_spaces(self.parameters, self.parameters.prior_mean[None], self.batch.template.rig)
             spaces = at_nominal_scale(spaces, nominal[0], self.scale_reference)
         state, found = self.batch.init(len(values)), np.empty((len(counts), len(values)))
-        for number, event in enumerate(self.events):
+        for number, event in enumerate(self.events[: counts[-1]]):
             found[np.equal(counts, number)] = total
-            state, log_likelihoods = self.batch.step(state, event, spaces)
+            state, log_likelihoods = self.batch.step(state, inflated(event, inflation), spaces)
             total = total + log_likelihoods
-        found[np.equal(counts, len(self.events))] = total
+        found[np.equal(counts, counts[-1])] = total
         return found
 
-    def _log_scale(self, values: Array) -> Array:
-        """Log-density (k,) of what was measured of the scale; 0 where nothing was."""
-        scale = self.scale
-        if scale is None:
-            return np.zeros(len(values))
-        reference = 0 if self.scale_reference is None else self.scale_reference
-        found = np.array([predicted(self.parameters, reference, scale, row)[0] for row in values])
-        return np.asarray(-0.5 * ((found - scale.value) / scale.std) ** 2 - np.log(scale.std * np.sqrt(2.0 * np.pi)))
+
+def log_density_of_scale(
+    parameters: ParameterSet, reference: int | None, scale: ScaleMeasurement | None, values: Array
+) -> Array:
+    """Log-density (k,) of what was measured of the scale, at values (k, m); 0 where nothing was."""
+    if scale is None:
+        return np.zeros(len(values))
+    about = 0 if reference is None else reference
+    found = np.array([predicted(parameters, about, scale, row)[0] for row in values])
+    return np.asarray(-0.5 * ((found - scale.value) / scale.std) ** 2 - np.log(scale.std * np.sqrt(2.0 * np.pi)))
 
 
 def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Array:

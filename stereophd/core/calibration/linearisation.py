@@ -50,7 +50,7 @@ class Linearisation:
     members : tuple of arrays of int
         Observations of each camera.
     path, rates : Interpolation
-        Of positions and velocities at the times of the prior mean.
+        Interpolation of positions and velocities at the times of the prior mean.
     motion : MotionPrior
     columns : array (c, q)
         Places of the unknown values of each camera, filled up with -1.

@@ -42,7 +42,7 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> Adjustment:
     ----------
     problem : Problem
     found : Adjustment
-        Of that problem.
+        Solution of that problem.
 
     Returns
     -------

@@ -39,7 +39,7 @@ class Pairing:
     chosen : array (c,) of int
         Indices of the pairs.
     gain : float
-        Of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
+        Gain of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
     """
 
     values: Array

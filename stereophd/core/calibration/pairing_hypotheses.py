@@ -7,7 +7,7 @@ prior, and the hypothesis is judged by how many other tracks find a partner. A p
 with the right one; it leaves the tracks at the edge without partners, and its offset turns with the board. The best
 hypotheses of the camera pairs along a spanning tree are then fitted together.
 
-Distances are linearised about the cameras of a start, so that a hypothesis costs milliseconds.
+Distances are linearised about the cameras of a start, so that a hypothesis takes milliseconds.
 """
 
 from __future__ import annotations

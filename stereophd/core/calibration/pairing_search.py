@@ -40,10 +40,10 @@ PARALLEL = 0.01
 
 
 def coarse_columns(parameters: ParameterSet, pairs: TrackPairs, early: Booleans | None = None) -> Integers:
-    """Values that matter for pairing, by how far one prior standard deviation moves the rays.
+    """Return the values that matter for pairing, by how far one prior standard deviation moves the rays.
 
-    Of the values that are free from the first stage on (`early`, all by default), those that move them by more than
-    the last tolerance; of the others, those that move them by more than `LATER_TOLERANCE`.
+    A value that is free from the first stage on (`early`, all by default) matters if it moves them by more than the
+    last tolerance, and any other value if it moves them by more than `LATER_TOLERANCE`.
     """
     every = np.arange(parameters.size)
     if pairs.raw is None:

@@ -149,6 +149,11 @@ class ParameterSet:
         return all(quantity.affects == MOVES for quantity in self.quantities)
 
     @property
+    def only_poses(self) -> bool:
+        """Whether nothing but poses of cameras that stand still is unknown."""
+        return self.only_moves and not self.has_rates
+
+    @property
     def has_rates(self) -> bool:
         """Whether a velocity or rotation rate of a camera is unknown."""
         return any(quantity.unit in (LENGTH_PER_SECOND, RADIANS_PER_SECOND) for quantity in self.quantities)

@@ -37,9 +37,9 @@ class Observability:
     directions : array (m, m)
         Unit vectors in units of prior standard deviations, one per row.
     parameter_ratios : array (m,)
-        The same of each parameter by itself.
+        Posterior over prior standard deviation of each parameter.
     scale_ratio : float
-        The same of the logarithm of the scene's scale; NaN where the scale is not free.
+        The same ratio for the logarithm of the scene's scale; NaN where the scale is not free.
     information_bits : float
         What the data added to the prior: half the logarithm (base 2) of the ratio of determinants.
     status : str
@@ -88,11 +88,11 @@ def observability(parameters: ParameterSet, reference: int, values: Array, covar
 def laplace_draws(
     parameters: ParameterSet, reference: int, values: Array, covariance: Array, count: int, rng: np.random.Generator
 ) -> Array:
-    """Draw from the posterior that an optimum and its covariance mean: normal, but for what the scale does.
+    """Draw from the posterior of an optimum and its covariance, which is normal except along the scale.
 
-    Where the scale is free the data know the directions of the cameras, and the centres lie in a cone: at a larger
-    scale they are spread as much wider. A step z ~ N(0, S) is split, with the gradient g of log s, into what goes with
-    the scale and what does not,
+    If the scale is free, the data determine the directions of the cameras, and the centres lie in a cone: at a larger
+    scale they are spread as much wider. A step z ~ N(0, S) is split, with the gradient g of log s, into a part that
+    changes the scale and a part that does not,
 
         z = a S g / (g^T S g) + w,    a = g^T z,    g^T w = 0,
 
@@ -127,16 +127,16 @@ def laplace_draws(
 
 @dataclass(frozen=True)
 class PoseSpread:
-    """Root mean square errors that a covariance of parameters means for a camera.
+    """Root mean square errors of the pose of a camera that follow from a covariance of the parameters.
 
     Attributes
     ----------
     rotation : float
-        rad.
+        Standard deviation of the rotation, rad.
     direction : float
-        Of the translation from the reference, rad.
+        Standard deviation of the direction of the translation from the reference, rad.
     scale : float
-        Of the logarithm of its length.
+        Standard deviation of the logarithm of its length.
     center : float
         Length.
     """

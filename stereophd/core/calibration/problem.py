@@ -59,7 +59,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Loss:
-    """Robust loss: ``squared``, ``cauchy`` (scale in sigmas) or ``floor`` (height beside a peak of 1)."""
+    """Robust loss: ``squared``, ``cauchy`` (scale in sigmas) or ``floor`` (height relative to a peak of 1)."""
 
     kind: int
     scale: float

@@ -130,7 +130,7 @@ class Scans:
     events : tuple of Event
         In order of true time, ties in the order of the cameras.
     times, cameras : arrays (e,)
-        Of the events.
+        True times, s, and indices of the cameras of the events.
     first : array (e + 1,) of int
         Event i has the detections first[i] to first[i + 1] - 1.
     points, precisions : arrays (n, 2), (n, 2, 2)
@@ -199,7 +199,10 @@ def _events_of(
     for place, frame in enumerate(frames.tolist()):
         one = order[ends[place] : ends[place + 1]]
         delays = camera.row_delays(pixels[one, 1])
-        event = Event(float(times[frame]), number, points[one], covariances[one], areas[one], delays)
+        lost = int(counts[place]) - len(one)
+        event = Event(
+            float(times[frame]), number, points[one], covariances[one], areas[one], delays, not_invertible=lost
+        )
         out.append((place, event, rows[one]))
     return out
 

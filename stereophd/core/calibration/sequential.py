@@ -74,14 +74,14 @@ class SequentialInfo:
     Attributes
     ----------
     time_s, camera
-        Of the event.
+        Time, s, and camera of the event.
     mean, covariance : arrays (m,), (m, m)
-        Of the particles, before resampling.
+        Moments of the particles, before resampling.
     effective_sample_size : float
         Before resampling.
     resampled : bool
     log_likelihood : float
-        Of the event given those before, the cameras integrated out.
+        Log-likelihood of the event given those before, the cameras integrated out.
     components : float
         Mean number of components of a conditional intensity.
     """

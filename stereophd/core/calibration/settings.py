@@ -32,10 +32,10 @@ class AnnealedSettings:
         "factors on the detector's sigma while tracking, pass by pass", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
     )
     max_events: Count = parameter(
-        "frames used while tracking; of a longer log every n-th frame of each camera is", default=4000
+        "frames used while tracking; a longer log is thinned to every n-th frame of each camera", default=4000
     )
     min_detections: Annotated[int, Interval(ge=4, le=LARGEST_COUNT)] = parameter(
-        "a track counts from this many detections in each of two cameras on", default=16
+        "a track is used from this many detections in each of two cameras on", default=16
     )
     shared_error_px: Annotated[float, Interval(ge=0, le=1e6), FINITE] = parameter(
         "successive detections of one object within this distance may share an error, as those of an object that "
@@ -112,4 +112,6 @@ class TemperedSettings:
     spread: Annotated[float, Interval(ge=0.1, le=1e3), FINITE] = parameter(
         "the first particles are drawn this much wider than the Laplace modes", default=1.5
     )
-    max_events: Count = parameter("frames used; of a longer log every n-th frame of each camera is", default=4000)
+    max_events: Count = parameter(
+        "frames used; a longer log is thinned to every n-th frame of each camera", default=4000
+    )

@@ -118,11 +118,11 @@ def shared_errors(
     ----------
     linearisation : Linearisation
     values, states : arrays (m,), (k, 2, 3)
-        Of the fit.
+        Values of the parameters and states of the knots of the fit.
     radius : float
-        Of the cells, px.
+        Radius of the cells, px.
     rng : Generator
-        Of the errors that are drawn.
+        Source of the errors that are drawn.
     """
     observations = linearisation.problem.observations
     residuals = linearisation.residuals(values, states)[1]

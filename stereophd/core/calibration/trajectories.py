@@ -47,7 +47,7 @@ class Knots:
     spans : array (k, 2)
         First and last time of each trajectory, s.
     noise_std : array (3,)
-        Of the motion, length/s^2, none of them exactly zero while others are not.
+        Standard deviations of the noise of the motion, length/s^2, none of them exactly zero while others are not.
     motion : Motion
     """
 
@@ -81,7 +81,7 @@ def place_knots(
 
     Where the numbers of detections `counts` of the trajectories are given, a trajectory has at most
     `KNOTS_PER_DETECTION` knots for each: the work of an adjustment then grows no faster than the detections. Only
-    cameras that are badly wrong ask for more, those that put objects so near that the noise is no length at all.
+    cameras that are badly wrong would need more: those that place objects so near that the noise is almost no length.
     """
     std = motion.noise_std
     pieces = []
@@ -115,7 +115,7 @@ class Interpolation(NamedTuple):
     knot : array (n,) of int
         The knot before each time.
     weights : array (n, 4)
-        Of its position and velocity, and of those of the next knot.
+        Weights of its position and velocity, and of those of the next knot.
     offsets : array (n, 3)
         What the drift of the motion adds.
     """

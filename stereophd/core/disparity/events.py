@@ -68,9 +68,9 @@ class Rig:
     cameras : tuple of Camera
         In the order of the configuration.
     baseline : float
-        Of the abstract rectified companions, length.
+        Baseline of the abstract rectified companions, length.
     rectification : {"horizontal", "vertical"}
-        Of the companions.
+        Rectification of the companions.
     packed : array (c, 30)
         Packed spaces at time 0; valid at any time if no camera moves.
     moving : bool
@@ -92,7 +92,7 @@ class Rig:
         """Packed space (30,) of a camera at a time."""
         if not self.moving or self.cameras[camera].pose.is_static:
             return np.asarray(self.packed[camera])
-        # components stay at home at the time of an earlier event: the same spaces are asked for again and again
+        # components stay at home at the time of an earlier event: the same spaces are needed many times
         kept = self._kept.get((camera, time_s))
         if kept is None:
             if len(self._kept) >= MOST_KEPT:

@@ -34,7 +34,7 @@ def initial_moments(
     size: int,
     delays: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Gaussians of objects of which nothing but one detection each is known.
+    """Return the Gaussians of objects of which only one detection each is known.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ class Look(NamedTuple):
     samples : array (rows, n)
         Standard-normal samples.
     weights : array (n,)
-        Of the samples.
+        Weights of the samples.
     minimum : int
         Fewest (effective) samples in view from which a Gaussian is fitted.
     """

@@ -102,7 +102,7 @@ def moving_trips(
         Displacement for each unit of velocity, s, and the part of the velocity that remains
         (`stereophd.core.motion.arrays.MotionArrays`).
     drift : array (6,)
-        Of position and velocity, in the world.
+        Drift of position and velocity, in the world.
     max_speed : float
         Limit of speed, length/s; infinity for none.
     out : array (7, n)

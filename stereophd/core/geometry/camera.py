@@ -202,9 +202,15 @@ class Camera:
         (n, 3) array
             Positions in the world, length; a row of NaN where a pixel cannot be undistorted.
         """
+        return self.pose.to_world(self.rays(pixels) * np.asarray(depth, dtype=np.float64)[:, None])
+
+    def rays(self, pixels: ArrayLike) -> FloatArray:
+        """Return the rays (n, 3) of distorted pixels (n, 2) in the camera's frame, with depth 1.
+
+        A row has NaN where a pixel cannot be undistorted.
+        """
         xy, _ = self.lens.undistort(self._to_normalised(pixels))
-        z = np.asarray(depth, dtype=np.float64)
-        return self.pose.to_world(np.column_stack([xy * z[:, None], z]))
+        return np.column_stack([xy, np.ones(len(xy))])
 
     def in_view(self, x_world: ArrayLike) -> BoolArray:
         """Return which world positions (n, 3) the camera sees, as bool (n,).

@@ -1,8 +1,8 @@
 """Compiled scalar kernels of the lens models and of the in-view test (numba).
 
-They compile the formulas of `stereophd.core.geometry.lenses`; `stereophd.core.geometry.lens` loops over them and
-other compiled kernels call them, where LLVM inlines them. Points are normalised image coordinates
-(x / z, y / z) in the camera's axes. All lens models are written as one family,
+They compile the formulas of `stereophd.core.geometry.lenses`, and invert them. Other compiled kernels call them, and
+LLVM inlines them there; `distort_points` and `undistort_points` loop over points for `stereophd.core.geometry.lens`.
+Points are normalised image coordinates (x / z, y / z) in the camera's axes. All lens models are written as one family,
 
     x_d = x g(s) + 2 p1 x y + p2 (s + 2 x^2),    y_d = y g(s) + p1 (s + 2 y^2) + 2 p2 x y,
 

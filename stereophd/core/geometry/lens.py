@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -79,7 +79,7 @@ class Lens:
         Beyond it the model folds back, and maps points far outside the field of view into the image:
         such points are never in view.
         """
-        return lens_models()[self.model].max_radius(self.coefficients)
+        return _max_radius(self.model, tuple(self.coefficients.tolist()))
 
     def distort(self, xy: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Distort normalised points.
@@ -125,6 +125,12 @@ class Lens:
         from stereophd.core.geometry.compiled_lenses import undistort_points
 
         return undistort_points(self.code, self.coefficients, self.max_radius, points)
+
+
+@lru_cache(maxsize=1000)
+def _max_radius(model: str, coefficients: tuple[float, ...]) -> float:
+    """Return the limit of a model; checks of a log try the same few lenses in turn for every camera."""
+    return lens_models()[model].max_radius(np.array(coefficients))
 
 
 def _points(values: ArrayLike) -> FloatArray:

@@ -1,4 +1,9 @@
-"""Projections with their derivatives: of points in a camera's axes, and by projective matrices."""
+"""Projections with their derivatives: of points in a camera's axes, and by projective matrices.
+
+These are the parts. `stereophd.core.bounds.cramer_rao.pixel_jacobian` is the Jacobian of the undistorted pixel by a
+position in the world, and `stereophd.core.calibration.quantities.pixel_derivatives.look` the whole derivative of the
+distorted pixel: through the lens, and by the pose, the motion of object and camera, and time.
+"""
 
 from __future__ import annotations
 

@@ -65,8 +65,8 @@ def mahalanobis_distances(x: FloatArray, y: FloatArray, covariance: FloatArray) 
 def is_positive_definite(covariance: FloatArray) -> NDArray[np.bool_]:
     """Return which symmetric matrices (..., d, d) are finite and have a Cholesky factor.
 
-    The factor itself is asked for, because a matrix that is all but singular may pass any other criterion and then
-    have none.
+    The factor itself is computed, because a matrix that is nearly singular may pass any other criterion and then have
+    none.
     """
     good = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
     flat = good.reshape(-1)

@@ -22,7 +22,7 @@ LEAST_EIGENVALUE = 1e-12
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of k cameras beside the reference.
+    """Errors of k cameras, all but the reference.
 
     Attributes
     ----------
@@ -83,8 +83,8 @@ def pose_errors(estimated: Sequence[Pose], true: Sequence[Pose], reference: int)
 def normalised_error_squared(error: ArrayLike, covariance: ArrayLike) -> float:
     """NEES: error^T covariance^-1 error; its expectation is the number of errors if the covariance is right.
 
-    NaN where the covariance is singular, or all but so (`LEAST_EIGENVALUE` of the correlations): particles that are
-    fewer than the parameters, or sit in one place.
+    NaN if the covariance is singular or nearly so (`LEAST_EIGENVALUE` of the correlations), because there are fewer
+    particles than parameters, or they are all in one place.
     """
     e, matrix = np.asarray(error, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     std = np.sqrt(np.diag(matrix))

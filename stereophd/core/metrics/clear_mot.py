@@ -72,7 +72,7 @@ def follow(estimates: PointSets, truth: PointSets, scores: ScanScores, near: Nea
     estimates, truth : PointSets
         The same scans, in order of time.
     scores : ScanScores
-        Of `stereophd.core.metrics.scans.score_scans`.
+        Scores that `stereophd.core.metrics.scans.score_scans` returns.
     near : NearPairs
         All pairs nearer than the cutoff.
     order : float
@@ -85,8 +85,8 @@ def follow(estimates: PointSets, truth: PointSets, scores: ScanScores, near: Nea
 
     Notes
     -----
-    Scans are only gone through one by one from the first at which the optimal assignment breaks a pair that could be
-    kept, up to where both assignments remember the same tracks again.
+    The loop over single scans begins only at the first scan at which the optimal assignment breaks a pair that could be
+    kept, and ends where both assignments remember the same tracks again.
     """
     run = _number(estimates, truth, scores, near, order)
     suspects = _suspects(run)

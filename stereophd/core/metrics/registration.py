@@ -27,7 +27,7 @@ from stereophd.core.metrics.truth_interpolation import Truth, align_truth
 MOST_STEPS, EQUAL_STEPS, TOLERANCE = 100, 10, 1e-9
 # Estimates that are used at most (evenly chosen) and at least.
 MOST_ESTIMATES, LEAST_ESTIMATES = 5000, 6
-# Slowest and fastest rate of a clock beside the truth's.
+# Slowest and fastest rate of a clock relative to the truth's.
 LOWEST_RATE, HIGHEST_RATE = 0.5, 2.0
 
 

@@ -46,7 +46,7 @@ class PointSets:
     label : (n,) array
         Identity of the object or track.
     covariance : (n, 3, 3) array or None
-        Of the position.
+        Covariance of the position.
     confirmed : (n,) bool array or None
         Whether each estimate is confirmed rather than tentative; None where that is not known.
     """

@@ -92,7 +92,7 @@ def leave_out_unseen(
     estimates, truth : PointSets
         The same scans.
     seen : (n,) bool array
-        Which true points count.
+        Which true points are scored.
     order, cutoff, mahalanobis
         As for `stereophd.core.metrics.scans.score_scans`: an estimate belongs to an unseen object when the optimal
         assignment of all points pairs them nearer than the cutoff.
@@ -100,7 +100,7 @@ def leave_out_unseen(
     Returns
     -------
     estimates, truth : PointSets
-        What is left of each scan.
+        The remaining points of each scan.
     emptied : (k,) bool array
         Scans that lost points and have none left.
     """

@@ -26,7 +26,7 @@ class Ballistic(ConstantVelocity):
     Parameters
     ----------
     acceleration_std, max_speed
-        As of `ConstantVelocity`; the noise covers other accelerations, such as drag.
+        The same as in `ConstantVelocity`; the noise covers other accelerations, such as drag.
     gravity : (3,) array_like
         In the axes of the world, length/s^2.
 

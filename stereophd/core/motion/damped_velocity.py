@@ -94,8 +94,8 @@ class DampedVelocitySettings:
     time_constant_s: PositiveDuration = parameter(
         "time after which 1/e of the velocity remains",
         unit="s",
-        advice="The time over which an object forgets where it was going. Its speed on each axis settles at "
-        "acceleration_std sqrt(time_constant_s / 2).",
+        advice="the time after which the velocity of an object no longer depends on its earlier velocity. Its speed on "
+        "each axis settles at acceleration_std sqrt(time_constant_s / 2).",
     )
     acceleration_std: Acceleration = acceleration_parameter()
     max_speed: PositiveLength | None = speed_parameter()

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.sorting import stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -29,10 +30,12 @@ Integers = NDArray[np.int64]
 # Pairs further apart than this many standard deviations in u have a likelihood below 1e-17 of the
 # peak: leaving them out changes nothing, and detections ordered by u make finding the others cheap.
 REACH_SIGMAS = 9.0
-# Their square, and some more for rounding.
-FAR = 1.0001 * REACH_SIGMAS**2
+SHORT_REACH_SIGMAS = 5.0
+FEW_COMPONENTS = 8192
 # Pairs a component that there is room for at first.
 ROOM_FOR_PAIRS = 16
+# More pairs of a component than any event has.
+ALL_PAIRS = 1 << 62
 
 
 @compiled
@@ -44,6 +47,7 @@ def pair_likelihoods(
     noises: Array,
     areas: Array,
     delays: Array | None = None,
+    most: int = ALL_PAIRS,
 ) -> tuple[Integers, Integers, Array]:
     """Predicted density N(z; H m, H P H^T + R) of every pair within reach, eq. (4) and (5).
 
@@ -57,6 +61,8 @@ def pair_likelihoods(
         Detections of an `Event`, ordered by u.
     delays : array (m,), optional
         Time of each detection after that of the components, s.
+    most : int
+        Pairs of one component: those of the largest densities are kept.
 
     Returns
     -------
@@ -65,6 +71,9 @@ def pair_likelihoods(
     densities : array (p,)
         Per distorted pixel area.
     """
+    # the second factor: some more for rounding
+    sigmas = REACH_SIGMAS if most == ALL_PAIRS or len(means) <= FEW_COMPONENTS else SHORT_REACH_SIGMAS
+    far = 1.0001 * sigmas**2
     largest = 0.0
     for j in range(len(points)):
         largest = max(largest, noises[j, 0, 0])
@@ -84,7 +93,7 @@ def pair_likelihoods(
                 first, last = means[k, 0] + earliest * means[k, 3], means[k, 0] + latest * means[k, 3]
                 from_u, to_u = min(first, last), max(first, last)
                 variance = max(_delayed(covariances[k], 0, 0, earliest), _delayed(covariances[k], 0, 0, latest))
-            reach = REACH_SIGMAS * math.sqrt(variance + largest)
+            reach = sigmas * math.sqrt(variance + largest)
             low[k] = np.searchsorted(column, from_u - reach)
             high[k] = np.searchsorted(column, to_u + reach)
             total += high[k] - low[k]
@@ -93,6 +102,7 @@ def pair_likelihoods(
     components, detections, densities = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room)
     found = 0
     for k in range(count):
+        begin = found
         if found + high[k] - low[k] > room:
             room = min(total, 2 * room + high[k] - low[k])
             components, detections = _enlarged(components, room), _enlarged(detections, room)
@@ -110,17 +120,34 @@ def pair_likelihoods(
                 du -= delays[j] * means[k, 3]
                 dv -= delays[j] * means[k, 4]
             # a squared Mahalanobis distance is at least that of each coordinate alone
-            if dv * dv > FAR * s11:
+            if dv * dv > far * s11:
                 continue
             determinant = s00 * s11 - s01 * s01
             squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
-            if squared > REACH_SIGMAS * REACH_SIGMAS:
+            if squared > sigmas * sigmas:
                 continue
             components[found] = k
             detections[found] = j
             densities[found] = areas[j] * math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(determinant))
             found += 1
+        if found - begin > most:
+            found = begin + _keep_densest(detections[begin:found], densities[begin:found], most)
     return components[:found], detections[:found], densities[:found]
+
+
+@compiled
+def _keep_densest(detections: Integers, densities: Array, most: int) -> int:
+    """Move the pairs of the largest densities to the beginning, in their order; return how many they are."""
+    order = stable_order(-densities)
+    kept = np.zeros(len(densities), dtype=np.bool_)
+    for i in range(most):
+        kept[order[i]] = True
+    count = 0
+    for i in range(len(densities)):
+        if kept[i]:
+            detections[count], densities[count] = detections[i], densities[i]
+            count += 1
+    return count
 
 
 @compiled

@@ -69,7 +69,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
     Parameters
     ----------
     labels, weights, n_missed, updated
-        As of `claims_of`; negative labels stand for objects never detected, and are left out.
+        The same as in `claims_of`; negative labels stand for objects never detected, and are left out.
 
     Returns
     -------
@@ -80,6 +80,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
     """
     order = stable_order(labels)
     found, made = np.empty(len(labels), dtype=np.int64), np.empty(len(labels), dtype=np.int64)
+    shares = np.zeros(len(labels) - n_missed - len(updated))
     count, start = 0, 0
     while start < len(order):
         label, end, balance, whole = labels[order[start]], start, 0.0, 0.0
@@ -90,17 +91,16 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
             end += 1
         if label >= 0 and balance > 0.0:
             found[count], made[count] = label, UNDECIDED
+            # the components of one label and detection are alternatives
             for i in range(start, end):
-                if order[i] < n_missed:
-                    continue
-                # the components of one label and detection are alternatives
-                j, share = _detection_of(order[i] - n_missed, updated), 0.0
-                for other in range(i, end):
-                    if order[other] >= n_missed and _detection_of(order[other] - n_missed, updated) == j:
-                        share += weights[order[other]]
-                if share > 0.5 * whole:
-                    made[count] = j
-                    break
+                if order[i] >= n_missed:
+                    shares[_detection_of(order[i] - n_missed, updated)] += weights[order[i]]
+            for i in range(start, end):
+                if order[i] >= n_missed:
+                    j = _detection_of(order[i] - n_missed, updated)
+                    if shares[j] > 0.5 * whole:
+                        made[count] = j
+                    shares[j] = 0.0
             count += 1
         start = end
     return found[:count], made[:count]

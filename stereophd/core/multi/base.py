@@ -163,8 +163,13 @@ class DisparityFilter(ABC):
         """Return the state before the first event: no objects."""
         return FilterState(empty_mixture(self.state_size), None, 0, 0, 0)
 
-    def predict(self, state: FilterState, event: Event) -> Prediction:
-        """Let objects survive, move and come into the event's disparity space."""
+    def predict(
+        self, state: FilterState, event: Event, births: tuple[float, Undetected, int] | None = None
+    ) -> Prediction:
+        """Let objects survive, move and come into the event's disparity space.
+
+        `births` replaces what `expected_births` returns, for filters of several camera hypotheses that share it.
+        """
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
         weights = mixture.weights * self.settings.survival_per_s**elapsed
@@ -190,13 +195,14 @@ class DisparityFilter(ABC):
             weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
             motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s,
         )  # fmt: skip
-        known = self.rig.cameras[event.camera].detector.p_detect * total
-        births, undetected, burst = self.expected_births(state.undetected, elapsed, event, known)
-        return Prediction(mixture.with_weights(weights), moved, births, undetected, burst)
+        if births is None:
+            known = self.rig.cameras[event.camera].detector.p_detect * total
+            births = self.expected_births(state.undetected, elapsed, event, known)
+        return Prediction(mixture.with_weights(weights), moved, *births)
 
     @cached_property
     def _left(self) -> list[Array]:
-        """Of the objects in view of each camera, the share (c,) that a frame leaves, for the frames of each camera."""
+        """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
         return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
     def expected_births(

@@ -129,7 +129,7 @@ class FilterBatch:
         -------
         state : BatchState
         log_likelihoods : array (k,)
-            Of the event's detections.
+            Log-likelihood of the event's detections.
         """
         template, mixture = self.template, state.mixture
         births, undetected, burst = template.expected_births(state.undetected, _elapsed(state, event), event)

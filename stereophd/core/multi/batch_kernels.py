@@ -44,7 +44,7 @@ class PredictionNumbers(NamedTuple):
     Attributes
     ----------
     camera : int
-        Of the event.
+        Index of the camera of the event.
     survival : float
         Probability that an object survives since the last event.
     elapsed, out_of_view_s : float
@@ -101,7 +101,7 @@ def predict(
     Returns
     -------
     weights : array (n,)
-        Of the components of these hypotheses, one hypothesis after the other, if they survive and are not
+        Weights of the components of these hypotheses, one hypothesis after the other, if they survive and are not
         forgotten.
     moved : Moved
         The same components in the event's space.
@@ -149,11 +149,11 @@ def update_intensities(
     Parameters
     ----------
     begins, ends, mixture
-        As of `predict`.
+        The same as in `predict`.
     weights, moved
         The result of `predict`.
     event, numbers, reduction
-        As of the filter's own update.
+        The same as in the filter's own update.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def update_intensities(
     mixture : GaussianMixture
         Components after the event, one hypothesis after the other.
     log_likelihoods : array (k,)
-        Of the event.
+        Log-likelihoods of the event.
     """
     counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
     out = allocate_mixture(len(begins) * ROOM, mixture.means.shape[1])
@@ -195,8 +195,8 @@ def update_track_sets(
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
         outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, reduction.prune_weight)
-        chosen, tracks = choose_hypotheses(outcomes, reduction)
-        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, chosen), tracks, reduction)
+        choice, tracks = choose_hypotheses(outcomes, reduction)
+        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, choice), tracks, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]

@@ -29,6 +29,9 @@ Integers = NDArray[np.int64]
 # on dense loops about fifteen.
 TOLERANCE = 1e-9
 MAX_SWEEPS = 200
+# Of tens of thousands of pairs fewer, but at least `LEAST_SWEEPS`: the work of an event is bounded.
+MOST_MESSAGES = 4_000_000
+LEAST_SWEEPS = 10
 
 
 @compiled
@@ -62,7 +65,7 @@ def propagate_beliefs(
     to_track = np.ones(count)
     per_track = np.zeros(n_tracks)
     per_detection = np.zeros(n_detections)
-    for _ in range(MAX_SWEEPS):
+    for _ in range(min(MAX_SWEEPS, max(MOST_MESSAGES // max(count, 1), LEAST_SWEEPS))):
         per_track[:] = 0.0
         for p in range(count):
             per_track[tracks[p]] += odds[p] * to_track[p]

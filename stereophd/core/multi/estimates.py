@@ -1,4 +1,4 @@
-"""What filters return beside their state: the objects reported, and diagnostics of an event."""
+"""What filters return besides their state: the objects reported, and diagnostics of an event."""
 
 from __future__ import annotations
 
@@ -84,9 +84,11 @@ class Info:
     detected : array of int
         Labels that the event detected (`stereophd.core.multi.attribution.detected_labels`).
     claims : Claims, optional
-        Which detections they were; None unless the filter is asked for them (`DisparityFilter.claims`).
+        Which detections they were; None unless `DisparityFilter.claims` is set.
     left_out : int
         Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
+    hypotheses_left_out : int
+        Hypotheses of tracks beyond the bound on their number (PMB).
     burst : int
         Detections that were taken as a burst of clutter (`stereophd.core.multi.undetected.burst_of`).
     """
@@ -98,3 +100,4 @@ class Info:
     claims: Claims | None = field(default=None, compare=False)
     left_out: int = field(default=0, compare=False)
     burst: int = field(default=0, compare=False)
+    hypotheses_left_out: int = field(default=0, compare=False)

@@ -36,12 +36,12 @@ class ExplainedRows(NamedTuple):
     Attributes
     ----------
     log_likelihoods : array (h, 2)
-        Of the detections of each track after its first. Minus infinity where the track leaves the view of a camera that
-        detected it: the rest of the explanation is then left out.
+        Log-likelihood of the detections of each track after its first. Minus infinity if the track leaves the view of a
+        camera that detected it: the rest of the explanation is then left out.
     fits : array (h, n) of bool
         Whether each detection was taken for one of its track.
     means, covariances : arrays (h, 2, d), (h, 2, d, d)
-        Of the tracks at their last detections.
+        Moments of the tracks at their last detections.
     """
 
     log_likelihoods: Array
@@ -119,7 +119,7 @@ def explain_rows(
     spaces : array (n, 30)
         Packed space of each detection.
     prior : NewObjects
-        Of the tracks at their first detections.
+        Prior of the tracks at their first detections.
     paths : DetectionPaths
     motion : MotionArrays
         Over the intervals of the paths.

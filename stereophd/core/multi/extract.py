@@ -1,4 +1,8 @@
-"""Which components are reported as objects: thresholds with hysteresis, one estimate per label."""
+"""Which components are reported as objects: thresholds with hysteresis, one estimate per label.
+
+A component does not know which cameras have detected it. `run_estimator` (`pipeline/tracking/loop.py`, `_supported`)
+therefore drops afterwards the tentative objects that two cameras have not detected, except at the start of a log.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +89,7 @@ def select_objects(
     motion : MotionArrays
         From the time of each component to that of the report.
     samples : array (rows, s)
-        As of `stereophd.core.disparity.moments.world_moments`.
+        The same as in `stereophd.core.disparity.moments.world_moments`.
     split : bool
         Whether a label may represent several objects, as in a PHD; hypotheses of one track exclude each other.
 

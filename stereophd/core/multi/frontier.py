@@ -171,7 +171,7 @@ def eliminate(table: Table, plan: Plan) -> tuple[Array, Array, Array, float]:
     table : Table
         Pairs.
     plan : Plan
-        Of finite cost.
+        A plan of finite cost.
 
     Returns
     -------

@@ -18,10 +18,18 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, allocate_mixture
 from stereophd.core.multi.outcomes import fill_missed
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, picked, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+# `max_hypotheses` that stands for a bound by the number of detections: so many a detection, and at least `LEAST_BOUND`.
+BY_DETECTIONS = 0
+HYPOTHESES_A_DETECTION = 16
+LEAST_BOUND = 8192
+# Where the bound acts, tracks of a smaller existence than this are recycled.
+RECYCLE_BELOW = 0.02
 
 
 class PmbReduction(NamedTuple):
@@ -33,6 +41,7 @@ class PmbReduction(NamedTuple):
     max_components: int
     hypothesis_distance: float
     least_share: float
+    max_hypotheses: int
 
 
 class Outcomes(NamedTuple):
@@ -41,7 +50,8 @@ class Outcomes(NamedTuple):
     Attributes
     ----------
     labels, weights : arrays (n + c + m,)
-        Of the components that the event missed, of those that it detected, and of one new track a detection.
+        Labels and weights of the components that the event missed, of those that it detected, and of one new track for
+        each detection.
     owned, made : arrays (c,) of int
         Component and detection of each pair.
     new_means, new_covariances : arrays (m, d), (m, d, d)
@@ -57,10 +67,39 @@ class Outcomes(NamedTuple):
 
 
 class Existences(NamedTuple):
-    """Labels in rising order, -1 among them, and the existence of each: the sum of the weights of its outcomes."""
+    """Tracks after an event.
+
+    Attributes
+    ----------
+    names : array (t,) of int
+        Labels in rising order, -1 among them.
+    existence : array (t,)
+        Sum of the weights of the outcomes of each.
+    recycle_below : float
+        Tracks of a smaller existence join the intensity of undetected objects.
+    """
 
     names: Integers
     existence: Array
+    recycle_below: float
+
+
+class ChosenOutcomes(NamedTuple):
+    """Outcomes worth making.
+
+    Attributes
+    ----------
+    chosen : array (k,) of int
+        Their places among all outcomes, in rising order.
+    weights : array (k,)
+        Of each.
+    left_out : int
+        Number of others that were worth making but for the bound on hypotheses.
+    """
+
+    chosen: Integers
+    weights: Array
+    left_out: int
 
 
 @compiled
@@ -77,10 +116,11 @@ def group(keys: Integers) -> tuple[Integers, int]:
 
 
 @compiled
-def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Integers, Existences]:
+def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[ChosenOutcomes, Existences]:
     """Outcomes worth making, in their order: those of the most probable tracks that are no negligible part of theirs.
 
-    With them, of the intensity of undetected objects, what is not below the pruning weight; and all tracks.
+    With them, of the intensity of undetected objects, what is not below the pruning weight; and all tracks. Where they
+    are too many, the likeliest are kept (`_likeliest`), and more tracks are recycled.
     """
     prune_weight, least_share = settings.prune_weight, settings.least_share
     labels, weights = outcomes.labels, outcomes.weights
@@ -99,7 +139,50 @@ def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Integ
         if weights[k] >= prune_weight if labels[k] == UNLABELLED else worth:
             index[count] = k
             count += 1
-    return index[:count], Existences(names, existence)
+    most = settings.max_hypotheses
+    if most == BY_DETECTIONS:
+        most = max(LEAST_BOUND, HYPOTHESES_A_DETECTION * len(outcomes.new_means))
+    if count <= most:
+        index = index[:count]
+        return ChosenOutcomes(index, picked(weights, index), 0), Existences(names, existence, settings.recycle_below)
+    recycle_below = max(settings.recycle_below, RECYCLE_BELOW)
+    return _likeliest(outcomes, index[:count], member, n_groups, most), Existences(names, existence, recycle_below)
+
+
+@compiled
+def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: int, most: int) -> ChosenOutcomes:
+    """Return the heaviest of the outcomes with these indices.
+
+    A detection that a hypothesis does not get remains undecided for it: its weight goes to the hypothesis as if the
+    event had missed it, which is as broad as before. Of every track the heaviest outcome stays.
+    """
+    weights = outcomes.weights.copy()
+    n_pairs = len(outcomes.made)
+    n_components = len(weights) - n_pairs - len(outcomes.new_means)
+    order = picked(index, stable_order(-picked(weights, index)))
+    kept = np.zeros(len(weights), dtype=np.bool_)
+    for i in range(most):
+        kept[order[i]] = True
+    lightest = weights[order[most - 1]]
+    for i in range(most, len(order)):
+        if n_components <= order[i] < n_components + n_pairs:
+            weights[outcomes.owned[order[i] - n_components]] += weights[order[i]]
+    heads = np.full(n_groups, -1)
+    for k in range(len(weights)):
+        # with what it got, a missed hypothesis may be one of the heaviest
+        kept[k] = kept[k] or (k < n_components and weights[k] >= lightest)
+    for k in index:
+        head = heads[member[k]]
+        if head < 0 or weights[k] > weights[head]:
+            heads[member[k]] = k
+    for head in heads:
+        if head >= 0:
+            kept[head] = True
+    left_out = 0
+    for k in index:
+        left_out += 0 if kept[k] else 1
+    chosen = places(kept)
+    return ChosenOutcomes(chosen, picked(weights, chosen), left_out)
 
 
 @compiled
@@ -122,17 +205,18 @@ def make_hypotheses(
     event: EventArrays,
     numbers: EventNumbers,
     outcomes: Outcomes,
-    chosen: Integers,
+    choice: ChosenOutcomes,
 ) -> GaussianMixture:
-    """Return the chosen outcomes (k,), in rising order, as components.
+    """Return the chosen outcomes as components.
 
     Parameters
     ----------
     mixture, moved, event, numbers
-        As of `stereophd.core.multi.pmb_update.associate_tracks`.
+        The same as in `stereophd.core.multi.pmb_update.associate_tracks`.
     outcomes : Outcomes
-    chosen : array (k,) of int
+    choice : ChosenOutcomes
     """
+    chosen = choice.chosen
     out = allocate_mixture(len(chosen), mixture.means.shape[1])
     to_weights, to_means, to_covariances, cameras, times, labels, tracks, reported = out
     count, n_pairs = len(mixture.weights), len(outcomes.made)
@@ -142,7 +226,7 @@ def make_hypotheses(
     owned = picked(outcomes.owned, pairs)
     known_tracks, known_reported = mixture.tracks, mixture.reported
     for i in range(len(chosen)):
-        to_weights[i], labels[i] = outcomes.weights[chosen[i]], outcomes.labels[chosen[i]]
+        to_weights[i], labels[i] = choice.weights[i], outcomes.labels[chosen[i]]
         if i < detected:
             origin = chosen[i] if i < missed else owned[i - missed]
             tracks[i], reported[i] = known_tracks[origin], known_reported[origin]

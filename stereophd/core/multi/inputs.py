@@ -32,9 +32,9 @@ class NewbornPrior(NamedTuple):
     space : array (30,)
         Packed space of the camera.
     mean, std : float
-        Of the disparity, px.
+        Mean and standard deviation of the disparity, px.
     velocity_std : float
-        Of each component of velocity, length/s.
+        Standard deviation of each component of velocity, length/s.
     """
 
     space: Array

@@ -50,7 +50,7 @@ def update_intensity(
     mixture : GaussianMixture
         Missed components, detected ones, and one newborn a detection, in this order.
     log_likelihood : float
-        Of the event's detections, per distorted pixel.
+        Log-likelihood of the event's detections, per distorted pixel.
     updated : array of int
         Detection of each detected component.
     """

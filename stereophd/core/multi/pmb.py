@@ -32,7 +32,7 @@ from stereophd.core.multi.estimates import Info
 from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.history import ClaimedDetections, History
-from stereophd.core.multi.hypotheses import Existences, PmbReduction, choose_hypotheses, make_hypotheses
+from stereophd.core.multi.hypotheses import BY_DETECTIONS, Existences, PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.inputs import Detections, EventNumbers, NewbornPrior, compiled_settings, with_newborns
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.pmb_reduce import reduce_tracks
@@ -59,7 +59,12 @@ class PmbFilter(DisparityFilter):
     @cached_property
     def reduction(self) -> PmbReduction:
         """Settings of the reduction, for compiled code."""
-        settings = replace(self.settings, max_components=most_components(self.settings.max_components))
+        stated = self.settings
+        settings = replace(
+            stated,
+            max_components=most_components(stated.max_components),
+            max_hypotheses=stated.max_hypotheses or BY_DETECTIONS,
+        )
         return compiled_settings(PmbReduction, settings)
 
     @cached_property
@@ -79,7 +84,7 @@ class PmbFilter(DisparityFilter):
         integers = np.empty(0, dtype=np.int64)
         return (
             (association_marginals, (integers, integers, np.empty(0), 0, 0)),
-            (reduce_tracks, (empty_mixture(self.state_size), Existences(integers, np.empty(0)), self.reduction)),
+            (reduce_tracks, (empty_mixture(self.state_size), Existences(integers, np.empty(0), 0.0), self.reduction)),
         )
 
     def compile_tests(self) -> None:
@@ -90,7 +95,7 @@ class PmbFilter(DisparityFilter):
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        reduced, log_likelihood, expected, labels, detections, claims = _update(
+        reduced, log_likelihood, expected, labels, detections, claims, fewer = _update(
             prediction.mixture, prediction.moved, *self.detections(event),
             self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
@@ -112,7 +117,7 @@ class PmbFilter(DisparityFilter):
             FilterState(
                 reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
             ),
-            Info(log_likelihood, expected, reduced.size, labels, claims, left_out, prediction.burst),
+            Info(log_likelihood, expected, reduced.size, labels, claims, left_out, prediction.burst, fewer),
         )
 
 
@@ -125,15 +130,15 @@ def _update(
     numbers: EventNumbers,
     reduction: PmbReduction,
     with_claims: bool,
-) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None]:
+) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None, int]:
     """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
     event = with_newborns(detected, prior, mixture.means.shape[1])
     outcomes, log_likelihood = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     known, weights, made = outcomes.labels, outcomes.weights, outcomes.made
     labels, detections = detected_labels(known, weights, len(mixture.weights), made)
     claims = claims_of(known, weights, len(mixture.weights), made) if with_claims else None
-    chosen, tracks = choose_hypotheses(outcomes, reduction)
+    choice, tracks = choose_hypotheses(outcomes, reduction)
     reduced, expected = reduce_tracks(
-        make_hypotheses(mixture, moved, event, numbers, outcomes, chosen), tracks, reduction
+        make_hypotheses(mixture, moved, event, numbers, outcomes, choice), tracks, reduction
     )  # fmt: skip
-    return reduced, log_likelihood, expected, labels, detections, claims
+    return reduced, log_likelihood, expected, labels, detections, claims, choice.left_out

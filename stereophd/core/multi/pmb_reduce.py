@@ -41,17 +41,17 @@ def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbRedu
     Returns
     -------
     mixture : GaussianMixture
-        Existences, ordered by label and then by falling weight, then the intensity of undetected objects.
+        Tracks, ordered by label and then by falling weight, then the intensity of undetected objects.
     expected : float
         Sum of the existences of the tracks.
     """
     prune_weight, hypothesis_distance = settings.prune_weight, settings.hypothesis_distance
     weights, labels = mixture.weights, mixture.labels
-    names, existence = known
+    names, existence, recycle_below = known
     member = np.searchsorted(names, labels)
     index, kept_weights = _drop_negligible(mixture, member, existence, prune_weight, settings.least_share)
     hypotheses = _merge_hypotheses(mixture, index, kept_weights, hypothesis_distance)
-    held = existence[np.searchsorted(names, hypotheses.labels)] >= settings.recycle_below
+    held = existence[np.searchsorted(names, hypotheses.labels)] >= recycle_below
     tracks = places(held)
     undetected = places((labels == UNLABELLED) & (weights >= prune_weight))
     recycled = places(~held & (hypotheses.weights >= prune_weight))
@@ -169,10 +169,11 @@ def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance:
     for h in range(len(heads)):
         if senior[h] != h:
             changed = True
-            head, label = heads[senior[h]], labels[heads[h]]
-            for k in range(len(labels)):
-                if labels[k] == label:
-                    labels[k], tracks[k], reported[k] = labels[head], tracks[head], reported[head]
+            head, k = heads[senior[h]], heads[h]
+            label = labels[k]
+            while k < len(labels) and labels[k] == label:
+                labels[k], tracks[k], reported[k] = labels[head], tracks[head], reported[head]
+                k += 1
     if not changed:
         return mixture, False
     member, n_groups = group(labels)
@@ -192,14 +193,20 @@ def _seniors(heads: GaussianMixture, distance: float) -> Integers:
     pairs = [np.int64(0)]
     pairs.clear()
     order = stable_order(means[:, 0].copy())
+    # with thousands of tracks whose depth is unknown, most of the time goes to pairs far apart: row after row in memory
+    u, v, spread = picked(means[:, 0].copy(), order), picked(means[:, 1].copy(), order), np.empty(len(order))
+    for i in range(len(order)):
+        spread[i] = distance * covariances[order[i], 1, 1]
     for i in range(len(order)):
         a = order[i]
         reach = math.sqrt(distance * covariances[a, 0, 0])
         for j in range(i + 1, len(order)):
-            b = order[j]
-            if means[b, 0] - means[a, 0] > reach:
+            if u[j] - u[i] > reach:
                 break
-            if cameras[a] == cameras[b] and times[a] == times[b]:
+            if (v[j] - v[i]) * (v[j] - v[i]) > min(spread[i], spread[j]):
+                continue
+            b = order[j]
+            if cameras[a] == cameras[b] and times[a] == times[b] and _may_agree(means, covariances, a, b, distance):
                 apart = means[a] - means[b]
                 if _within(apart, covariances[a], distance) and _within(apart, covariances[b], distance):
                     pairs.append(min(a, b) * len(means) + max(a, b))
@@ -215,12 +222,19 @@ def _seniors(heads: GaussianMixture, distance: float) -> Integers:
 
 
 @compiled
+def _may_agree(means: Array, covariances: Array, a: int, b: int, distance: float) -> bool:
+    """Whether each coordinate of two Gaussians is within a squared distance in the variances of both."""
+    for i in range(means.shape[1]):
+        # a squared Mahalanobis distance is at least that of each coordinate alone
+        apart = means[a, i] - means[b, i]
+        if apart * apart > distance * min(covariances[a, i, i], covariances[b, i, i]):
+            return False
+    return True
+
+
+@compiled
 def _within(difference: Array, covariance: Array, distance: float) -> bool:
     """Whether a difference (d,) is within a squared Mahalanobis distance."""
-    for a in range(len(difference)):
-        # a squared Mahalanobis distance is at least that of each coordinate alone
-        if difference[a] * difference[a] > distance * covariance[a, a]:
-            return False
     factor = np.empty_like(covariance)
     return cholesky(covariance, factor) and squared_distance(difference, factor, np.empty_like(difference)) <= distance
 

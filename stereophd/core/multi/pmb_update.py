@@ -35,6 +35,9 @@ Integers = NDArray[np.int64]
 LEAST_MISSED = 1e-9
 # Hypotheses of a smaller share than this are left out of the Gaussian of a track.
 LEAST_SHARE = 1e-4
+# Pairs of one component with detections: with thousands of detections an object of unknown depth has more, and the
+# likeliest count.
+MOST_PAIRS = 256
 
 
 @compiled
@@ -58,7 +61,7 @@ def associate_tracks(
     outcomes : Outcomes
         Missed components, detected ones, and one new track a detection.
     log_likelihood : float
-        Of the event's detections, per distorted pixel: the value of the association problem.
+        Log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
     """
     weights, labels = mixture.weights, mixture.labels
     points, noises, areas, delays, _, _ = event
@@ -66,7 +69,7 @@ def associate_tracks(
     status, fraction = moved.status, moved.fraction
     count, n_detections = len(weights), len(points)
     components, detections, densities = pair_likelihoods(
-        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, delays
+        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, delays, MOST_PAIRS
     )
     detected = p_detect * fraction * weights
     joint = picked(detected, components) * densities

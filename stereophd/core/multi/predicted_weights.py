@@ -43,11 +43,11 @@ def keep_surviving_weights(
     weights : array (n,)
         Changed in place.
     status, inside, means, tracks, cameras : arrays
-        Of `Moved`, and of the components before the move.
+        Fields of `Moved`, and of the components before the move.
     homes, reach, drift, views, elapsed, time_constant
-        As of `fade_out_of_view`.
+        The same as in `fade_out_of_view`.
     camera : int
-        Of the event.
+        Index of the camera of the event.
 
     Returns
     -------

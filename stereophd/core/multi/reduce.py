@@ -122,8 +122,8 @@ def reduce_mixture(
         The heaviest are kept.
     mutual : bool
         Require the distance in the covariance of the heavier component as well. Without it, as in the
-        textbook, a component whose depth is known swallows every light one that knows nothing of
-        depth, and knows as little itself from then on.
+        textbook, a component of known depth absorbs every light one of unknown depth, and its own
+        depth is then unknown too.
 
     Returns
     -------

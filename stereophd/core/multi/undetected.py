@@ -1,7 +1,7 @@
 """Expected number of objects that no camera has detected yet: births per second, and those present at the start (ours).
 
 Objects appear at a rate b in the view of every camera, and a camera that looks detects each of those in its view with
-probability p_D. Of the n_k undetected objects in the view of camera k, a frame of camera c leaves
+probability p_D. Among the n_k undetected objects in the view of camera k, a frame of camera c leaves
 
     n_k (1 - p_D o_kc),
 
@@ -58,7 +58,7 @@ class Undetected:
     counts : array (c,)
         Expected number in the view of each camera, of those that appeared since the start.
     initial_share : array (c,)
-        Of those in view of a camera at the start, the share that the others left; 0 once the camera has had a frame.
+        Share of the objects in view of a camera at the start that the others left; 0 once the camera has had a frame.
     """
 
     counts: Array
@@ -81,7 +81,7 @@ def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
 
 
 def room_for(event: Event, known: float, detector: Detector) -> float:
-    """Return how many undetected objects the detections of a frame leave room for, at least `UNCHECKED_BIRTHS`.
+    """Return how many undetected objects the detections of a frame allow, at least `UNCHECKED_BIRTHS`.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def room_for(event: Event, known: float, detector: Detector) -> float:
     known : float
         Expected number of detections of known objects.
     detector : Detector
-        Of the event's camera.
+        Detector of the event's camera.
     """
     found = len(event.points)
     surplus = found - detector.clutter_per_frame - known + math.sqrt(found)
@@ -114,12 +114,12 @@ def expected_births(
         After the last event; None before the first.
     prior : BirthPrior
     left : array (c,)
-        Of the objects in view of each camera, the share that the frame leaves: a column of `undetected_shares`.
+        For each camera, the share of the objects in its view that the frame leaves: a column of `undetected_shares`.
     elapsed : float
         Time since the last event, s.
     event : Event
     detector : Detector
-        Of the event's camera.
+        Detector of the event's camera.
     burst : int
         `burst_of` the event: nothing is born from a burst of clutter, and the objects remain undetected.
     known : float
@@ -165,7 +165,7 @@ def reduction_for_births(reduction: Reduction, births: float, detector: Detector
 
 
 def undetected_shares(rig: Rig, prior: BirthPrior) -> Array:
-    """Of the objects in view of each camera (row), the share (c, c) that a frame of each camera (column) leaves."""
+    """Return the share (c, c) of the objects in view of each camera (row) that a frame of each one (column) leaves."""
     p_detect = np.array([camera.detector.p_detect for camera in rig.cameras])
     return np.asarray(1.0 - p_detect * view_overlap(rig, prior))
 

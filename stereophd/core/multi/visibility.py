@@ -43,7 +43,7 @@ def fade_out_of_view(
     Parameters
     ----------
     weights, status : arrays (n,)
-        Of the components, and their status in the view of the event's camera.
+        Weights of the components, and their status in the view of the event's camera.
     means, homes : arrays (n, d), (n, 30)
         Components in their packed home spaces.
     reach, drift : arrays (n,), (n, 6)

@@ -47,7 +47,7 @@ def _candidates() -> list[Path]:
     """Return the folders in which kernels may be kept, in the order in which they are tried.
 
     That of the environment variable ``NUMBA_CACHE_DIR``, ``__pycache__`` of the package, the user's cache folder, and
-    a folder in the temporary folder that is this user's alone, for it holds code.
+    a folder in the temporary folder that belongs to this user alone, because it holds code.
     """
     stated = os.environ.get("NUMBA_CACHE_DIR")
     parents = [Path(stated)] if stated else []

@@ -1,11 +1,15 @@
-"""Every random stream of the package: its purpose, and its path of keys from the seed of the configuration.
+"""Every random stream of the package: its purpose, and where its numbers come from.
 
-A stream is ``numpy.random.SeedSequence(seed, spawn_key=path)``. No two purposes share a path, so their numbers
-are independent. Numbers below 2**31 at the beginning of a path count the runs of ``simulate`` and ``experiment``;
-purposes of a whole configuration begin at 2**31.
+Most streams come from the seed of the configuration: such a stream is
+``numpy.random.SeedSequence(seed, spawn_key=path)``, with a path of keys for each purpose. No two purposes share a path,
+so their numbers are independent. Numbers below 2**31 at the beginning of a path count the runs of ``simulate`` and
+``experiment``; purposes of a whole configuration begin at 2**31.
 
 The receiver of a stream may spawn children from it, for example one for each camera, start of a calibration or step;
 their paths begin with the path of the stream.
+
+Streams of a fixed seed do not depend on the configuration: their numbers make a rule, so that equal inputs give equal
+results whatever the seed is.
 """
 
 from __future__ import annotations
@@ -86,6 +90,11 @@ BOUND_TRAJECTORIES = Purpose(
 MOVE_REFERENCE = Purpose(
     (FIRST_KEY + 8,), ("experiment", "experiment of one object"), "samples behind the moments that moves compare with"
 )
+
+# Streams of a fixed seed. Any number would do; another one changes results a little.
+SCRAMBLE_SEED = 5  # scramble of the low-discrepancy points of the estimators of one object
+SHARED_ERRORS_SEED = 0  # errors that `calibrate` draws to find how much of them a fit absorbs
+COMPILED_SAMPLES_SEED = 0  # samples of the small filters that are built to compile the kernels; no result uses them
 
 
 def run_number(seed: int, run: int) -> int:

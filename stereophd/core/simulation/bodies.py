@@ -35,9 +35,9 @@ class Body:
     start_s : float
         True time from which the phases count.
     amplitudes : (h, 6)
-        Of the harmonics: of the centre, length, and of the rotation vector in the axes of the world, rad.
+        Amplitudes of the harmonics: of the centre, length, and of the rotation vector in the axes of the world, rad.
     frequencies, phases : (h, 6)
-        Of the harmonics, rad/s and rad.
+        Frequencies and phases of the harmonics, rad/s and rad.
     """
 
     points: FloatArray
@@ -63,7 +63,7 @@ class Body:
         Parameters
         ----------
         points, center, rotation, start_s
-            As of `Body`.
+            The same as in `Body`.
         std : (6,)
             Standard deviations, over time, of the centre, length, and of the rotation vector, rad.
         period_s : (float, float)
@@ -123,7 +123,7 @@ class BodyPoint:
     death_s: float = np.inf
 
     def path(self, _motion: Motion) -> BodyPoint:
-        """Return what gives its states: itself, for no motion model moves it."""
+        """Return what gives its states: itself, because no motion model moves it."""
         return self
 
     def states(self, times_s: FloatArray) -> FloatArray:

@@ -33,7 +33,7 @@ class Scene:
         Its schedules are those of `cameras`, in order.
     objects : tuple of SceneObject
     motion : Motion
-        Of those objects that a motion model moves.
+        Motion of those objects that a motion model moves.
     """
 
     cameras: tuple[Camera, ...]

@@ -34,7 +34,7 @@ class Drawing:
     velocity_std : float
         Standard deviation of each component of velocity, length/s.
     stay_in_view : "all", "any" or "none"
-        Of which cameras an object must be in view at every instant of its life.
+        In view of which cameras an object must be at every instant of its life.
     births_per_s : float
         Rate of further objects (a Poisson process).
     mean_lifetime_s : float or None

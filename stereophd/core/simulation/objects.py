@@ -29,7 +29,7 @@ class MovingObject:
     position, velocity : (3,)
         State at ``birth_s``, world frame, length and length/s.
     noise_seed : int
-        Seed of its process noise: its path is made anew, the same, whenever it is asked for.
+        Seed of its process noise: its path is computed anew at each use, and is always the same.
     """
 
     object_id: int
@@ -76,7 +76,7 @@ class SceneObject(Protocol):
 
 
 class Path:
-    """The states of one object at ascending instants, asked for a window at a time.
+    """The states of one object at ascending instants, computed window by window.
 
     Parameters
     ----------

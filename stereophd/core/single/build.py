@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.base import Motion
+from stereophd.core.numerics.random_streams import SCRAMBLE_SEED
 from stereophd.core.numerics.samples import MAX_NONLINEARITY, Method, MomentsSettings, SampleSets, draw_sample_sets
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.cartesian import CartesianEstimator
@@ -20,9 +21,6 @@ from stereophd.core.single.particle import ParticleEstimator
 from stereophd.core.single.settings import CartesianSettings, DisparitySettings, EstimatorSettings, ParticleSettings
 
 Array = NDArray[np.float64]
-
-# Scramble of the low-discrepancy points: any will do, and one that is fixed makes them a rule.
-SCRAMBLE = 5
 
 
 def build_estimator(
@@ -66,7 +64,7 @@ def build_estimator(
 
 
 def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
-    """Return the samples of an estimator's moves; of ``particle`` drawn from the generator."""
+    """Return the samples of an estimator's moves; those of method ``particle`` are drawn from the generator."""
     if settings.method == "particle":
         return fresh_samples(settings.samples, motion.sample_rows, int(rng.integers(2**63)))
     return _rule(settings.method, settings.samples, motion.sample_rows, settings.max_nonlinearity)
@@ -76,8 +74,8 @@ def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Genera
 class FreshSamples(SampleSets):
     """Pseudo-random samples drawn anew for every event, as the paper draws them (IV-B a).
 
-    Filters of many objects rotate through a few sets. Of one object, tracked over hundreds of events, the errors of the
-    same few sets would add up.
+    Filters for many objects rotate through a few sets. If one object is tracked over hundreds of events, the errors of
+    the same few sets would add up.
     """
 
     seed: int = 0
@@ -96,4 +94,4 @@ def fresh_samples(samples: int, rows: int, seed: int) -> FreshSamples:
 @cache
 def _rule(method: Method, samples: int, rows: int, max_nonlinearity: float = MAX_NONLINEARITY) -> SampleSets:
     """Low-discrepancy sample sets, made once."""
-    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(SCRAMBLE), max_nonlinearity)
+    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(SCRAMBLE_SEED), max_nonlinearity)

@@ -138,9 +138,9 @@ def _regression(function: Callable[[Array], Array], mean: Array, covariance: Arr
     predicted : array (2,)
         Mean of the function.
     matrix : array (2, d)
-        Of the linear function that fits best: a Kalman update with it is the unscented filter's.
+        Matrix of the linear function that fits best: a Kalman update with it is the unscented filter's.
     spread : array (2, 2)
-        Covariance of what the linear function leaves over.
+        Covariance of the difference from the linear function.
     """
     positive = covariance.copy()
     condition(positive, np.empty_like(positive))

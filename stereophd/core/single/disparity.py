@@ -131,7 +131,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
     Attributes
     ----------
     rig, motion, prior, sets
-        As of `DisparityEstimator`.
+        The same as in `DisparityEstimator`.
     matrices, offsets : arrays (c, 3, 3), (c, 3)
         From the first camera's disparity space to each camera's: ``y_i = matrix y + offset``.
 

@@ -52,7 +52,7 @@ def linear_update(
     ----------
     mean, covariance : arrays (d,), (d, d)
     matrix : array (2, d)
-        Of the (linearised) observation.
+        Matrix of the (linearised) observation.
     predicted : array (2,)
         Observation of the mean, px.
     point, noise : arrays (2,), (2, 2)

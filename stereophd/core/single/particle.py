@@ -136,7 +136,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
     rig, motion, prior : Rig, Motion, InitialPrior
     settings : ParticleSettings
     seed : int
-        Of all random numbers: those of an event are drawn from the seed and the number of the event.
+        Seed of all random numbers: those of an event are drawn from the seed and the number of the event.
     """
 
     rig: Rig

@@ -90,7 +90,7 @@ class CartesianSettings:
 
     kind: Literal["cartesian"] = parameter("the estimator", default="cartesian")
     rule: Literal["extended", "unscented"] = parameter(
-        "of the observation: linearised, or by points", default="extended"
+        "how the observation is approximated: linearised, or by points", default="extended"
     )
 
     def with_moments(self, moments: MomentsSettings) -> CartesianSettings:
@@ -109,7 +109,7 @@ class SingleSettings:
     """One object, seen at most once a frame: no clutter, no association."""
 
     kind: Literal["single"] = parameter("the filter", default="single")
-    prior: InitialPrior = parameter("of the object at its first detection")
+    prior: InitialPrior = parameter("prior of the object at its first detection")
     estimator: EstimatorChoice = parameter("how it is estimated", default_factory=DisparityChoice, discriminator="kind")
     point: Literal["mean", "map"] = parameter(
         "what is written: the mean, or the state of greatest density", default="mean"

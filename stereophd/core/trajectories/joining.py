@@ -41,7 +41,7 @@ class JointPairs:
     before, after : arrays (k,) of int
         Numbers of the trajectories.
     probabilities : array (k,)
-        That they are one.
+        Probability that both are one object.
     """
 
     before: Integers

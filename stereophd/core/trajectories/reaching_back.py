@@ -134,7 +134,7 @@ def _factors(
             # were the detection not the other track's, that would have missed
             background += probability / max(1.0 - probability, LEAST_RATIO) * density
     likely = densities > 0.0
-    # without clutter a detection near the track is the object's, all but surely
+    # Without clutter a detection near the track is almost surely the object's.
     others_density = np.maximum(background[likely], LEAST_RATIO * densities[likely])
     terms = np.zeros(len(densities))
     terms[likely] = p_detect * densities[likely] / others_density

@@ -1,4 +1,4 @@
-"""Broken pieces of one object, found by where one track ends and the next begins."""
+"""Fragments of one track: which tracks continue others, by where one ends and the next begins."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class Series:
     Attributes
     ----------
     quantity : str
-        Its name. Of a quantity ``X_error`` the root mean square over the runs, ``X_rmse``, is given too.
+        Its name. A quantity ``X_error`` also gives its root mean square over the runs, ``X_rmse``.
     unit : str
         Its unit, ``1`` for plain numbers.
     values : array (k,)

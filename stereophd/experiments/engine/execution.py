@@ -121,7 +121,7 @@ def _work(ledger: _Ledger, store: PartStore, workers: Workers, progress: Progres
 
 
 def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
-    """Store what a chunk brought; report what failed, and give up on what fails again and again."""
+    """Store the results of a chunk, report what failed, and do not repeat what fails again and again."""
     if result.version != stereophd.__version__:
         raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {result.version}")
     part = result.chunk.part

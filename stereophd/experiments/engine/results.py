@@ -162,7 +162,7 @@ def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: boo
         Finished runs in the output folder.
     loaded : LoadedConfig
     resume, force : bool
-        As of `stereophd.commands.experiment.experiment`.
+        The same as in `stereophd.commands.experiment.experiment`.
     files : sequence of str
         Files that an experiment writes.
 

@@ -1,7 +1,7 @@
 """Summary of many runs: means with confidence intervals, root mean squares, means over windows of time.
 
 The interval of a mean is Student's, at 95 %. A root mean square R = sqrt(mean of e^2) takes the interval of
-the mean of e^2, through the root. A bound is that of the case, beside every method.
+the mean of e^2, through the root. The bound of a case is the same for every method.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Summary:
     runs : array (k,) of int
         Runs in which it is defined.
     mean, std, ci_low, ci_high, bound : arrays (k,)
-        NaN where not defined. Of a quantity ``*_rmse*`` the mean is the root mean square over the runs.
+        NaN where not defined. The mean of a quantity ``*_rmse*`` is the root mean square over the runs.
     """
 
     quantity: str
@@ -186,7 +186,7 @@ class QuantityCheck:
         Raises
         ------
         InputError
-            This was the last first run, and none gave what the table or the figure asks for.
+            This was the last first run, and no run gave a quantity of the table or the figure.
         """
         if (method, case) not in self._left:
             return

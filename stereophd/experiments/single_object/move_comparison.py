@@ -60,11 +60,11 @@ class MoveMoments:
     Attributes
     ----------
     method : str
-        Of `stereophd.core.numerics.samples.Method`, or ``reference``.
+        A method of `stereophd.core.numerics.samples.Method`, or ``reference``.
     samples : int
         Samples used.
     mean, covariance : arrays (6,), (6, 6)
-        Of the part in view of the destination's camera, in its disparity space.
+        Moments of the part in view of the destination's camera, in its disparity space.
     fraction : float
         Part in view.
     divergence : float
@@ -94,7 +94,7 @@ def gaussian_of_object(
     velocity_std : float
         Standard deviation of each of its components.
     rng : Generator
-        Of the sample by whose moments the velocity in disparity space is found.
+        Source of the sample by whose moments the velocity in disparity space is found.
     """
     points = point + rng.standard_normal((CLOUD, 3)) * stds
     velocities = velocity + rng.standard_normal((CLOUD, 3)) * velocity_std
@@ -108,7 +108,7 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
     Raises
     ------
     ValueError
-        If next to nothing of it is in view.
+        Almost nothing of it is in view.
     """
     count = np.zeros(2)
     sums, squares = np.zeros(6), np.zeros((6, 6))

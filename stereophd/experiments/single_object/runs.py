@@ -46,7 +46,7 @@ class LocalisationProblem:
     position : array (3,)
         The object, in the world.
     prior : InitialPrior
-        Of the disparity in the camera that sees the object first.
+        Prior of the disparity in the camera that sees the object first.
     sequence : tuple of int
         Camera (index in the rig) of each observation.
     """
@@ -64,9 +64,9 @@ class LocalisationRun:
     Attributes
     ----------
     map_errors, mean_errors : arrays (k, 3)
-        Of the estimate of greatest density, and of the mean; NaN where there is none.
+        Errors of the estimate of greatest density, and of the mean; NaN where there is none.
     covariances : array (k, 3, 3)
-        That the estimator states.
+        Covariances that the estimator states.
     """
 
     map_errors: Array
@@ -129,9 +129,9 @@ class TrackingProblem:
     start : array (6,)
         State at the first event, in the world.
     motion : Motion
-        Of the object, and of the estimators' model.
+        Motion of the object, and of the estimators' model.
     prior : InitialPrior
-        Of disparity in the camera that sees the object first, and of velocity.
+        Prior of disparity in the camera that sees the object first, and of velocity.
     times : array (k,)
         Times of the events, s, not decreasing.
     cameras : array (k,) of int
@@ -157,7 +157,7 @@ class TrackingRun:
     map_errors, mean_errors : arrays (t, 6)
         Position and velocity, length and length/s; NaN where there is no estimate.
     covariances : array (t, 6, 6)
-        That the estimator states.
+        Covariances that the estimator states.
     """
 
     times: Array
@@ -202,7 +202,7 @@ def tracking_bound(
     ----------
     scenario : TrackingProblem
     rng : Generator
-        Of the trajectories; detections are not drawn.
+        Source of the trajectories; detections are not drawn.
     trajectories : int
         To average over.
     kind : {"conditional", "posterior"}

@@ -49,7 +49,7 @@ def series_of_errors(
         ``position`` and its unit.
     times_s : array (k,)
     errors : array (k, d)
-        Of the estimate that is reported.
+        Errors of the estimate that is reported.
     covariances, consistent : arrays (k, d, d), (k, d)
         Covariance that the estimator states, and the errors of the mean that it is about.
     """
@@ -63,7 +63,7 @@ def series_of_errors(
 
 
 def bounds_of(name: str, unit: str, times_s: Array, covariances: Array) -> list[Series]:
-    """Return the bounds of the mean and of the root mean square of errors with covariances (k, d, d) at best."""
+    """Return the bounds of the mean and of the root mean square of errors whose least covariances are (k, d, d)."""
     means = np.array([mean_error_norm(one) for one in covariances])
     roots = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     return [Series(f"{name}_error", unit, means, times_s), Series(f"{name}_rmse", unit, roots, times_s)]

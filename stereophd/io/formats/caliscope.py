@@ -47,7 +47,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
             raise InputError(f"expected one table of points, found {', '.join(map(str, points))}")
         recording.pieces = _pieces(points[0], times, options)
         if not times:
-            recording.assumed.append("frames without points are not in the log, for no table of times lists them")
+            recording.assumed.append("frames without points are not in the log, because no table of times lists them")
     elif tables:
         raise InputError(f"{tables[0]}: expected a table with img_loc_x, img_loc_y, found none")
     return recording

@@ -3,8 +3,8 @@
 Each registered image is a camera, named as its file without the ending; fixed cameras have one image each.
 
 Conventions: the centre of the top-left pixel is (0.5, 0.5), so the principal point is shifted by half a pixel. Camera
-axes are the native ones; ``x_camera = R(q) x_world + t``, q = (w, x, y, z). A reconstruction has no unit of length;
-`length_unit` names one. Models: PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV,
+axes are those of stereophd, and ``x_camera = R(q) x_world + t`` with q = (w, x, y, z). A reconstruction has no unit
+of length; `length_unit` names one. Models: PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV,
 OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE.
 """
 

@@ -39,7 +39,9 @@ def write_cameras(cameras: Mapping[str, CameraConfig], length_unit: str, target:
         to_bottom = np.array([[1.0, 0.0, 1.0], [0.0, -1.0, parts.size[1]], [0.0, 0.0, 1.0]])
         projection = to_bottom @ parts.matrix @ np.column_stack([parts.rotation, parts.translation])
         if np.abs(projection).max() > LARGEST_COEFFICIENT * abs(projection[2, 3]):
-            raise InputError(f"cameras.{name}: expected a camera that the world's origin is before, found it beside")
+            raise InputError(
+                f"cameras.{name}: expected the world's origin in front of the camera, found it beside the camera"
+            )
         columns.append((projection / projection[2, 3]).ravel()[:COEFFICIENTS])
         if parts.coefficients.any():
             losses.append(f"the lens of {name} is left out: the coefficients are those of undistorted pixels")

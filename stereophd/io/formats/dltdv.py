@@ -242,7 +242,7 @@ def _columns(path: Path, cameras: int) -> tuple[list[tuple[str, int]], list[str]
         return found, words
     columns = int(lines[1].split()[1])
     if not cameras or columns % (2 * cameras):
-        raise InputError(f"{path}: expected DLT coefficients beside sparse points, for their columns have no names")
+        raise InputError(f"{path}: expected DLT coefficients with sparse points, because their columns have no names")
     return [(f"pt{k // cameras + 1}", k % cameras + 1) for k in range(columns // 2)], []
 
 

@@ -185,7 +185,7 @@ class ExportOptions:
     rate_hz
         Times are resampled to this rate, by linear interpolation within a track; None: as in the source.
     tentative
-        Write tentative estimates beside the confirmed ones.
+        Write tentative estimates too, not only confirmed ones.
     """
 
     tracks: Sequence[int] | None = None
@@ -213,7 +213,7 @@ class Format:
     Attributes
     ----------
     title
-        What it is, in a line.
+        Description in one line.
     read
         Reads files into a `ForeignRecording`; None: it is only written.
     recognises_cameras

@@ -1,4 +1,4 @@
-"""Reading foreign files: what a reader stumbles over in a malformed file is an `InputError`."""
+"""Reading foreign files: every error of a reader in a malformed file becomes an `InputError`."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Floats, dict[int
     rate : float
         Frames per second.
     times : (n,) array
-        Of the frames, s.
+        Times of the frames, s.
     positions : dict
         Identity -> positions (n, 3), NaN where the track does not exist.
 

@@ -45,7 +45,7 @@ class Item:
     Attributes
     ----------
     name : str
-        Of its folder.
+        Name of its folder.
     source : str
         As the user gave it, for messages and the summary.
     paths : tuple of Path
@@ -104,8 +104,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Values of a row, the exit code that they ask for, what was logged meanwhile in another process, and the hashes
-    of the inputs."""
+    """Values of a row, their exit code, messages that another process logged meanwhile, and hashes of the inputs."""
 
     row: Mapping[str, Any]
     exit_code: int = 0

@@ -42,7 +42,7 @@ class Checkpoint:
     ----------
     path : Path
     identity : str
-        Of configuration, log and version: a checkpoint of another run is refused.
+        Identity of configuration, log and version: a checkpoint of another run is refused.
     resume : bool
         Whether to begin with what the file holds. Without a file the run begins at the start.
     force : bool

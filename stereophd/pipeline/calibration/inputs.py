@@ -1,4 +1,4 @@
-"""From a configuration and a log to the problem of a calibration."""
+"""Make the problem of a calibration from a configuration and a log."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class CalibrationProblem:
     scale : ScaleMeasurement or None
         A known baseline.
     counts : dict
-        Of the log, as in ``report.json``.
+        Counts of the log, as in ``report.json``.
     """
 
     parameters: ParameterSet
@@ -48,10 +48,13 @@ class CalibrationProblem:
     scale: ScaleMeasurement | None
     counts: dict[str, int]
 
+    def frames(self, most: int | None = None) -> NDArray[np.int64]:
+        """Return the frames of the recording, at most about `most`."""
+        return np.arange(len(self.recording.cameras)) if most is None else tracked_frames(self.recording, most)
+
     def scans(self, most: int | None = None) -> Scans:
         """Return the events by the cameras of the prior mean, at most about `most`."""
-        frames = None if most is None else tracked_frames(self.recording, most)
-        return Scans.of(self.recording, self.parameters.cameras, frames)
+        return Scans.of(self.recording, self.parameters.cameras, self.frames(most))
 
 
 def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
@@ -96,15 +99,15 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
 
 
 def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:
-    """Refuse a sampler for unknowns that its conditional filters share."""
+    """Refuse the paper's plain filter for unknowns that its conditional filters share."""
     section = calibration_section(loaded)
-    moving = parameters.has_rates or any(not camera.pose.is_static for camera in parameters.cameras)
-    if (section.method == "sequential" or section.posterior == "smc") and (moving or not parameters.only_moves):
-        found = "method: sequential" if section.method == "sequential" else "posterior: smc"
+    moving = any(not camera.pose.is_static for camera in parameters.cameras)
+    plain = section.method == "sequential" and section.sequential.moves == "none"
+    if plain and (moving or not parameters.only_poses):
         names = ", ".join(quantity.name for quantity in parameters.quantities)
         raise InputError(
-            f"{loaded.path}: calibration: expected method annealed with posterior laplace for cameras that move or "
-            f"have unknowns beside their pose ({names}), found {found}"
+            f"{loaded.path}: calibration.sequential.moves: expected rerun for cameras that move or have unknowns "
+            f"besides their pose ({names}), found none"
         )
 
 

@@ -107,7 +107,7 @@ def annealed_outcome(
 
 
 def doubt_of_starts(section: CalibrationConfig, task: Task, starts: list[Start], best: Start) -> str:
-    """Why the best start is not to be trusted beside the others; empty if it is.
+    """Return why the best start may be wrong although it is the best; empty if it is trusted.
 
     Where poses alone are unknown, starts that find the right cameras end at one optimum. A best start that stands alone
     although others were run may be a wrong one that happens to explain the log. With further unknowns optima are flat,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +12,13 @@ from stereophd.core.calibration.annealed import RIVAL_DISTANCE, disagreement, ex
 from stereophd.core.calibration.blocks import BlockPath, block_sampler
 from stereophd.core.calibration.bridging_state import BridgeResult, BridgeState
 from stereophd.core.calibration.fits import fit_from
-from stereophd.core.calibration.likelihood import Evidence
+from stereophd.core.calibration.likelihood import Evidence, LogEvidence
 from stereophd.core.calibration.modes import Modes
+from stereophd.core.calibration.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.task import Fit
 from stereophd.core.calibration.tempered import TemperedPath, tempered_sampler
-from stereophd.core.disparity.events import Event
+from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
@@ -53,8 +53,7 @@ def sequential_outcome(
         if settings.likelihood == "pmb"
         else phd_filter(loaded, parameters.cameras, settings.samples)
     )
-    events = problem.scans().events
-    path = BlockPath(_evidence(problem, events, FilterBatch(template, jobs), problem.scale), settings)
+    path = BlockPath(_evidence(problem, template, jobs, problem.scale), settings)
     sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(loaded.config.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
@@ -65,9 +64,9 @@ def sequential_outcome(
     result = bridging.run(sampler, checkpoint.get("sequential"), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
     details = {"log_evidence": result.log_evidence, "sampler": _sampler_figures(result, settings.likelihood)}
-    last = {info.stage: info for info in result.history}
+    last, times = {info.stage: info for info in result.history}, np.sort(problem.recording.times)
     history = tuple(
-        HistoryRow(events[stage.n_events - 1].time_s, last[number].mean, last[number].covariance)
+        HistoryRow(float(times[stage.n_events - 1]), last[number].mean, last[number].covariance)
         for number, stage in enumerate(path.stages)
         if stage.inflation == 1.0
     )
@@ -166,7 +165,7 @@ def smc_outcome(
     settings = section.smc
     cameras = problem.parameters.cameras
     template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
-    evidence = _evidence(problem, problem.scans(settings.max_events).events, FilterBatch(template, jobs), scale)
+    evidence = _evidence(problem, template, jobs, scale, settings.max_events)
     path = TemperedPath(problem.parameters, evidence, modes, settings)
     sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(loaded.config.seed))
 
@@ -182,11 +181,23 @@ def smc_outcome(
 
 
 def _evidence(
-    problem: CalibrationProblem, events: Sequence[Event], batch: FilterBatch, scale: ScaleMeasurement | None
-) -> Evidence:
-    """Return the evidence of events; where the scale is free, the objects' priors do not decide on it."""
-    reference = problem.reference if scale_is_free(problem.parameters) else None
-    return Evidence(problem.parameters, events, batch, reference, scale)
+    problem: CalibrationProblem,
+    template: DisparityFilter,
+    jobs: int,
+    scale: ScaleMeasurement | None,
+    most: int | None = None,
+) -> LogEvidence:
+    """Return the evidence of at most about `most` events; where the scale is free, no prior of objects decides on it.
+
+    Hypotheses of the poses of cameras that stand still share the events, and are filtered side by side.
+    """
+    parameters = problem.parameters
+    reference = problem.reference if scale_is_free(parameters) else None
+    if parameters.only_poses and not template.rig.moving:
+        return Evidence(parameters, problem.scans(most).events, FilterBatch(template, jobs), reference, scale)
+    frames = problem.frames(most)
+    frames = frames[np.lexsort((problem.recording.cameras[frames], problem.recording.times[frames]))]
+    return RecordingEvidence(parameters, problem.recording, frames, template, jobs, reference, scale)
 
 
 def _sampler_figures(result: BridgeResult, evidence: str) -> dict[str, Any]:

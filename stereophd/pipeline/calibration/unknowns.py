@@ -1,4 +1,4 @@
-"""From a configuration to the unknowns of a calibration, and cameras drawn about them."""
+"""Make the unknowns of a calibration from a configuration, and draw wrong cameras from their priors."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _shared(
         first, *others = group
         for name in group:
             if name not in by_name:
-                raise InputError(f"{place}: expected cameras ({', '.join(by_name)}), found {name}")
+                raise InputError(f"{place}: {unknown_camera(name, by_name)}")
         for quantity in quantities():
             if quantity.affects != IMAGES:
                 continue
@@ -109,7 +109,7 @@ def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Came
             if std > 0.0:
                 unknown.add(quantity.name)
     if unknown & {"velocity", "rotation_rate"} and ("readout" in unknown or camera.readout_s != 0.0):
-        raise InputError(f"{place}: expected no readout of a camera that moves, found one beside rates")
+        raise InputError(f"{place}: expected no readout of a camera that moves, found one and rates")
 
 
 def _unavailable(quantity: Quantity, component: str, camera: Camera) -> str:

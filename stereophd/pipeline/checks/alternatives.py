@@ -1,4 +1,4 @@
-"""The usual mistakes in a description of cameras, each as the camera that was meant.
+"""The usual mistakes in a description of cameras, and the corrected camera for each.
 
 Every alternative turns the camera of the configuration into the one that explains the log if this mistake was made.
 """
@@ -31,7 +31,7 @@ RADIAL = (-0.4, -0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
 
 @dataclass(frozen=True)
 class Alternative:
-    """A mistake, and the camera that was meant.
+    """A mistake, and the correction of a camera.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Alternative:
         The mistake in words, as in "cam1: the rotation is transposed".
     remedy : str
     apply : callable (Camera) -> Reading or None
-        The camera that was meant, given the stated one; None if it cannot be this mistake.
+        Corrects the stated camera; None if it cannot be this mistake.
     alone : bool
         Whether the mistake shows only if one camera is affected, not all of them.
     """

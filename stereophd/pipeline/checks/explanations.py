@@ -14,6 +14,7 @@ from stereophd.pipeline.checks.rays import (
     TOLERANCES,
     Candidates,
     Meeting,
+    Rays,
     Reading,
     candidates,
     distances,
@@ -32,6 +33,8 @@ LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
 LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
 RATES = (24 / 25, 25 / 24, 0.8, 1.25, 25 / 30, 1.2, 0.6, 5 / 3, 0.5, 2.0, 1.001, 1 / 1.001)
 SHIFT_DETECTIONS = 120
+# Offsets that are computed together: more would take much memory where frames have many detections.
+SHIFTS_AT_ONCE = 40
 # Clocks that are tried, and pairs of cameras for each: each is a search through many offsets.
 MOST_CLOCKS, MOST_CLOCK_PAIRS = 12, 6
 # Detections and shifted times of the first trial of an alternative, and alternatives that get a second one.
@@ -142,14 +145,18 @@ class Trial:
     def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
         """Return how much the change explains of the pairs concerned; None if it concerns none."""
         after, before = [], []
-        for pair, given in zip(geometry.pairs, geometry.given, strict=True):
+        for k, (pair, given) in enumerate(zip(geometry.pairs, geometry.given, strict=True)):
             if pair.a not in self.scope and pair.b not in self.scope:
                 continue
             found: Candidates | None = pair
+            known: Rays = (None, None)
             if self.samples is not None:
                 found = candidates(self.samples, pair.a, pair.b, len(pair.detections), len(pair.pixels_b) - 1)
+            else:
+                rays_a, rays_b = geometry.rays[k]
+                known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
             if found is not None:
-                after.append(meeting(found, self.views[pair.a], self.views[pair.b], tolerances))
+                after.append(meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known))
                 before.append(given)
         if not after:
             return None
@@ -235,10 +242,11 @@ def _best_shift(geometry: Geometry, concerned: list[int], camera: int, steps: in
         pair = geometry.pairs[k]
         few = pair.thinned(SHIFT_DETECTIONS, 0)
         first, second = Reading(geometry.samples[pair.a].camera), Reading(geometry.samples[pair.b].camera)
-        for i, shift in enumerate(shifts.tolist()):
+        for block in np.array_split(np.arange(len(shifts)), -(-len(shifts) // SHIFTS_AT_ONCE)):
             # moving A's clock by s means looking at B at t + s
-            at = few.times + shift if camera == pair.a else few.times - shift
-            there = replace(few, pixels_b=pixels_at(geometry.samples[pair.b], at)[None])
-            total[i] += float((distances(there, first, second)[0].min(axis=2) <= TOLERANCES[0]).mean())
+            at = few.times + (1.0 if camera == pair.a else -1.0) * shifts[block, None]
+            seen = pixels_at(geometry.samples[pair.b], at.ravel())
+            there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
+            total[block] += (distances(there, first, second)[0].min(axis=2) <= TOLERANCES[0]).mean(axis=1)
     best = int(np.argmax(total))
     return None if abs(shifts[best]) < 0.5 * step else float(shifts[best])

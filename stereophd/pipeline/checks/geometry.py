@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -16,6 +17,7 @@ from stereophd.pipeline.checks.rays import (
     candidates,
     expected_excess,
     meeting,
+    rays_of,
 )
 from stereophd.pipeline.checks.sample import CameraSample
 
@@ -46,7 +48,7 @@ class Geometry:
     samples : list of CameraSample
     pairs : tuple of Candidates
     given : tuple of Meeting
-        Of every pair, with the cameras as stated.
+        How well rays meet for every pair, with the cameras as stated.
     expected : tuple of float
         Excess that the configuration promises, pair by pair.
     """
@@ -60,6 +62,12 @@ class Geometry:
     def views(self) -> list[Reading]:
         """The cameras as stated."""
         return [Reading(sample.camera) for sample in self.samples]
+
+    @cached_property
+    def rays(self) -> list[tuple[Array, Array]]:
+        """The rays of every pair, with the cameras as stated (see `rays_of`)."""
+        views = self.views
+        return [rays_of(pair, views[pair.a], views[pair.b]) for pair in self.pairs]
 
     def is_suspicious(self, k: int) -> bool:
         """Whether fewer rays of pair k meet than the configuration promises, or no more than by chance.

@@ -35,6 +35,14 @@ def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Itera
         )
         remedy = "raise filter.max_components, or leave it to the memory (null)"
         yield Finding("filter.max_components", "warning", text, cut, 0, None, remedy, "filter_full")
+    if crowded := left_out["hypothesis_events"]:
+        text = (
+            f"after {crowded} of {events} events the tracks had more hypotheses than filter.max_hypotheses: up to "
+            f"{left_out['most_hypotheses']} of the least probable at once remain undecided, so that tracks take more "
+            "events to settle"
+        )
+        remedy = "raise filter.max_hypotheses for fewer events, which take longer"
+        yield Finding("filter.max_hypotheses", "warning", text, crowded, 0, None, remedy, "hypotheses_full")
     if bursts := left_out["burst_frames"]:
         text = (
             f"{bursts} of {events} frames have more detections beyond those of known objects than "

@@ -12,6 +12,7 @@ no filter is involved, so the figures show whether cameras and clocks fit the lo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -24,6 +25,8 @@ from stereophd.pipeline.checks.sample import CameraSample
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+# Of the detections of both cameras of a pair; None: not computed.
+Rays = tuple[Array | None, Array | None]
 
 # Detections of A that are examined, time shifts that measure chance, and candidates in B that are kept at most.
 MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 80
@@ -54,10 +57,7 @@ class Reading:
 
     def rays(self, pixels: Array) -> Array:
         """Return the rays (n, 3), third component 1, of pixels (n, 2) of the log; NaN where there are none."""
-        camera = self.camera
-        flat, _ = camera.undistort_pixels(self.read(camera, pixels))
-        xy = (flat - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-        return np.column_stack([xy, np.ones(len(xy))])
+        return self.camera.rays(self.read(self.camera, pixels))
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Candidates:
     a, b : int
         The cameras.
     detections : array (n,) of int
-        Of A.
+        Indices of the detections of A.
     times : array (n,)
         True times of these, s.
     pixels_a : array (n, 2)
@@ -156,17 +156,22 @@ def pixels_at(sample: CameraSample, times: Array) -> Array:
 
 def _wide(table: Array, width: int) -> Array:
     """Return a table (f, k, 2) with this many columns, the new ones NaN."""
+    if table.shape[1] == width:
+        return table
     return np.pad(table, ((0, 0), (0, width - table.shape[1]), (0, 0)), constant_values=np.nan)
 
 
-def distances(found: Candidates, first: Reading, second: Reading) -> tuple[Array, Array]:
+def distances(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> tuple[Array, Array]:
     """Return distances in standard deviations, and depths before A, both (1 + s, n, k).
 
-    Infinite where the rays do not meet in front of both cameras.
+    Infinite where the rays do not meet in front of both cameras. `known`: the rays of A's and B's detections, if they
+    have been computed (see `rays_of`).
     """
-    shape = found.pixels_b.shape[:3]
-    rays_a = first.rays(found.pixels_a)
-    rays_b = second.rays(found.pixels_b.reshape(-1, 2)).reshape(*shape, 3)
+    rays_a, rays_b = known
+    if rays_a is None:
+        rays_a = first.rays(found.pixels_a)
+    if rays_b is None:
+        rays_b = _rays_there(found, second)
     pose_a, pose_b = first.camera.pose, second.camera.pose
     offset = pose_b.center - pose_a.center
     essential = _essential(pose_a, pose_b)
@@ -178,6 +183,15 @@ def distances(found: Candidates, first: Reading, second: Reading) -> tuple[Array
         distance = np.abs(value) / np.sqrt(variance)
     depth, in_front = _depths(rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, offset)
     return np.where(in_front & np.isfinite(distance), distance, np.inf), depth
+
+
+def rays_of(found: Candidates, first: Reading, second: Reading) -> tuple[Array, Array]:
+    """Return the rays (n, 3) of A's detections and (1 + s, n, k, 3) of B's, each in its camera's frame."""
+    return first.rays(found.pixels_a), _rays_there(found, second)
+
+
+def _rays_there(found: Candidates, second: Reading) -> Array:
+    return second.rays(found.pixels_b.reshape(-1, 2)).reshape(*found.pixels_b.shape[:3], 3)
 
 
 def signed_distances(first: Camera, second: Camera, pixels_a: Array, pixels_b: Array) -> Array:
@@ -217,17 +231,25 @@ def _depths(directions_a: Array, directions_b: Array, offset: Array) -> tuple[Ar
     return depth_a, parallel | ((depth_a > 0.0) & (depth_b > 0.0))
 
 
-def meeting(found: Candidates, first: Reading, second: Reading, tolerances: tuple[float, ...] = TOLERANCES) -> Meeting:
-    """Return how often the rays meet, at the tolerance with the highest score."""
-    least = distances(found, first, second)[0].min(axis=2)
+def meeting(
+    found: Candidates,
+    first: Reading,
+    second: Reading,
+    tolerances: tuple[float, ...] = TOLERANCES,
+    known: Rays = (None, None),
+) -> Meeting:
+    """Return how often the rays meet, at the tolerance with the highest score (`known`: see `distances`)."""
+    least = distances(found, first, second, known)[0].min(axis=2)
+    count = len(least[0])
+    shares = (least <= np.array(tolerances)[:, None, None]).mean(axis=2)
+    chances, stds = shares[:, 1:].mean(axis=1), shares[:, 1:].std(axis=1, ddof=1)
     best: Meeting | None = None
-    for tolerance in tolerances:
-        shares = (least <= tolerance).mean(axis=1)
-        share, chance = float(shares[0]), float(shares[1:].mean())
-        spread = float(np.hypot(shares[1:].std(ddof=1), np.sqrt(max(chance * (1 - chance), 0.25 / len(least[0]))
-                                                                / len(least[0]))))  # fmt: skip
+    for tolerance, share, chance, std in zip(
+        tolerances, shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True
+    ):
+        spread = math.hypot(std, math.sqrt(max(chance * (1 - chance), 0.25 / count) / count))
         excess = (share - chance) / max(1.0 - chance, 1e-9)
-        one = Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerance, len(least[0]))
+        one = Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerance, count)
         if best is None or one.score > best.score:
             best = one
     assert best is not None

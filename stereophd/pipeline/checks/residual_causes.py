@@ -33,7 +33,7 @@ class CauseFit:
     Attributes
     ----------
     value : float
-        Of a cause with one number: s, or k1.
+        The number of a cause that has one: s, or k1.
     error : float
         Its standard error, from the spread between pairs of tracks.
     explained : float

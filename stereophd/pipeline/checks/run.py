@@ -1,4 +1,4 @@
-"""All checks of a log, a configuration and cameras that need no filter."""
+"""Run all checks of a log, a configuration and cameras that need no filter."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def check_log(
     thorough : bool
         Whether more of the log is read, and clock offsets are tried even where nothing is suspicious.
     cameras : tuple of Camera, optional
-        In place of those of the configuration, such as calibrated ones.
+        Cameras in place of those of the configuration, such as calibrated ones.
 
     Returns
     -------
     tuple of Finding
-        Of the log alone, of the geometry and of the settings, in this order.
+        Findings about the log alone, about the geometry and about the settings, in this order.
 
     Raises
     ------
@@ -86,13 +86,13 @@ def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) ->
 def check_samples(
     loaded: LoadedConfig, samples: list[CameraSample], thorough: bool, whole: bool
 ) -> tuple[Finding, ...]:
-    """Check a part of a log that is in memory (see `check_log`); `whole`: it is all of the log."""
+    """Check a part of a log that is in memory (see `check_log`); `whole` states whether it is the whole log."""
     config = loaded.config
     findings = [*_of_files(loaded, samples, whole)]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
-        why = f"geometry and settings are checked of cameras that stand still; moving: {', '.join(moving)}"
+        why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
         return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples), thorough)
     findings += check_geometry(geometry, thorough)

@@ -230,7 +230,7 @@ def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
         return
     stated_acceleration = 0.0 if acceleration is None else float(np.max(acceleration))
     found = scene.acceleration
-    # gravity and the like the model explains itself
+    # The model itself explains some accelerations, such as gravity.
     explained = bool(motion.build().flow(np.ones(1)).drift.any())
     too_small = found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.1 * spread
     if found is not None and too_small and not explained:

@@ -101,7 +101,7 @@ class DetectorEstimate:
         Standard errors of sigma, px.
     p_detect_error, clutter_error : float or None
     correlation : array (2,) or None
-        Of the residuals of successive frames along u and v: 0 of white noise.
+        Correlation of the residuals of successive frames along u and v: 0 of white noise.
     residuals, in_view : float
         Expected numbers of detections behind sigma, and of frames with a track in view behind p_detect.
     frames : int
@@ -147,7 +147,7 @@ def observe(
     Parameters
     ----------
     sums : DetectorSums
-        Of the camera; the residuals are added.
+        Sums of the camera; the residuals are added.
     prediction : Prediction
         Before the update with the event.
     event : Event

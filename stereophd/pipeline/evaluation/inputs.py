@@ -24,7 +24,7 @@ from stereophd.io.table_schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, ST
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
-# The table of events that `track` writes beside its tracks.
+# The table of events that `track` writes into the folder of its tracks.
 SCANS_NAME = "scans.parquet"
 
 KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
@@ -48,7 +48,7 @@ class Tracks:
     position, velocity : (n, 3) arrays
         In the world.
     covariance : (n, 3, 3) array
-        Of the position.
+        Covariance of the position.
     track_id : (n,) array
         Identities, negative if the filter gives none.
     confirmed : (n,) bool array

@@ -1,4 +1,4 @@
-"""Tracks in the frame and on the clock of the truth, where an evaluation asks for that."""
+"""Tracks in the frame and on the clock of the truth, if the options of an evaluation state it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LOGGER = logging.getLogger("stereophd")
 def registration_of(
     tracks: Tracks, truth: Truth, options: Options, max_gap_s: float, path: Path
 ) -> Registration | None:
-    """Return the motion and the map of time from tracks to truth that the options ask for; None without one.
+    """Return the motion and the map of time from tracks to truth that the options state; None without one.
 
     Raises
     ------

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from stereophd.config.cameras import CameraConfig
+from stereophd.core.multi.filter_settings.common import FilterSettings
 
 Kind = Literal["animals", "drones", "lab"]
 
@@ -40,7 +41,7 @@ class Draft:
     Attributes
     ----------
     unit : str
-        Of lengths.
+        Unit of lengths.
     cameras : dict
         By name; empty where none are known.
     camera_notes : dict
@@ -118,7 +119,9 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
         ),
         "motion.max_speed": guess(length(scale.max_speed), f"above the fastest object, {unit}/s"),
         "filter.kind": Choice("pmb", "labelled tracks; phd is the paper's filter"),
-        "filter.survival_per_s": Choice(0.99, "the default: exp(-1 / mean time in view, s)", measured=False),
+        "filter.survival_per_s": Choice(
+            FilterSettings.survival_per_s, "the default: exp(-1 / mean time in view, s)", measured=False
+        ),
         "filter.birth.per_s": guess(scale.births_per_s, "new objects a second in the view of a camera"),
         "filter.birth.depth_range": guess(
             [near, far], f"nearest and farthest depth at which objects appear before a camera, {unit}"

@@ -31,9 +31,9 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     ----------
     draft : Draft
     version : str
-        Of the program.
+        Version of the program.
     source : str
-        What the values are from, in words.
+        Source of the values, in words.
     cameras_file : str
         Path of the cameras for a draft that holds none.
     """

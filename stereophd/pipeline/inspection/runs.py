@@ -57,9 +57,9 @@ class Run:
     Attributes
     ----------
     name : str
-        Of its folder.
+        Name of its folder.
     command : str
-        ``track`` or ``calibrate``; ``evaluate`` of an evaluation whose run is not at hand.
+        ``track`` or ``calibrate``; ``evaluate`` for an evaluation whose run is not among the folders.
     report : mapping
         Its ``report.json``.
     cameras : tuple of Camera
@@ -119,7 +119,7 @@ def read_runs(
     Parameters
     ----------
     folders : sequence of path
-        Of `track`, `calibrate`, `evaluate` or `simulate` (whose log and truth are used), in any order.
+        Output folders of `track`, `calibrate`, `evaluate` or `simulate` (whose log and truth are used), in any order.
     logs, truths : sequences of path
         Detection logs and truths that lie elsewhere.
 
@@ -127,8 +127,8 @@ def read_runs(
     -------
     tuple of Run
         In the order of the folders. An evaluation belongs to the run whose tracks it scored, and a log to the runs made
-        from it. A truth belongs to the runs whose evaluation used it, or else to the runs made from a log beside it. A
-        truth named in `truths` belongs to the runs without another.
+        from it. A truth belongs to the runs whose evaluation used it. If there is none, it belongs to the runs made
+        from a log of its folder. A truth named in `truths` belongs to the runs without another.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def _report(path: Path) -> dict[str, Any] | None:
 
 
 def read_run(folder: Path, command: str, report: Mapping[str, Any]) -> Run:
-    """Read the tables of one output folder, whose report is at hand."""
+    """Read the tables of one output folder, whose report has been read."""
     found = {name: folder / f"{name}.parquet" for name in ("tracks", "scans", "associations", "history", "posterior")}
     held = {name: path for name, path in found.items() if path.exists()}
     return Run(

@@ -29,7 +29,7 @@ KINDS = (
 
 
 def kind_of(path: Path) -> str:
-    """Return what a table is, by its columns: ``associations`` and the like are ``table``."""
+    """Return what a table is, by its columns; tables such as ``associations`` are of kind ``table``."""
     with open_parquet(path) as parquet:
         names = set(parquet.schema_arrow.names)
     if {"track_id", "probability"} <= names:

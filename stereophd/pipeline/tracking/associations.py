@@ -37,7 +37,7 @@ class Associated:
     track_ids : array (k,) of int
         (Labels, as long as they are not reported.)
     probabilities : array (k,)
-        That the object of the track exists and made the detection.
+        Probability that the object of the track exists and made the detection.
     """
 
     time_s: float

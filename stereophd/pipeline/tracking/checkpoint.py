@@ -113,7 +113,7 @@ class RecordChunks:
     folder : Path
         Made when there is something to keep.
     identity : str
-        Of configuration and log; files of another run are refused.
+        Identity of configuration and log; files of another run are refused.
     """
 
     def __init__(self, folder: Path, identity: str) -> None:
@@ -156,7 +156,7 @@ class RecordChunks:
                     yield record
 
     def keep_only(self, spans: Sequence[tuple[float, float]]) -> None:
-        """Take over the first chunks, and forget the others."""
+        """Keep the first chunks, and remove the others."""
         self.spans = list(spans)
         kept = {self._path(number).name for number in range(len(self.spans))}
         for path in self.folder.glob("records-*.npz"):
@@ -173,7 +173,7 @@ class RecordJournal:
     Parameters
     ----------
     folder, identity
-        As of `RecordChunks`.
+        The same as in `RecordChunks`.
     estimator : Estimator
         What runs.
     """
@@ -224,7 +224,7 @@ def journaled_records(
     Parameters
     ----------
     estimator, events, times, keep_events
-        As of `stereophd.pipeline.tracking.loop.run_estimator`; all events of the log.
+        The same as in `stereophd.pipeline.tracking.loop.run_estimator`; all events of the log.
     journal : RecordJournal
         Loaded.
 

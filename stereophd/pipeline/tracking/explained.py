@@ -1,4 +1,4 @@
-"""How well tracks explain what the cameras report: detections of tracks, and their residuals, camera by camera."""
+"""How well tracks explain the detections of each camera: the share that belongs to tracks, and the residuals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
     times : array (n,)
         Times of the frames, s.
     states : array (n, 6)
-        Positions and velocities at these times; a row that the shutter reads later is seen where the object is then.
+        Positions and velocities at these times. A rolling shutter reads a row later: the detection shows the object at
+        its position at that later time.
     pixels : array (n, 2)
         Detections as in the log.
     """
@@ -116,7 +117,7 @@ class Explained:
                 "explained_detections": sums.explained,
                 "explained_share": finite_or_none(sums.explained / sums.detections) if sums.detections else None,
                 "residuals": count,
-                # of one axis
+                # Root mean square of one axis.
                 "residual_rms_px": float(np.sqrt(sums.squares / (2 * count))) if count else None,
                 "residual_mean_px": (sums.total / count).tolist() if count else None,
             }

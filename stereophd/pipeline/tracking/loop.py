@@ -29,8 +29,8 @@ FORGET_EVERY = 50
 # Cameras that must have detected a tentative object.
 SUPPORT = 2
 
-# Times of a grid between two events: more than so many are an error, and of more than so many without an object all but
-# the first are left out. A pause of the recording may last for years.
+# Times of a grid between two events. More than `MOST_FORECASTS` are an error. If more than `MOST_EMPTY_FORECASTS` are
+# without an object, all after the first are left out. A pause of the recording may last for years.
 MOST_FORECASTS = 1_000_000
 MOST_EMPTY_FORECASTS = 10_000
 
@@ -77,11 +77,11 @@ class Record:
     camera, frame : str, int
         The event; of a prediction, the last one before it.
     n_detections : int
-        Of the event; none in a prediction.
+        Number of detections of the event; 0 for a prediction.
     first_label : int
         Smallest label that an object first detected in this event can have.
     info : Info
-        Of the event; of a prediction that of the last event, faded, with log-likelihood 0.
+        Diagnostics of the event. Those of a prediction are from the last event, faded, with log-likelihood 0.
     estimates : Estimates
     attributed : mapping
         Track -> camera -> number of detections that are known to be its own since this event (at the first
@@ -181,7 +181,7 @@ class RunState(Generic[State]):
     events : int
         Number of events so far: those that a run from a copy passes over.
     last : Record, optional
-        Of the last event.
+        Record of the last event.
     forecast_from_s : float
         Times of the grid from here on are still to be predicted.
     attribution : Attribution

@@ -13,6 +13,7 @@ class Losses:
     def __init__(self) -> None:
         self._cut, self._most_left_out = 0, 0
         self._bursts, self._burst_detections = 0, 0
+        self._crowded, self._most_hypotheses = 0, 0
 
     def add(self, record: Record) -> None:
         """Take in a record."""
@@ -23,6 +24,8 @@ class Losses:
         self._most_left_out = max(self._most_left_out, info.left_out)
         self._bursts += info.burst > 0
         self._burst_detections += info.burst
+        self._crowded += info.hypotheses_left_out > 0
+        self._most_hypotheses = max(self._most_hypotheses, info.hypotheses_left_out)
 
     def report(self) -> dict[str, Any]:
         """Return the figures for ``report.json``."""
@@ -31,4 +34,6 @@ class Losses:
             "most": self._most_left_out,
             "burst_frames": self._bursts,
             "burst_detections": self._burst_detections,
+            "hypothesis_events": self._crowded,
+            "most_hypotheses": self._most_hypotheses,
         }

@@ -36,7 +36,7 @@ class _Identity:
 
 @dataclass(frozen=True)
 class Tables:
-    """Where records go: one row an estimate, one row an event and, if asked, one row an association."""
+    """Tables of the records of a run: a row for each estimate, for each event and, if wanted, for each association."""
 
     tracks: TableWriter
     scans: TableWriter

@@ -14,7 +14,7 @@ from stereophd.pipeline.progress import Progress
 # when two did, so that the time is that for which objects stay in one view.
 OVERLAP_S = 60.0
 
-# More pieces than this are a slip: of the length, or a pause of years in the log.
+# More pieces than this are an error: in the stated length, or by a pause of years in the log.
 MOST_PIECES = 100_000
 
 # Frames between two calls of `progress` while a log is read.
@@ -76,7 +76,7 @@ def plan_pieces(
     Parameters
     ----------
     frames : iterable of Frame
-        Of the log, which is read once, with all its checks.
+        Frames of the log, which is read once, with all its checks.
     length_s, overlap_s : float
     ahead : bool
         Whether pieces continue beyond their spans too.

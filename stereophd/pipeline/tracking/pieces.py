@@ -61,7 +61,7 @@ class PieceWork:
     folder : Path
         Absolute; ``piece-NUMBER`` in it is that of a piece.
     identity : str
-        Of configuration, log and pieces.
+        Identity of configuration, log and pieces.
     threads : int
     """
 

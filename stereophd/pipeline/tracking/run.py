@@ -61,7 +61,7 @@ class Tracking:
     def records(
         self, stream: EventStream, journal: RecordJournal | None = None, run: RunState[Any] | None = None
     ) -> Iterator[Record]:
-        """Yield the records of a log, smoothed if the configuration asks for it; see `reported_records`."""
+        """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
         events = at_most_one(stream) if single else stream
         return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
@@ -76,9 +76,9 @@ def reported_records(
     journal: RecordJournal | None = None,
     run: RunState[Any] | None = None,
 ) -> Iterator[Record]:
-    """Yield the records of events, smoothed and without short tracks if the section ``report`` asks for it.
+    """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
 
-    With `keep_events`, smoothed tracks reach back to detections that the filter did not take for theirs. With a
+    With `keep_events`, smoothed tracks reach back to detections that the filter did not assign to them. With a
     `journal` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth

@@ -22,7 +22,7 @@ TRACK_ROWS = 50_000
 TRUTH_ROWS = 20_000
 FRAME_ROWS = 36_000
 RESIDUAL_ROWS = 16_000
-# Of one run.
+# Numbers of rows of one run.
 SCANS = 1200
 PARTICLES = 600
 HISTORY = 300

@@ -23,7 +23,7 @@ MARGIN = 0.1
 def detections_of(run: Run) -> tuple[Array, Integers, Integers, Array]:
     """Return times (n,), cameras (n,), frames (n,) and pixels (n, 2) of all frames of a run, NaN in an empty frame.
 
-    From the log where it is at hand, else from the associations, which hold the detections of tracks alone.
+    They come from the log if it is known, else from the associations, which hold only the detections of tracks.
     """
     if run.log is not None:
         reader = LogReader(run.log, run.cameras, "drop", float("inf"))
@@ -100,7 +100,8 @@ def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[
 def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Array, Integers]] | None:
     """Return times (n,), residuals (n, 2) in px and tracks (n,) of every camera; None without associations or cameras.
 
-    Of the detections that belong to a track more probably than not, at most `most` of each camera, evenly spread.
+    Only detections that belong to a track more probably than not are taken, at most `most` of each camera, evenly
+    spread.
     """
     found = run.associations
     if found is None or not run.cameras:

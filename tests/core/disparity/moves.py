@@ -9,6 +9,7 @@ must stay within five of these for their own N, in the worst of all coordinates.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -25,9 +26,22 @@ METHODS = ("qmc", "particle", "adaptive", "unscented", "linear")
 REFERENCE_SAMPLES = 200_000
 
 
+@cache
+def reference_samples() -> np.ndarray:
+    """Standard normal samples (12, `REFERENCE_SAMPLES`) for reference moments."""
+    samples = np.random.default_rng(99).standard_normal((12, REFERENCE_SAMPLES))
+    samples.flags.writeable = False
+    return samples
+
+
+@cache
+def drawn_once(method: str, samples: int, rows: int, seed: int) -> SampleSets:
+    """The sample sets of a seed: most tests use the same few, and drawing them takes longer than most tests."""
+    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(seed))  # type: ignore[arg-type]
+
+
 def sample_sets(method: str, samples: int, motion: Motion, seed: int = 1) -> SampleSets:
-    rows = motion.sample_rows
-    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(seed))
+    return drawn_once(method, samples, motion.sample_rows, seed)
 
 
 @dataclass(frozen=True)
@@ -51,7 +65,7 @@ class Case:
         return oracle_trip(self.mean, self.covariance, samples, self.home, self.destination, self.dt, self.motion)
 
     def reference(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.trip(np.random.default_rng(99).standard_normal((12, REFERENCE_SAMPLES)))
+        return self.trip(reference_samples())
 
 
 def nearly_linear(size: int = 6) -> Case:

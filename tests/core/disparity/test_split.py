@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from stereophd.core.disparity import moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, PARTLY_IN_VIEW
@@ -26,8 +30,11 @@ from tests.core.disparity.moves import (
     figure_7,
     monte_carlo_margins,
     nearly_linear,
+    reference_samples,
     sample_sets,
 )
+
+Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("size", [3, 6])
@@ -61,16 +68,22 @@ def test_the_two_parts_make_up_the_whole(method: str, p_detect: float, size: int
     assert moved.means[0, 0] < mean[0] < moved.missed_means[0, 0]
 
 
+@cache
+def large_sample(make: Callable[..., Case], *arguments: float) -> tuple[Array, Array, Array]:
+    """States, where they are in the destination, and whether they are seen there: one sample for all methods."""
+    case = make(*arguments)
+    samples = reference_samples()
+    states = case.mean + samples[: len(case.mean)].T @ np.linalg.cholesky(case.covariance).T
+    return states, *case.trip(samples)
+
+
 @pytest.mark.parametrize("size", [3, 6])
 @pytest.mark.parametrize("method", METHODS)
 def test_split_by_the_field_of_view(method: str, size: int) -> None:
     """Fraction, part in view and missed part (Fig. 8) against a large sample, within Monte Carlo margins."""
     case, count, p_detect = figure_7(size), 1024, 0.95
-    rng = np.random.default_rng(99)
-    samples = rng.standard_normal((12, REFERENCE_SAMPLES))
-    points, seen = case.trip(samples)
+    states, points, seen = large_sample(figure_7, size)
     share = seen.mean()
-    states = case.mean + samples[:size].T @ np.linalg.cholesky(case.covariance).T
     moved = case.move(sample_sets(method, count, case.motion), 0, p_detect)
     assert moved.status[0] == PARTLY_IN_VIEW
     assert abs(moved.fraction[0] - share) < 5.0 * np.sqrt(share * (1 - share) / count)
@@ -136,8 +149,7 @@ def test_a_tail_in_view_is_found_where_it_matters(method: str, size: int, place:
     assert case.move(sets, 0, p_detect).status[0] == OUT_OF_VIEW
     moved = case.move(sets, 0, p_detect, important=True)
     assert moved.status[0] == PARTLY_IN_VIEW
-    samples = np.random.default_rng(99).standard_normal((12, REFERENCE_SAMPLES))
-    points, seen = case.trip(samples)
+    _, points, seen = large_sample(tail_in_view, size, place)
     share = seen.mean()
     assert 0.01 < share < 0.375
     # the reserve's own size, its weights, and the samples that count: all in the effective number in view

@@ -45,6 +45,22 @@ def test_pair_likelihoods(size: int, seed: int) -> None:
     assert 20 < np.count_nonzero(found) < seen.sum() * len(points)
 
 
+@pytest.mark.parametrize("most", [1, 7])
+def test_of_many_pairs_the_densest_are_kept(most: int) -> None:
+    """Of each component, in the order of the detections."""
+    means, covariances, seen, points, noises, areas = pairs_of(np.random.default_rng(3), 6, 6, 400)
+    covariances[:3] *= 400.0
+    whole = pair_likelihoods(means, covariances, seen, points, noises, areas)
+    found = pair_likelihoods(means, covariances, seen, points, noises, areas, None, most)
+    assert np.bincount(whole[0]).max() > 100
+    expected = []
+    for k in np.unique(whole[0]):
+        here = np.flatnonzero(whole[0] == k)
+        expected += sorted(here[np.argsort(-whole[2][here])[:most]].tolist())
+    for one, other in zip(found, whole, strict=True):
+        np.testing.assert_array_equal(one, other[expected])
+
+
 def test_what_is_left_out_is_below_rounding() -> None:
     assert np.exp(-0.5 * REACH_SIGMAS**2) < 1e-17
 

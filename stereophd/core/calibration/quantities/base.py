@@ -114,13 +114,13 @@ class Quantity:
     components : tuple of str
         Names of its values, unique among all quantities.
     unit : str
-        Of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``.
+        Unit of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``.
     prior : str
         Key of its standard deviation in ``calibration.priors``.
     prior_unit : float
         The unit of that key in units of the values (degrees: pi / 180).
     description : str
-        Of that key.
+        Description of that key.
     apply : callable
         (camera, values (k,)) -> the camera moved by them.
     difference : callable

@@ -1,7 +1,9 @@
 """Lens models: one module each, found by its name, the word of ``distortion.model``.
 
-A module holds the model's settings, code and largest radius (`LENS`), and its formula as a plain function, which
-`stereophd.core.geometry.compiled_lenses` compiles.
+A module holds the settings of its model, its code and its largest radius (`LENS`). Modules `brown_conrady` and
+`fisheye` also hold the radial formula of their model as a plain function, `scale`; `radial` is the case of
+`brown_conrady` with one coefficient. `stereophd.core.geometry.compiled_lenses` compiles the formulas; the tangential
+terms and the inverse are there.
 """
 
 from __future__ import annotations

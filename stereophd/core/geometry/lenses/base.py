@@ -1,4 +1,4 @@
-"""Lens models: their common interface and shared functions."""
+"""Lens models: their common interface and shared functions. `stereophd.core.geometry.compiled_lenses` inverts them."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def smallest_positive_root(polynomial: ArrayLike) -> float:
     Roots beyond ROOT_LIMIT count as none, and none is inf.
     """
     # The reciprocals of the roots are those of the reversed polynomial, which is monic: tiny leading
-    # coefficients, which would drown the root wanted here, are tiny last ones there and do no harm.
+    # coefficients, whose rounding would hide the wanted root here, are tiny last ones there and have no effect.
     roots = np.roots(np.asarray(polynomial, dtype=np.float64)[::-1])
     # A double root comes out as a pair with a small imaginary part: there the slope is zero, so it counts.
     is_real = np.abs(roots.imag) <= 1e-7 * np.abs(roots)

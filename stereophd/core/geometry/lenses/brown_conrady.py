@@ -1,4 +1,7 @@
-"""The word ``brown_conrady``: OpenCV's rational model (D. C. Brown, "Decentering distortion of lenses", 1966)."""
+"""Distortion model ``brown_conrady``, OpenCV's rational model.
+
+Source: D. C. Brown, "Decentering distortion of lenses", 1966.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +45,10 @@ def scale(c: Array, start: int, s: float) -> tuple[float, float]:
 
 
 def max_radius(coefficients: Array) -> float:
-    """Return the radius of the first fold.
+    """Return the radius of the first fold, where the radial map stops to increase.
 
-    A radius at which the map only stands still counts as a limit, and so does a pole that the numerator cancels.
+    A radius at which the slope of the map is zero without a change of sign is also taken as the limit, and so is a pole
+    that the numerator cancels.
     """
     k1, k2, _, _, k3, k4, k5, k6 = coefficients
     # r_d = r N(s) / D(s), s = r^2: the slope is (N D + 2 s (N' D - N D')) / D^2.

@@ -1,4 +1,4 @@
-"""The word ``fisheye``: OpenCV's fisheye model (J. Kannala and S. Brandt, IEEE TPAMI 28 (8), 2006)."""
+"""Distortion model ``fisheye``: OpenCV's fisheye model (J. Kannala and S. Brandt, IEEE TPAMI 28 (8), 2006)."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class FisheyeDistortion:
     """OpenCV's fisheye model: theta_d = theta (1 + k1 theta^2 + ... + k4 theta^8)."""
 
     model: Literal["fisheye"] = parameter("the lens model", default="fisheye")
-    k1: Coefficient = parameter("of theta^2, theta the angle from the axis", default=0.0)
-    k2: Coefficient = parameter("of theta^4", default=0.0)
-    k3: Coefficient = parameter("of theta^6", default=0.0)
-    k4: Coefficient = parameter("of theta^8", default=0.0)
+    k1: Coefficient = parameter("coefficient of theta^2, where theta is the angle from the axis", default=0.0)
+    k2: Coefficient = parameter("coefficient of theta^4", default=0.0)
+    k3: Coefficient = parameter("coefficient of theta^6", default=0.0)
+    k4: Coefficient = parameter("coefficient of theta^8", default=0.0)
 
 
 def scale(c: Array, start: int, s: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The word ``radial``: one coefficient (paper section VIII-F)."""
+"""Distortion model ``radial``: one coefficient (paper section VIII-F)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class RadialDistortion:
     """One-parameter radial distortion: x_distorted = x (1 + k1 r^2)."""
 
     model: Literal["radial"] = parameter("the lens model", default="radial")
-    k1: Coefficient = parameter("of r^2, r the distance from the axis at depth 1")
+    k1: Coefficient = parameter("coefficient of r^2, where r is the distance from the axis at depth 1")
 
 
 # The formula is that of brown_conrady, of which all other coefficients are 0.
