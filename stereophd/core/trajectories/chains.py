@@ -30,7 +30,7 @@ LEAST = 1e-9
 
 
 @dataclass(frozen=True)
-class Looks:
+class WholeRun:
     """The events of a run, the cameras, and how objects move."""
 
     events: tuple[Event | None, ...]
@@ -88,12 +88,12 @@ class Chain:
         What its measurements are linearised about.
     detections : dict
         Event -> detection, by their numbers.
-    looks : Looks
+    run : WholeRun
     """
 
     trajectory: Trajectory
     detections: dict[int, int]
-    looks: Looks
+    run: WholeRun
 
     @cached_property
     def ahead(self) -> tuple[Array, Array, float]:
@@ -121,7 +121,7 @@ class Chain:
                 whole.track_id, whole.events[first:last], whole.times[first:last], states, covariances,
                 whole.existence[first:last],
             )  # fmt: skip
-            part = smooth(part, self.looks.motion)
+            part = smooth(part, self.run.motion)
             states, covariances = whole.states.copy(), whole.covariances.copy()
             states[first:last], covariances[first:last] = part.states, part.covariances
             chain = replace(chain, trajectory=replace(whole, states=states, covariances=covariances))
@@ -135,15 +135,15 @@ class Chain:
         total = self._filtered(first, last, backwards=False)[2]
         for place in range(first, last):
             event = int(self.trajectory.events[place])
-            found = self.looks.events[event]
+            found = self.run.events[event]
             if found is None:
                 continue
-            camera = self.looks.cameras[found.camera]
+            camera = self.run.cameras[found.camera]
             p_detect, detection = camera.detector.p_detect, self.detections.get(event)
             if detection is not None:
                 clutter = max(camera.detector.clutter_per_frame, LEAST) / (camera.width * camera.height)
                 total += float(np.log(max(p_detect, LEAST)) + np.log(found.areas[detection]) - np.log(clutter))
-            elif self.looks.in_view(event, self.trajectory.states[place : place + 1])[0]:
+            elif self.run.in_view(event, self.trajectory.states[place : place + 1])[0]:
                 total += float(np.log(max(1.0 - p_detect, LEAST)))
         return total
 
@@ -160,7 +160,7 @@ class Chain:
             found = []
             for (means, spreads, _), near in ((self.ahead, int(left[place])), (self.behind, int(right[place]))):
                 if 0 <= near < count:
-                    step = self.looks.step(float(times[place] - times[near]))
+                    step = self.run.step(float(times[place] - times[near]))
                     found.append(step.predict(means[near], spreads[near]))
             mean, covariance = found[0] if found else self._prior(place)
             if len(found) == 2:
@@ -173,7 +173,7 @@ class Chain:
     def _prior(self, place: int) -> tuple[Array, Array]:
         """Return a wide prior at a place of the trajectory: about the position there, at rest."""
         trajectory = self.trajectory
-        far = max(float(np.linalg.norm(trajectory.states[place, :3] - c.pose.center)) for c in self.looks.cameras)
+        far = max(float(np.linalg.norm(trajectory.states[place, :3] - c.pose.center)) for c in self.run.cameras)
         speeds = np.sqrt((trajectory.states[:, 3:] ** 2).mean(axis=1))
         stds = np.sqrt(np.trace(trajectory.covariances[:, 3:, 3:], axis1=1, axis2=2) / 3.0)
         # the median: at its beginning a track may seem faster than it ever is
@@ -191,7 +191,7 @@ class Chain:
         mean, covariance = self._prior(before)
         for place in places:
             if place != before:
-                mean, covariance = self.looks.step(float(times[place] - times[before])).predict(mean, covariance)
+                mean, covariance = self.run.step(float(times[place] - times[before])).predict(mean, covariance)
             before = place
             measured = self._measured(place)
             if measured is not None:
@@ -206,8 +206,8 @@ class Chain:
         detection = self.detections.get(event)
         if detection is None:
             return None
-        found, state = self.looks.event(event), self.trajectory.states[place]
-        points, jacobians = self.looks.pixels(event, state[None], self.looks.delay(event, detection))
+        found, state = self.run.event(event), self.trajectory.states[place]
+        points, jacobians = self.run.pixels(event, state[None], self.run.delay(event, detection))
         if not (np.isfinite(points).all() and np.isfinite(jacobians).all()):
             return None
         return found.points[detection] - points[0] + jacobians[0] @ state, jacobians[0], found.covariances[detection]

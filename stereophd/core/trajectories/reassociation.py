@@ -31,7 +31,7 @@ from scipy.optimize import linear_sum_assignment
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
-from stereophd.core.trajectories.chains import Chain, Looks
+from stereophd.core.trajectories.chains import Chain, WholeRun
 from stereophd.core.trajectories.smoothing import Trajectory
 
 Array = NDArray[np.float64]
@@ -88,14 +88,14 @@ def reassociate(
     motion : Motion
         One that moves.
     """
-    looks = Looks(tuple(events), tuple(cameras), motion)
-    chains = [Chain(t, dict(own), looks) for t, own in zip(trajectories, detections, strict=True)]
+    run = WholeRun(tuple(events), tuple(cameras), motion)
+    chains = [Chain(t, dict(own), run) for t, own in zip(trajectories, detections, strict=True)]
     interval = _frame_interval(events)
     quiet = 0
     for number in range(ROUNDS * len(WINDOWS)):
         width = WINDOWS[number % len(WINDOWS)] * interval
-        proposed = list(_proposed(chains, looks, width))
-        accepted = _decide_parts(chains, looks, proposed, 2.0 * width + interval)
+        proposed = list(_proposed(chains, run, width))
+        accepted = _decide_parts(chains, run, proposed, 2.0 * width + interval)
         quiet = 0 if accepted else quiet + 1
         if quiet == len(WINDOWS):
             break
@@ -130,7 +130,7 @@ class _Change:
     after: int | None
 
 
-def _proposed(chains: Sequence[Chain], looks: Looks, width: float) -> Iterator[_Change]:
+def _proposed(chains: Sequence[Chain], run: WholeRun, width: float) -> Iterator[_Change]:
     """Changes of the joint assignment of every event, in order of events."""
     at: dict[int, list[tuple[int, Array, Array]]] = {}
     for number, chain in enumerate(chains):
@@ -138,21 +138,21 @@ def _proposed(chains: Sequence[Chain], looks: Looks, width: float) -> Iterator[_
         for k, event in enumerate(chain.trajectory.events.tolist()):
             at.setdefault(event, []).append((number, states[k], covariances[k]))
     for event, tracks in sorted(at.items()):
-        found = looks.events[event]
+        found = run.events[event]
         if found is None or not len(found.points):
             continue
-        taken = _assigned(looks, event, np.stack([s for _, s, _ in tracks]), np.stack([c for _, _, c in tracks]))
+        taken = _assigned(run, event, np.stack([s for _, s, _ in tracks]), np.stack([c for _, _, c in tracks]))
         for (number, _, _), detection in zip(tracks, taken, strict=True):
             before = chains[number].detections.get(event)
             if detection != before:
                 yield _Change(event, number, before, detection)
 
 
-def _assigned(looks: Looks, event: int, states: Array, covariances: Array) -> list[int | None]:
+def _assigned(run: WholeRun, event: int, states: Array, covariances: Array) -> list[int | None]:
     """Detection of each of some tracks (t, 6), (t, 6, 6) at an event, at the greatest total gain."""
-    found = looks.event(event)
-    camera = looks.cameras[found.camera]
-    in_view, (points, jacobians) = looks.in_view(event, states), looks.pixels(event, states, looks.delay(event))
+    found = run.event(event)
+    camera = run.cameras[found.camera]
+    in_view, (points, jacobians) = run.in_view(event, states), run.pixels(event, states, run.delay(event))
     spread = jacobians @ covariances @ np.swapaxes(jacobians, 1, 2)
     gains = np.full((len(states), len(found.points)), -np.inf)
     p_detect = camera.detector.p_detect
@@ -174,15 +174,15 @@ def _assigned(looks: Looks, event: int, states: Array, covariances: Array) -> li
     return out
 
 
-def _groups(changes: Sequence[_Change], looks: Looks, apart_s: float) -> list[list[_Change]]:
+def _groups(changes: Sequence[_Change], run: WholeRun, apart_s: float) -> list[list[_Change]]:
     """Changes that share tracks or detections, no further apart in time than this."""
     groups: list[list[_Change]] = []
     for change in changes:
-        time_s = looks.time(change.event)
+        time_s = run.time(change.event)
         joined = [
             group
             for group in groups
-            if any(_meet(change, other) and time_s - looks.time(other.event) <= apart_s for other in group)
+            if any(_meet(change, other) and time_s - run.time(other.event) <= apart_s for other in group)
         ]
         groups = [group for group in groups if not any(group is one for one in joined)]
         groups.append([one for group in joined for one in group] + [change])
@@ -198,18 +198,18 @@ def _meet(one: _Change, other: _Change) -> bool:
     return not {one.before, one.after}.isdisjoint({other.before, other.after} - {None})
 
 
-def _decide_parts(chains: list[Chain], looks: Looks, changes: Sequence[_Change], apart_s: float) -> int:
+def _decide_parts(chains: list[Chain], run: WholeRun, changes: Sequence[_Change], apart_s: float) -> int:
     """Decide groups of changes; those that are not taken, once more in two parts, divided where most time passes."""
     taken = 0
-    for group in _groups(changes, looks, apart_s):
+    for group in _groups(changes, run, apart_s):
         if count := _decide(chains, group):
             taken += count
             continue
         events = sorted({change.event for change in group})
         if len(events) > 1:
-            widest = int(np.argmax(np.diff([looks.time(event) for event in events])))
+            widest = int(np.argmax(np.diff([run.time(event) for event in events])))
             for part in (events[: widest + 1], events[widest + 1 :]):
-                taken += _decide_parts(chains, looks, [one for one in group if one.event in part], apart_s)
+                taken += _decide_parts(chains, run, [one for one in group if one.event in part], apart_s)
     return taken
 
 

@@ -12,7 +12,7 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.core.trajectories.chains import Chain, Looks
+from stereophd.core.trajectories.chains import Chain, WholeRun
 from stereophd.core.trajectories.reassociation import reassociate
 from stereophd.core.trajectories.smoothing import Trajectory
 
@@ -67,14 +67,14 @@ def _scene(
 
 def _tracks(events: Sequence[Event | None], own: Sequence[dict[int, int]], cameras: Sequence[Camera] = CAMERAS):
     """Tracks smoothed from their detections, right or wrong."""
-    looks = Looks(tuple(events), tuple(cameras), MOTION)
+    run = WholeRun(tuple(events), tuple(cameras), MOTION)
     times = np.array([event.time_s for event in events if event is not None])
     out = []
     for k, detections in enumerate(own):
         states = np.array([np.concatenate([_at(k, t), VELOCITY]) for t in times])
         wide = np.tile(np.diag([0.01] * 3 + [0.05] * 3) ** 2, (len(times), 1, 1))
         begin = Trajectory(k, np.arange(len(times)), times, states, wide, np.ones(len(times)))
-        out.append(Chain(begin, dict(detections), looks).smoothed().trajectory)
+        out.append(Chain(begin, dict(detections), run).smoothed().trajectory)
     return out
 
 
@@ -168,13 +168,13 @@ def test_predictions_of_a_grid_have_no_detections() -> None:
     for detections in own:
         detections.pop(10, None)
     times = np.array([number / (RATE * 3) for number in range(len(events))])
-    looks = Looks(tuple(events), CAMERAS, MOTION)
+    run = WholeRun(tuple(events), CAMERAS, MOTION)
     tracks = []
     for k, detections in enumerate(own):
         states = np.array([np.concatenate([_at(k, t), VELOCITY]) for t in times])
         wide = np.tile(np.diag([0.01] * 3 + [0.05] * 3) ** 2, (len(times), 1, 1))
         begin = Trajectory(k, np.arange(len(times)), times, states, wide, np.ones(len(times)))
-        tracks.append(Chain(begin, dict(detections), looks).smoothed().trajectory)
+        tracks.append(Chain(begin, dict(detections), run).smoothed().trajectory)
     given = _exchanged(own, 0, 1, [12])
     after = _found(given, reassociate(tracks, given, events, CAMERAS, MOTION))
     assert all(10 not in detections for detections in after)
@@ -185,12 +185,12 @@ def test_a_state_without_its_window_does_not_depend_on_the_detections_there() ->
     # the two filters together are the smoother of a track that never had those detections
     events, own = _scene(4, missed=0.0)
     (track, *_) = _tracks(events, own)
-    looks = Looks(tuple(events), CAMERAS, MOTION)
+    run = WholeRun(tuple(events), CAMERAS, MOTION)
     place, width = 24, 0.5 / RATE
-    states, covariances = Chain(track, own[0], looks).without_window(width)
+    states, covariances = Chain(track, own[0], run).without_window(width)
     near = np.flatnonzero(np.abs(track.times - track.times[place]) < width)
     fewer = {event: row for event, row in own[0].items() if event not in near}
-    other = Chain(track, fewer, looks)
+    other = Chain(track, fewer, run)
     mean, spread, _ = other.ahead
     assert len(near) > 1
     expected = other.smoothed().trajectory
@@ -206,8 +206,8 @@ def test_the_log_likelihood_is_that_of_all_detections_at_once() -> None:
     # an independent computation: the joint Gaussian of all pixels, motion integrated out, linear about the states
     events, own = _scene(6)
     (track, *_) = _tracks(events, own)
-    looks = Looks(tuple(events), CAMERAS, MOTION)
-    chain = Chain(track, own[0], looks)
+    run = WholeRun(tuple(events), CAMERAS, MOTION)
+    chain = Chain(track, own[0], run)
     mean, prior = chain._prior(0)
     count = len(track.times)
     means, joint = np.empty((count, 6)), np.zeros((6 * count, 6 * count))
@@ -223,8 +223,8 @@ def test_the_log_likelihood_is_that_of_all_detections_at_once() -> None:
     rows, errors, noises = [], [], []
     for k, event in enumerate(track.events.tolist()):
         if event in own[0]:
-            found = looks.event(event)
-            points, jacobians = looks.pixels(event, track.states[k][None], 0.0)
+            found = run.event(event)
+            points, jacobians = run.pixels(event, track.states[k][None], 0.0)
             row = np.zeros((2, 6 * count))
             row[:, 6 * k : 6 * k + 6] = jacobians[0]
             rows.append(row)
