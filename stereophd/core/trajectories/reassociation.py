@@ -15,6 +15,9 @@ follows, but it keeps the decision. Here the whole of each track speaks:
    the log-likelihood of all detections of its tracks, with their motion integrated out, by more than `LEAST_GAIN`. One
    that does not is divided in time, and its parts are tried, down to single events.
 
+3. *Ends.* Two tracks that have exchanged their objects for good, so that no window is long enough, exchange their ends
+   (`stereophd.core.trajectories.exchanged_ends`).
+
 This is repeated until no group is accepted. Every accepted group raises the likelihood of the association, so that it
 ends. A track whose detections change is smoothed again from its detections; the others stay as they are.
 """
@@ -32,6 +35,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.chains import Chain, WholeRun
+from stereophd.core.trajectories.exchanged_ends import cuts, with_ends_exchanged
 from stereophd.core.trajectories.smoothing import Trajectory
 
 Array = NDArray[np.float64]
@@ -44,6 +48,8 @@ LEAST_GAIN = 1.0
 ROUNDS, REACH = 6, 60
 # Windows about an event, to either side, in intervals between frames.
 WINDOWS = (0.0, 0.5, 1.0)
+# Times the window, to either side of a cut, in which the two tracks choose anew.
+AROUND = 4.0
 # A clutter of zero would make every detection certain.
 LEAST_CLUTTER = 1e-6
 
@@ -94,11 +100,12 @@ def reassociate(
     quiet = 0
     for number in range(ROUNDS * len(WINDOWS)):
         width = WINDOWS[number % len(WINDOWS)] * interval
-        proposed = list(_proposed(chains, run, width))
-        accepted = _decide_parts(chains, run, proposed, 2.0 * width + interval)
+        accepted = _decide_parts(chains, run, list(_proposed(chains, run, width)), 2.0 * width + interval)
         quiet = 0 if accepted else quiet + 1
         if quiet == len(WINDOWS):
-            break
+            if not sum(_exchange_ends(chains, width * interval) for width in WINDOWS if width):
+                break
+            quiet = 0
     out = []
     for trajectory, before, chain in zip(trajectories, detections, chains, strict=True):
         changed = {
@@ -108,6 +115,52 @@ def reassociate(
         }
         out.append(Reassociated(chain.trajectory if changed else trajectory, changed))
     return out
+
+
+def _exchange_ends(chains: list[Chain], width: float) -> int:
+    """Exchange the ends of tracks that continue each other better than themselves; return how many were exchanged.
+
+    About the cut the two choose their detections anew. A second cut is tried after the first, for objects that were
+    exchanged for some time only. What raises the log-likelihood most is taken.
+    """
+    done: set[int] = set()
+    for cut in sorted(cuts(chains, width, LEAST_GAIN), key=lambda one: -one.odds):
+        if not done.isdisjoint({cut.one, cut.other}):
+            continue
+        before = [chains[cut.one], chains[cut.other]]
+        others = [one for k, one in enumerate(chains) if k not in {cut.one, cut.other}]
+        tried = [_cut_at(before, cut.event, others, width)]
+        tried += [_cut_at(tried[0], one.event, others, width) for one in cuts(tried[0], width, 0.0)]
+        first, last = 0, len(before[0].trajectory.events) + len(before[1].trajectory.events)
+        totals = [
+            sum(one.log_likelihood(first, min(last, len(one.trajectory.events))) for one in pair)
+            for pair in (before, *tried)
+        ]
+        best = int(np.argmax(totals))
+        if totals[best] > totals[0] + LEAST_GAIN:
+            chains[cut.one], chains[cut.other] = tried[best - 1]
+            done |= {cut.one, cut.other}
+    return len(done) // 2
+
+
+def _cut_at(pair: Sequence[Chain], event: int, others: Sequence[Chain], width: float) -> list[Chain]:
+    """Return two tracks with their ends after an event exchanged, and the detections about it chosen anew."""
+    run, track = pair[0].run, pair[0].trajectory
+    at_s = float(track.times[np.searchsorted(track.events, event)])
+    found = [one.smoothed() for one in with_ends_exchanged(pair[0], pair[1], event)]
+    for again in (width, 0.0, width):
+        near = [
+            change
+            for change in _proposed(found, run, again)
+            if abs(run.time(change.event) - at_s) <= AROUND * width and not _has(others, change)
+        ]
+        _decide_parts(found, run, near, AROUND * width)
+    return found
+
+
+def _has(chains: Sequence[Chain], change: _Change) -> bool:
+    """Whether one of some tracks has the detection that a change takes."""
+    return change.after is not None and any(one.detections.get(change.event) == change.after for one in chains)
 
 
 def _frame_interval(events: Sequence[Event | None]) -> float:
@@ -220,7 +273,7 @@ def _decide(chains: list[Chain], group: Sequence[_Change]) -> int:
     for change in group:
         held = None if change.after is None else owners.get((change.event, change.after))
         let_go = held is None or any(o.chain == held and o.event == change.event for o in group)
-        if not let_go or _held_elsewhere(chains, numbers, change):
+        if not let_go or _has([one for k, one in enumerate(chains) if k not in numbers], change):
             return 0  # another track has that detection, and does not give it away
     events = [change.event for change in group]
     gain, tried = 0.0, {}
@@ -241,14 +294,3 @@ def _decide(chains: list[Chain], group: Sequence[_Change]) -> int:
     for number, new in tried.items():
         chains[number] = replace(chains[number], detections=new).smoothed()
     return len(group)
-
-
-def _held_elsewhere(chains: Sequence[Chain], numbers: Sequence[int], change: _Change) -> bool:
-    """Whether a track outside of a group has the detection that a change takes."""
-    if change.after is None:
-        return False
-    return any(
-        chain.detections.get(change.event) == change.after
-        for number, chain in enumerate(chains)
-        if number not in numbers
-    )
