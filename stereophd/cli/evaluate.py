@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -16,6 +17,8 @@ from stereophd.cli.terminal import begin, load, print_report, progress_bar, quie
 from stereophd.errors import GateError, InputError
 
 Report = dict[str, Any]
+# What a command is called with, by name.
+Words = dict[str, Any]
 
 # Parameters that only one of the two uses has.
 OF_TRACKS = (
@@ -84,26 +87,40 @@ def evaluate_command(
     _refuse(context, OF_CAMERAS, "the scores of cameras; not used with TRACKS and TRUTH")
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
-    words: dict[str, Any] = {
+    words: Words = {
         "order": order, "cutoff": cutoff, "base": base.value, "from_s": from_s, "to_s": to_s, "max_gap_s": max_gap,
         "at": at.value, "log_path": log, "seen_by": seen_by, "within_s": within, "ospa2_window": ospa2_window,
         "cameras_path": cameras, "plots": plots, "fail_above": above, "fail_below": below,
         "tentative": tentative, "align": align.value, "align_clock": align_clock,
     }  # fmt: skip
     if tracks.is_dir():
-        if out is None:
-            raise InputError("expected --out DIR for the scores of a folder of runs, found none")
-        from stereophd.commands.evaluate_runs import evaluate_runs
-
-        with progress_bar(session, "evaluate") as progress:
-            found = evaluate_runs(tracks, truth, out, force, progress, jobs, dask, **words)
-        finish_batch(session, found)
+        _score_runs(session, tracks, truth, out, force, jobs, dask, words)
         return
     _refuse(context, OF_FOLDERS, "folders of runs, found one run")
     from stereophd.commands.evaluate import evaluate
 
     score = partial(evaluate, tracks, truth, out, force=force, **words)
     _run(score, partial(_show_scores, session))
+
+
+def _score_runs(
+    session: Session,
+    tracks: Path,
+    truth: Path,
+    out: Path | None,
+    force: bool,
+    jobs: int,
+    dask: str | None,
+    words: Report,
+) -> None:
+    """Score a folder of runs."""
+    if out is None:
+        raise InputError("expected --out DIR for the scores of a folder of runs, found none")
+    from stereophd.commands.evaluate_runs import evaluate_runs
+
+    with progress_bar(session, "evaluate") as progress:
+        found = evaluate_runs(tracks, truth, out, force, progress, jobs, dask, **words)
+    finish_batch(session, found)
 
 
 def _refuse(context: typer.Context, names: Sequence[str], what: str) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import typer
 
+from stereophd.cli import import_options as of
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
 from stereophd.cli.terminal import begin, print_data, print_report
@@ -17,66 +18,27 @@ Value = TypeVar("Value")
 
 def import_command(
     context: typer.Context,
-    form: Annotated[
-        str,
-        typer.Argument(metavar="FORMAT", help="Format, such as csv (all: docs/interchange.md).", show_default=False),
-    ],
-    sources: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE...", help="Files or folders of that format.", show_default=False)
-    ],
+    form: of.Form,
+    sources: of.Sources,
     out: options.Out,
-    cameras: Annotated[
-        Path | None, options.option("--cameras", "FILE", "Cameras, native or foreign, if the source has none.")
-    ] = None,
-    columns: Annotated[
-        list[str] | None,
-        options.option(
-            "--column", "NAME=COLUMN", "Read a native column from a column of the table: u_px=x (repeatable)."
-        ),
-    ] = None,
-    fps: Annotated[list[str] | None, options.option("--fps", "[CAM=]HZ", "Frame rate: times are frame / rate.")] = None,
-    offset: Annotated[
-        list[str] | None, options.option("--offset", "[CAM=]S", "Seconds to add to the times of a camera.")
-    ] = None,
-    frames: Annotated[
-        list[str] | None,
-        options.option("--frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty."),
-    ] = None,
-    image_size: Annotated[
-        list[str] | None, options.option("--image-size", "[CAM=]WxH", "Width and height of the images.")
-    ] = None,
-    rename: Annotated[list[str] | None, options.option("--rename", "OLD=NEW", "Another name for a camera.")] = None,
-    length_unit: Annotated[
-        str | None, options.option("--length-unit", "UNIT", "Unit of the cameras: mm, cm, m, km.")
-    ] = None,
-    time_unit: Annotated[str, options.option("--time-unit", "UNIT", "Unit of the times: s, ms, us, ns.")] = "s",
-    pixel_origin: Annotated[
-        str | None,
-        options.option(
-            "--pixel-origin",
-            "WHERE",
-            "Pixel (0, 0) is the center or the corner of the top-left pixel; one: its center is (1, 1).",
-        ),
-    ] = None,
-    rows_from: Annotated[
-        str | None, options.option("--rows-from", "SIDE", "Rows count from the top or bottom.")
-    ] = None,
-    fill: Annotated[bool, typer.Option("--fill/--no-fill", help="Missing frame numbers become empty frames.")] = True,
-    box_point: Annotated[str, options.option("--box-point", "POINT", "Point of a box: center or bottom.")] = "center",
-    least_score: Annotated[
-        float | None, options.option("--least-score", "S", "Leave out detections of a lower score.")
-    ] = None,
-    undistorted: Annotated[bool, typer.Option("--undistorted", help="The pixels are undistorted already.")] = False,
-    sigma_px: Annotated[
-        float | None, options.option("--sigma-px", "PX", "Noise of the detections; default: estimated.")
-    ] = None,
-    p_detect: Annotated[
-        float, typer.Option("--p-detect", metavar="P", help="With --sigma-px: detection probability.")
-    ] = 0.9,
-    clutter: Annotated[
-        float,
-        typer.Option("--clutter", metavar="N", help="With --sigma-px: mean number of false detections per frame."),
-    ] = 1.0,
+    cameras: of.Cameras = None,
+    columns: of.Columns = None,
+    fps: of.Fps = None,
+    offset: of.Offset = None,
+    frames: of.Frames = None,
+    image_size: of.ImageSize = None,
+    rename: of.Rename = None,
+    length_unit: of.LengthUnit = None,
+    time_unit: of.TimeUnit = "s",
+    pixel_origin: of.PixelOrigin = None,
+    rows_from: of.RowsFrom = None,
+    fill: of.Fill = True,
+    box_point: of.BoxPoint = "center",
+    least_score: of.LeastScore = None,
+    undistorted: of.Undistorted = False,
+    sigma_px: of.SigmaPx = None,
+    p_detect: of.PDetect = 0.9,
+    clutter: of.Clutter = 1.0,
     force: options.Force = False,
     json: options.Json = False,
     quiet: options.Quiet = False,

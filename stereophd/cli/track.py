@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
 from stereophd.cli import options
+from stereophd.cli import track_options as of
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
 from stereophd.errors import InputError
@@ -18,45 +17,15 @@ def track_command(
     log: options.Logs,
     out: options.Out,
     cameras: options.Cameras = None,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            "--jobs",
-            metavar="N",
-            min=1,
-            help="Processes for several logs, or for the pieces of one; the results do not depend on it.",
-        ),
-    ] = 1,
+    jobs: of.Jobs = 1,
     dask: options.Dask = None,
-    threads: Annotated[
-        int, typer.Option("--threads", metavar="N", min=1, help="Threads; the outputs do not depend on it.")
-    ] = 1,
-    pieces: Annotated[
-        float | None,
-        options.option(
-            "--pieces",
-            "S",
-            "Cut the log into pieces of S seconds, track them independently, and join their tracks. The last piece is "
-            "shorter, or longer by up to the overlap.",
-        ),
-    ] = None,
-    overlap: Annotated[
-        float | None,
-        options.option("--overlap", "S", "Seconds before its own span that each piece also tracks [60]."),
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue an interrupted run; keep what is finished.")
-    ] = False,
-    smooth: Annotated[
-        bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")
-    ] = False,
-    associations: Annotated[
-        bool, typer.Option("--associations", help="Write which detection belongs to which track (report.associations).")
-    ] = False,
-    plots: Annotated[
-        bool,
-        typer.Option("--plots", help="Draw views, timelines, residuals (needs the extra 'plot'; adds --associations)."),
-    ] = False,
+    threads: of.Threads = 1,
+    pieces: of.Pieces = None,
+    overlap: of.Overlap = None,
+    resume: of.Resume = False,
+    smooth: of.Smooth = False,
+    associations: of.Associations = False,
+    plots: of.Plots = False,
     strict: options.Strict = False,
     overrides: options.Set = None,
     seed: options.Seed = None,

@@ -130,7 +130,7 @@ def test_other_things_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
     with pytest.raises(InputError, match=r"page\.html: expected a log, a table, cameras"):
         info(tmp_path / "page.html")
     (tmp_path / "foreign.json").write_text('{"provenance": "x", "a": 1}')
-    (tmp_path / "deep.json").write_text("[" * 1500 + "]" * 1500)
+    (tmp_path / "deep.json").write_text("[\n" * 1500 + "]" * 1500)
     (tmp_path / "deep.yaml").write_text("a: " + "[" * 600 + "]" * 600)
     for name in ("foreign.json", "deep.json", "deep.yaml"):
         with pytest.raises(InputError, match=name):

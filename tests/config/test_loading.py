@@ -337,7 +337,7 @@ class TestErrors:
         assert "aliases that expand without end" in message(path)
 
     def test_of_endless_nesting(self, path: Path) -> None:
-        path.write_text("[" * 5000)
+        path.write_text("[\n" * 5000)
         assert "nested too deeply" in message(path)
 
 

@@ -29,6 +29,8 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.sample_move import Look
+from stereophd.core.disparity.trips import disparity_scale
+from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, crosswise_pairs
 from stereophd.core.multi.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
@@ -125,11 +127,25 @@ class CrosswiseTest:
         for first, second in pairs.tolist():
             odds, exchanged = self.explain(history, first, second, camera, prior)
             if exchanged is not None:
-                mixture = _replaced(mixture, first, second, exchanged)
-                history = history.exchanged(first, second, camera)
+                turned = self._is_nearer_turned(mixture, homes, (first, second), exchanged)
+                mixture = _replaced(mixture, first, second, exchanged[::-1] if turned else exchanged)
+                history = history.exchanged(first, second, camera, others=turned)
             behind = abs(odds) if exchanged is not None else max(-odds, 0.0)
             deferred = deferred.add((first, second, camera), event + SOONEST + round(min(behind, LATEST)))
         return mixture, replace(history, deferred=deferred)
+
+    def _is_nearer_turned(
+        self, mixture: GaussianMixture, homes: Array, labels: tuple[int, int], tracks: tuple[Track, Track]
+    ) -> bool:
+        """Whether two labels stay nearer to where they are if each takes the other's track.
+
+        A ghost shares a ray with both objects, and either may continue its identity.
+        """
+        heads = [int(np.flatnonzero(mixture.labels == label)[0]) for label in labels]
+        here = [_place(mixture.means[head], homes[head]) for head in heads]
+        there = [_place(one.mean, self.rig.space(one.camera, one.time_s)) for one in tracks]
+        moves = np.linalg.norm(np.array(here)[:, None] - np.array(there), axis=2)
+        return bool(moves[0, 1] + moves[1, 0] < moves[0, 0] + moves[1, 1])
 
     def explain(
         self, history: History, first: int, second: int, camera: int, prior: NewObjects
@@ -193,6 +209,13 @@ class Track(NamedTuple):
     covariance: Array
     camera: int
     time_s: float
+
+
+def _place(mean: Array, space: Array) -> Array:
+    """Place (3,) in the world of a mean in a packed disparity space."""
+    ray = np.array([(mean[0] - space[CX]) / space[FX], (mean[1] - space[CY]) / space[FY], 1.0])
+    rotation = space[ROTATION : ROTATION + 9].reshape(3, 3)
+    return np.asarray(space[CENTER : CENTER + 3] + disparity_scale(space) / mean[2] * (ray @ rotation))
 
 
 def _replaced(mixture: GaussianMixture, first: int, second: int, tracks: tuple[Track, Track]) -> GaussianMixture:

@@ -111,10 +111,12 @@ class History:
             else None,
         )
 
-    def exchanged(self, first: int, second: int, camera: int) -> History:
-        """Return the history in which two labels have the detections of a camera exchanged."""
+    def exchanged(self, first: int, second: int, camera: int, others: bool = False) -> History:
+        """Return the history in which two labels have the detections of a camera, or of all others, exchanged."""
         return History(
-            tuple(_exchanged(one, first, second) if one.camera == camera else one for one in self.sightings),
+            tuple(
+                _exchanged(one, first, second) if (one.camera == camera) != others else one for one in self.sightings
+            ),
             self.deferred,
         )
 

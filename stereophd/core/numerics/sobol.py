@@ -10,6 +10,7 @@ for anchored boxes", J. Complexity 14 (4), 1998 (linear scramble).
 
 from __future__ import annotations
 
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
@@ -34,8 +35,9 @@ POLYNOMIALS = (
 BITS = 30
 
 
+@cache
 def direction_numbers(rows: int) -> Integers:
-    """Return the direction numbers (rows, BITS), scaled by 2^BITS; rows from 1 to 12."""
+    """Return the direction numbers (rows, BITS), scaled by 2^BITS, read-only; rows from 1 to 12."""
     numbers = np.zeros((rows, BITS), dtype=np.int64)
     numbers[0] = 1 << np.arange(BITS - 1, -1, -1)
     for row, (degree, coefficients, initial) in enumerate(POLYNOMIALS[: rows - 1], 1):
@@ -48,6 +50,7 @@ def direction_numbers(rows: int) -> Integers:
                 if coefficients >> (degree - 1 - i) & 1:
                     value ^= numbers[row, k - i]
             numbers[row, k] = value
+    numbers.flags.writeable = False
     return numbers
 
 

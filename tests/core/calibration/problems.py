@@ -20,8 +20,8 @@ from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.phd import PhdFilter
 from stereophd.core.multi.pmb import PmbFilter
-from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera
+from tests.core.disparity.moves import sample_sets
 
 Array = NDArray[np.float64]
 
@@ -47,8 +47,7 @@ def make_template(
 ) -> PhdFilter | PmbFilter:
     """The filter of given cameras."""
     motion = ConstantVelocity([0.05] * 3, 12.0) if motion is None else motion
-    rows = motion.sample_rows
-    sets = draw_sample_sets("qmc", samples, rows, np.random.SeedSequence(7))
+    sets = sample_sets("qmc", samples, motion, seed=7)
     rig = make_rig(cameras, 1.0, "horizontal", region)
     birth = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=2.0)
     if kind == "pmb":

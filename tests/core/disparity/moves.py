@@ -34,9 +34,14 @@ def reference_samples() -> np.ndarray:
     return samples
 
 
+@cache
+def drawn_once(method: str, samples: int, rows: int, seed: int) -> SampleSets:
+    """The sample sets of a seed: most tests use the same few, and drawing them takes longer than most tests."""
+    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(seed))  # type: ignore[arg-type]
+
+
 def sample_sets(method: str, samples: int, motion: Motion, seed: int = 1) -> SampleSets:
-    rows = motion.sample_rows
-    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(seed))
+    return drawn_once(method, samples, motion.sample_rows, seed)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from tests.core.disparity.moves import METHODS, Case, figure_7, nearly_linear, s
 wide = st.floats(-6.0, 4.0).map(lambda exponent: 10.0**exponent)
 
 
-@settings(max_examples=250)
+@settings(max_examples=100)
 @given(
     seed=st.integers(0, 2**32),
     size=st.sampled_from([3, 6]),

@@ -68,7 +68,7 @@ def test_packed_region_of_a_configuration() -> None:
     np.testing.assert_array_equal(build_region(both), [-1, 1, -2, 2, 0, 5, 1, 9])
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32 - 1), spread=st.sampled_from([1.0, 10.0, 60.0]), size=st.sampled_from([4, 7]))
 def test_region_mask(seed: int, spread: float, size: int) -> None:
     """Against NumPy: share, the weights outside, and the slack."""

@@ -70,7 +70,7 @@ def test_inverse_matrix(space: DisparitySpace) -> None:
     np.testing.assert_allclose(space.inverse_projective_matrix, expected, rtol=1e-8, atol=atol)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(space=spaces, ray=rays, depth=depths)
 def test_disparity_is_focal_length_times_baseline_over_depth(
     space: DisparitySpace, ray: tuple[float, ...], depth: float
@@ -83,7 +83,7 @@ def test_disparity_is_focal_length_times_baseline_over_depth(
     np.testing.assert_allclose(state[:2], [898.9 * ray[0] + 400.0, 880.0 * ray[1] + 300.0], rtol=0, atol=2000.0 * rtol)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(space=spaces, ray=rays, depth=depths)
 def test_observation_is_linear_in_both_cameras(space: DisparitySpace, ray: tuple[float, ...], depth: float) -> None:
     point = world_point(space, ray, depth)
@@ -97,7 +97,7 @@ def test_observation_is_linear_in_both_cameras(space: DisparitySpace, ray: tuple
     np.testing.assert_allclose(right @ state, other.camera.project(point)[0], rtol=0, atol=atol)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(space=spaces, ray=rays, depth=depths, velocity=velocities)
 def test_world_to_disparity_and_back(
     space: DisparitySpace, ray: tuple[float, ...], depth: float, velocity: tuple[float, ...]
@@ -120,7 +120,7 @@ disparity_states = st.tuples(
 )
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(space=spaces, state=disparity_states, size=st.sampled_from([3, 6]))
 def test_disparity_to_world_and_back(space: DisparitySpace, state: tuple[float, ...], size: int) -> None:
     states = np.array([state[:size]])
@@ -134,7 +134,7 @@ def test_disparity_to_world_and_back(space: DisparitySpace, state: tuple[float, 
     assert error.max() <= relative * scale
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(space=spaces, ray=rays, depth=depths, velocity=velocities)
 def test_velocity_is_the_rate_of_the_moving_point(
     space: DisparitySpace, ray: tuple[float, ...], depth: float, velocity: tuple[float, ...]
@@ -150,7 +150,7 @@ def test_velocity_is_the_rate_of_the_moving_point(
     np.testing.assert_allclose(rate, difference, rtol=0, atol=atol)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(source=spaces, destination=spaces, state=disparity_states, size=st.sampled_from([3, 6]))
 def test_map_between_cameras_is_the_way_through_the_world(
     source: DisparitySpace, destination: DisparitySpace, state: tuple[float, ...], size: int

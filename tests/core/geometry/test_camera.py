@@ -81,7 +81,7 @@ def test_pixel_jacobians_agree_with_finite_differences(lens: Lens, make_camera: 
             np.testing.assert_allclose(jacobian[:, :, axis], difference, rtol=1e-6, atol=1e-6)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(
     u=st.floats(100.0, 1200.0),
     v=st.floats(50.0, 680.0),

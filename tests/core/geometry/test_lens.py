@@ -105,7 +105,7 @@ def test_jacobian_near_the_axis_of_a_fisheye_lens() -> None:
     np.testing.assert_allclose(lens.distort(outside)[0][0], scale, rtol=2e-9)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(lens=lenses, seed=st.integers(0, 2**32 - 1))
 def test_undistort_inverts_distort(lens: Lens, seed: int) -> None:
     xy = points_within(0.8 * min(lens.max_radius, 2.0), 20, seed)
@@ -119,7 +119,7 @@ def test_undistort_inverts_distort(lens: Lens, seed: int) -> None:
     )
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(lens=lenses, seed=st.integers(0, 2**32 - 1))
 def test_what_undistort_returns_distorts_back(lens: Lens, seed: int) -> None:
     # Any distorted point: NaN, or a point within max_radius that the lens does map there.
@@ -133,7 +133,7 @@ def test_what_undistort_returns_distorts_back(lens: Lens, seed: int) -> None:
     np.testing.assert_allclose(lens.distort(xy[found])[0], xy_d[found], rtol=0, atol=1e-11)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(lens=lenses)
 def test_radial_map_increases_up_to_max_radius_and_no_further(lens: Lens) -> None:
     limit = lens.max_radius

@@ -16,7 +16,7 @@ vectors = st.tuples(finite, finite, finite).map(np.array)
 rotation_vectors = vectors.map(lambda v: v * min(1.0, 3.14 / max(np.linalg.norm(v), 1e-300)))
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(vector=rotation_vectors)
 def test_rotation_vector_round_trip(vector: np.ndarray) -> None:
     rotation = rotation_from_vector(vector)
@@ -38,7 +38,7 @@ def test_rotations_agree_with_opencv(angle: float) -> None:
         np.testing.assert_allclose(sign * back, vector, rtol=0, atol=1e-14 + 1e-14 * angle)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(vector=rotation_vectors, center=vectors, x=vectors)
 def test_world_round_trip(vector: np.ndarray, center: np.ndarray, x: np.ndarray) -> None:
     pose = Pose(rotation_from_vector(vector), center)

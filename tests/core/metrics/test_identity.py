@@ -45,7 +45,7 @@ def test_nothing():
 SCAN = st.dictionaries(st.integers(-3, 4), st.one_of(st.none(), st.integers(-1, 5)), max_size=5)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(scans=st.lists(SCAN, max_size=12), false=st.lists(st.integers(-1, 7), max_size=9))
 def test_as_counted_one_by_one(scans, false):
     pairs = [(track, thing) for scan in scans for thing, track in scan.items() if track is not None]

@@ -19,7 +19,7 @@ def scale(*matrices: np.ndarray) -> float:
     return 1e-12 * max(1.0, *(float(np.abs(matrix).max()) for matrix in matrices))
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(first=steps, second=steps, acceleration_std=accelerations)
 def test_two_steps_of_one_direction_are_one_step(
     first: float, second: float, acceleration_std: tuple[float, ...]
@@ -31,7 +31,7 @@ def test_two_steps_of_one_direction_are_one_step(
     np.testing.assert_allclose(f2 @ q1 @ f2.T + q2, q, rtol=0, atol=scale(q, q1, q2))
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(dt=steps, acceleration_std=accelerations)
 def test_backward_step_undoes_the_forward_one(dt: float, acceleration_std: tuple[float, ...]) -> None:
     motion = ConstantVelocity(acceleration_std)
@@ -43,7 +43,7 @@ def test_backward_step_undoes_the_forward_one(dt: float, acceleration_std: tuple
     np.testing.assert_allclose(backward_covariance, expected, rtol=0, atol=scale(expected, forward_covariance) * 10)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(dt=steps, acceleration_std=accelerations)
 def test_process_covariance_is_symmetric_and_positive(dt: float, acceleration_std: tuple[float, ...]) -> None:
     _, q, _ = ConstantVelocity(acceleration_std).transition(dt)

@@ -14,8 +14,8 @@ from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.mixture import GaussianMixture
 from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera, random_covariance
+from tests.core.disparity.moves import sample_sets
 
 PRIOR = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.5)
 
@@ -36,8 +36,7 @@ def make_filter(
         cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
     motion = ConstantVelocity([0.01] * 3, 6.0) if motion is None else motion
     rig: Rig = make_rig(cameras, baseline, "horizontal")
-    rows = motion.sample_rows
-    sets = draw_sample_sets(method, samples, rows, np.random.SeedSequence(7))  # type: ignore[arg-type]
+    sets = sample_sets(method, samples, motion, seed=7)
     values = {
         "survival_per_s": 0.99,
         "birth": birth,

@@ -48,7 +48,7 @@ def test_nothing_to_pair(n_tracks: int, n_detections: int) -> None:
     assert found.log_evidence == 0.0
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(seed=seeds, count=st.integers(1, 6), tracks_many=st.booleans(), high=st.sampled_from([1.0, 4.0, 8.0]))
 def test_exact_where_one_side_is_single(seed: int, count: int, tracks_many: bool, high: float) -> None:
     """One track before many detections, and many tracks before one detection."""
@@ -60,7 +60,7 @@ def test_exact_where_one_side_is_single(seed: int, count: int, tracks_many: bool
     assert_sums_to_one(found, EXACT)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(seed=seeds, n_tracks=sizes, n_detections=sizes, high=st.sampled_from([1.0, 3.0, 6.0, 12.0]))
 def test_evidence_is_exact_on_trees(seed: int, n_tracks: int, n_detections: int, high: float) -> None:
     """Where the pairs form no loop, also for high odds; it is stationary in the messages, so stopping costs little."""
@@ -123,7 +123,7 @@ def test_close_to_exact_on_loops(high: float, mean_margin: float, worst_margin: 
     assert largest < worst_margin
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(seed=seeds, n_tracks=sizes, n_detections=sizes, low=st.floats(-300.0, 0.0), high=st.floats(0.0, 300.0))
 def test_finite_for_extreme_odds(seed: int, n_tracks: int, n_detections: int, low: float, high: float) -> None:
     rng = np.random.default_rng(seed)

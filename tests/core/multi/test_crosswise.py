@@ -167,8 +167,16 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     after, history = test.put_right(mixture, wrong, 1, state.time_s, 100)
     np.testing.assert_array_equal(after.labels, mixture.labels)
     np.testing.assert_array_equal(after.weights, mixture.weights)
-    np.testing.assert_array_equal(history.rows_of(first, first).points, _own(state.history, first).points)
     _, estimates = multi_filter.extract(replace(state, mixture=after))
+    _, off = multi_filter.extract(replace(state, mixture=mixture))
+    # each label is as near as may be to where it was, and has the detections of the object that it follows now
+    here, there = (one.states[np.argsort(one.labels), :3] for one in (off, estimates))
+    moves = np.linalg.norm(here[:, None] - there, axis=2)
+    assert np.trace(moves) <= np.trace(moves[:, ::-1])
+    for label in (first, second):
+        rows = history.rows_of(label, label)
+        owners = [own for own in (first, second) if np.array_equal(rows.points, _own(state.history, own).points)]
+        assert len(owners) == 1
     truth = PLACES + state.time_s * VELOCITIES
     errors = np.linalg.norm(estimates.states[:, None, :3] - truth, axis=2)
     assert errors.min(axis=1).max() < 2.0

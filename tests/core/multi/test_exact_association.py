@@ -34,7 +34,7 @@ def random_odds(seed: int, n_tracks: int, n_detections: int, low: float, high: f
     return np.asarray(10.0 ** rng.uniform(low, high, shape) * (rng.random(shape) < filled))
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(seed=seeds, n_tracks=sizes, n_detections=sizes, filled=st.floats(0.1, 1.0), high=st.sampled_from([0, 3, 6, 12]))
 def test_exact(seed: int, n_tracks: int, n_detections: int, filled: float, high: float) -> None:
     odds = random_odds(seed, n_tracks, n_detections, -3.0, high, filled)
@@ -147,7 +147,7 @@ def test_a_large_cluster_splits_at_weak_links() -> None:
     np.testing.assert_allclose(found.pair.sum(axis=1) + found.missed, 1.0, atol=1e-6)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(seed=seeds, n_tracks=sizes, n_detections=sizes, low=st.floats(-300.0, 0.0), high=st.floats(0.0, 300.0))
 def test_finite_for_extreme_odds(seed: int, n_tracks: int, n_detections: int, low: float, high: float) -> None:
     found = solve(random_odds(seed, n_tracks, n_detections, low, high, 0.7))

@@ -25,8 +25,8 @@ from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.pmb import PmbFilter
 from stereophd.core.multi.pmb_update import mix_gaussians
-from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera, random_covariance, state_in, weighted
+from tests.core.disparity.moves import sample_sets
 from tests.core.multi.scenes import PRIOR, make_mixture
 from tests.core.multi.test_phd_textbook import (
     BIRTHS,
@@ -69,8 +69,7 @@ def make_pmb(
     if cameras is None:
         cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
     motion = ConstantVelocity([0.01] * 3, 6.0) if motion is None else motion
-    rows = motion.sample_rows
-    sets = draw_sample_sets(method, samples, rows, np.random.SeedSequence(7))  # type: ignore[arg-type]
+    sets = sample_sets(method, samples, motion, seed=7)
     values = {"survival_per_s": 0.99, "birth": birth, "extraction": Hysteresis(confirm=0.9, release=0.02), **options}
     return PmbFilter(make_rig(cameras, 1.0, "horizontal"), motion, sets, PmbSettings(**values), threads)  # type: ignore[arg-type]
 

@@ -56,9 +56,9 @@ def test_a_path_does_not_depend_on_how_it_is_asked_for(first: int, second: int, 
 
 
 def test_process_noise_has_the_covariance_of_integrated_white_acceleration() -> None:
-    # 20000 objects, one uneven step each from rest: sample covariances are within 5 standard errors,
+    # 8000 objects, one uneven step each from rest: sample covariances are within 5 standard errors,
     # sqrt((c_ij^2 + c_ii c_jj) / n).
-    number, step, deviations = 20000, 0.7, np.array([0.5, 1.0, 2.0])
+    number, step, deviations = 8000, 0.7, np.array([0.5, 1.0, 2.0])
     items = [moving_object((0.0, 0.0, 0.0), object_id=k, noise_seed=k) for k in range(number)]
     ends = np.stack([Path(item, ConstantVelocity(deviations)).states(np.array([step]))[0] for item in items])
     for axis, deviation in enumerate(deviations):
@@ -136,15 +136,15 @@ def test_objects_need_not_stay_in_view() -> None:
 
 
 def test_births_are_poisson_and_lifetimes_exponential() -> None:
-    # 2 births a second for 2000 s: 4000 +- 5 * 63; lifetimes of mean 3 s: +- 5 standard errors.
+    # 2 births a second for 500 s: 1000 +- 5 * 32; lifetimes of mean 3 s: +- 5 standard errors.
     drawing = Drawing(7, *BOX, 0.1, stay_in_view="none", births_per_s=2.0, mean_lifetime_s=3.0)
-    items = draw(drawing, [camera()], duration_s=2000.0)
+    items = draw(drawing, [camera()], duration_s=500.0)
     births = np.array([item.birth_s for item in items])
     lives = np.array([item.death_s - item.birth_s for item in items])
     assert (births[:7] == 0.0).all()
-    assert abs(births.size - 7 - 4000) < 5 * np.sqrt(4000)
+    assert abs(births.size - 7 - 1000) < 5 * np.sqrt(1000)
     assert (np.diff(births) >= 0).all()
-    assert abs(births[7:].mean() - 1000) < 5 * 2000 / np.sqrt(12 * 4000)
+    assert abs(births[7:].mean() - 250) < 5 * 500 / np.sqrt(12 * 1000)
     assert abs(lives.mean() - 3.0) < 5 * 3.0 / np.sqrt(lives.size)
     assert abs(lives.std() - 3.0) < 5 * 3.0 * np.sqrt(2 / lives.size)
     assert [item.object_id for item in items] == list(range(len(items)))

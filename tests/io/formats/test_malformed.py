@@ -27,7 +27,7 @@ FILES = {
     "random.npz": b"PK" + np.random.default_rng(5).bytes(300),
     "text.json": b'"abc"',
     "list.json": b'[1, 2, "a"]',
-    "deep.json": b"[" * 1500 + b"]" * 1500,
+    "deep.json": b"[\n" * 1500 + b"]" * 1500,
     "deep.yaml": b"a: " + b"[" * 600 + b"]" * 600,
     "names.json": b'{"images": ["a"], "annotations": []}',
     "null.json": b'{"images": [{"id": 1, "file_name": null}], "annotations": [{"image_id": 1, "bbox": [1, 2, 3]}]}',
