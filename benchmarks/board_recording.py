@@ -158,7 +158,7 @@ def main() -> None:
         agreeing = f"{report['agreeing_starts']} of {len(report['starts'])}"
         print(json.dumps({"status": report["status"], "processor_s": seconds, "agreeing_starts": agreeing}))
         print(json.dumps(report["reason"]))
-    changes = [*given.changes, "report.smooth={}", "report.associations=true"]
+    changes = [*given.changes, "report.associations=true"]
     found = folder if given.supplied else out
     track(load_config(CONFIG, changes, cameras_path=found / "cameras.yaml"), folder / log, tracks, force=True)
     print(json.dumps(scores(folder, found, tracks), indent=1))

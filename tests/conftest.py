@@ -73,3 +73,9 @@ def global_state() -> Iterator[None]:
     os.environ.update(environment)
     os.chdir(folder)
     np.seterr(**errors)
+
+
+@pytest.fixture
+def without_checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`track` in this process does not check its log first, which takes longer than a short run."""
+    monkeypatch.setattr("stereophd.commands.track.check_log", lambda *_, **__: ())

@@ -22,6 +22,12 @@ class SmoothConfig(Model):
         default=1.0,
         advice="the longest time for which an object is hidden.",
     )
+    reassociate: bool = parameter(
+        "smoothed tracks choose their detections anew, so that neighbours that the filter took for each other are "
+        "exchanged",
+        default=False,
+        advice="true for many objects close together that are seldom seen, such as corners of a board.",
+    )
 
 
 class CameraTimes(Model):

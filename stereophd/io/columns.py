@@ -31,9 +31,10 @@ def pack(objects: Sequence[Any], leave_out: frozenset[str] = frozenset()) -> dic
         A field holds what has no column: a fault of the program.
     """
     names = _field_names(type(objects[0])) or ()
-    nothing = [None] * len(objects)
     columns = {
-        name: _column(nothing if name in leave_out else list(map(attrgetter(name), objects)), name, leave_out)
+        name: _nothing(len(objects))
+        if name in leave_out
+        else _column(list(map(attrgetter(name), objects)), name, leave_out)
         for name in names
     }
     return {_KIND: type(objects[0]).__name__, "count": len(objects), _VALUES: columns}
@@ -77,8 +78,10 @@ def _column(values: Sequence[Any], name: str, leave_out: frozenset[str]) -> dict
     kinds = set(map(type, values))
     if type(None) in kinds:
         inner = [value for value in values if value is not None]
+        if not inner:
+            return _nothing(len(values))
         there = np.array([value is not None for value in values])
-        return {_KIND: "some", "there": there, _VALUES: _column(inner, name, leave_out) if inner else None}
+        return {_KIND: "some", "there": there, _VALUES: _column(inner, name, leave_out)}
     if len(kinds) == 1:
         kind = next(iter(kinds))
         if kind in _DTYPES:
@@ -89,7 +92,7 @@ def _column(values: Sequence[Any], name: str, leave_out: frozenset[str]) -> dict
             words = sorted(set(values))
             places = {word: place for place, word in enumerate(words)}
             return {_KIND: "text", "words": words, _VALUES: np.array([places[value] for value in values])}
-        if kind is np.ndarray and values[0].ndim and len(set(map(attrgetter("dtype"), values))) == 1:
+        if kind is np.ndarray and values[0].ndim and _one_dtype(values):
             return {_KIND: "arrays", "lengths": _lengths(values), _VALUES: np.concatenate(values)}
         if kind is tuple:
             items = list(chain.from_iterable(values))
@@ -100,6 +103,17 @@ def _column(values: Sequence[Any], name: str, leave_out: frozenset[str]) -> dict
     if all(issubclass(kind, Mapping) for kind in kinds):
         return _counts(values)
     raise TypeError(f"no column for the values of {name}")
+
+
+def _nothing(count: int) -> dict[str, Any]:
+    """Return the column of so many None."""
+    return {_KIND: "some", "there": np.zeros(count, dtype=np.bool_), _VALUES: None}
+
+
+def _one_dtype(arrays: Sequence[NDArray[Any]]) -> bool:
+    """Whether all arrays have one type; most often it is one object, and objects are compared sooner than types."""
+    dtypes = list(map(attrgetter("dtype"), arrays))
+    return len(set(map(id, dtypes))) == 1 or len(set(dtypes)) == 1
 
 
 def _lengths(values: Sequence[Any]) -> NDArray[np.int64]:

@@ -21,6 +21,8 @@ from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from tests.shared_data import shared_data
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 CONFIG = Path(__file__).parents[2] / "configs" / "paper" / "multi_object.yaml"
 SEEDS = (1, 2, 3, 4, 5)
 OBJECTS = 6

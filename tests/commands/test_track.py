@@ -199,6 +199,7 @@ def test_provenance(config_path: Path, tmp_path: Path) -> None:
         assert str(tmp_path) not in json.dumps(record)
 
 
+@pytest.mark.usefixtures("without_checks")
 @pytest.mark.parametrize("overrides", [(), UNEVEN, STATIC], ids=["even", "uneven", "static"])
 @pytest.mark.parametrize("method", ["qmc", "particle", "unscented", "linear"])
 def test_same_bytes_again_and_with_two_threads(
@@ -229,6 +230,7 @@ def score(folder: Path, log: Path, from_s: float) -> dict:
     return evaluate(folder / "tracks.parquet", log / "truth.parquet", order=2.0, cutoff=20.0, from_s=from_s)
 
 
+@pytest.mark.usefixtures("without_checks")
 @pytest.mark.parametrize(
     ("overrides", "limit"),
     [((), 2.5), (UNEVEN, 2.5), (STATIC, 2.0), (SPARSE, 2.0), (("moments.method=particle", "moments.samples=500"), 2.5)],

@@ -16,6 +16,8 @@ from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 CONFIG = Path(__file__).parents[2] / "configs" / "paper" / "single_object.yaml"
 # RMSE from 10 s on, cm. The bound goes from 0.6 cm at 10 s to 1.4 cm at 30 s: five times as much is lost, not
 # noisy. A particle filter starts with no particle near the object and may miss it: of six seeds the errors were 1 to

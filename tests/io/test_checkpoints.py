@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from stereophd.errors import InputError
-from stereophd.io.checkpoints import MARK, is_checkpoint, read_checkpoint, write_checkpoint
+from stereophd.io.checkpoints import FORMAT, MARK, is_checkpoint, read_checkpoint, write_checkpoint
 
 
 class Point(NamedTuple):
@@ -95,7 +95,7 @@ class Bomb:
 def forged(folder: Path) -> dict[str, bytes]:
     """Files that would run code if they were unpickled or trusted."""
     bomb = Bomb(folder / "ran")
-    document = {"format": 1, "identity": "me", "parts": {"$class": "os.mkdir", "path": str(folder / "ran")}}
+    document = {"format": FORMAT, "identity": "me", "parts": {"$class": "os.mkdir", "path": str(folder / "ran")}}
     text = np.frombuffer(json.dumps(document).encode(), dtype=np.uint8)
     np.savez(folder / "class.npz", **{MARK: text})
     np.savez(folder / "objects.npz", **{MARK: np.array([bomb])})
@@ -132,3 +132,22 @@ def test_a_damaged_checkpoint_is_an_input_error(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         with contextlib.suppress(InputError):
             assert_same(read_checkpoint(path, "me", [State])["state"], state())
+
+
+def test_a_checkpoint_is_what_numpy_writes(tmp_path: Path) -> None:
+    """Arrays of one type lie end to end, also empty ones, of another byte order or in another order of axes."""
+    parts = {
+        "a": np.arange(6.0).reshape(2, 3).T,
+        "b": np.arange(3, dtype=">f8"),
+        "c": np.empty((0, 4)),
+        "d": np.array([True, False]),
+        "e": np.arange(10.0)[::3],
+    }
+    write_checkpoint(tmp_path / "x.npz", "id", parts)
+    with np.load(tmp_path / "x.npz", allow_pickle=False) as archive:
+        np.testing.assert_array_equal(archive["f8"], [0, 1, 2, 3, 4, 5, 0, 1, 2, 0, 3, 6, 9])
+        np.testing.assert_array_equal(archive["b1"], [True, False])
+    found = read_checkpoint(tmp_path / "x.npz", "id", [])
+    for name, value in parts.items():
+        np.testing.assert_array_equal(found[name], value)
+        assert found[name].shape == value.shape

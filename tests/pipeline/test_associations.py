@@ -26,6 +26,8 @@ from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
 from tests.commands.test_track import SCENE
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 COLUMNS = {
     "time_s": pa.float64(), "camera": pa.string(), "frame": pa.int64(), "u_px": pa.float64(), "v_px": pa.float64(),
     "track_id": pa.int64(), "probability": pa.float64(),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,8 @@ from stereophd.core.geometry.camera import Detector
 from stereophd.errors import InputError
 from stereophd.pipeline.detectors.statistics import DetectorSums, estimate_detector
 from tests.commands.test_track import SCENE
+
+FromFarAway = Callable[[int], tuple[dict, Path]]
 
 # what the cameras do, and where the estimation starts: far from it
 TRUE = {"left": ((1.4, 1.4), 0.8, 3.0), "right": ((2.5, 0.7), 0.9, 6.0)}
@@ -56,11 +60,15 @@ def estimated(logs: Path, out: Path, number: int, *overrides: str) -> dict:
 
 
 @pytest.fixture(scope="module")
-def from_far_away(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[dict, Path]]:
-    """Reports and outputs of the three logs, where all detectors are estimated from a start far from them."""
-    outputs = [tmp_path_factory.mktemp("far-away") / "out" for _ in range(3)]
-    overrides = ("detector=estimate", *given(dict.fromkeys(TRUE, START)))
-    return [(estimated(logs, out, number, *overrides), out) for number, out in enumerate(outputs)]
+def from_far_away(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> FromFarAway:
+    """Report and outputs of a log, where all detectors are estimated from a start far from them; computed once."""
+
+    @cache
+    def function(number: int) -> tuple[dict, Path]:
+        out = tmp_path_factory.mktemp("far-away") / "out"
+        return estimated(logs, out, number, "detector=estimate", *given(dict.fromkeys(TRUE, START))), out
+
+    return function
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +95,7 @@ def errors_in_deviations(found: dict, name: str) -> list[float]:
     return list(np.subtract(values, [sigma_u, sigma_v, p_detect, clutter]) / deviations)
 
 
-def test_the_true_values_are_found_from_a_start_far_away(from_far_away: list[tuple[dict, Path]]) -> None:
+def test_the_true_values_are_found_from_a_start_far_away(from_far_away: FromFarAway) -> None:
     """Every value within five of its stated standard errors, and their mean over logs and cameras within five of its.
 
     Six estimates of each kind: the mean error is below 5 / sqrt(6) = 2.0 deviations, and the root mean square of
@@ -95,7 +103,8 @@ def test_the_true_values_are_found_from_a_start_far_away(from_far_away: list[tup
     stated right).
     """
     errors = []
-    for found, _ in from_far_away:
+    for number in range(3):
+        found, _ = from_far_away(number)
         assert found["detectors"]["converged"]
         errors += [errors_in_deviations(found["detectors"], name) for name in TRUE]
         for name in TRUE:
@@ -115,14 +124,14 @@ def test_the_true_values_are_found_from_a_start_far_away(from_far_away: list[tup
 
 
 def test_tracks_with_estimated_detectors_are_as_with_the_true_ones(
-    logs: Path, from_far_away: list[tuple[dict, Path]], tmp_path: Path
+    logs: Path, from_far_away: FromFarAway, tmp_path: Path
 ) -> None:
     """Median error of all but the first fifth: within a tenth of what the true values give. NEES within 0.5.
 
     From noise of 5 px, claimed where there are 1.4 and less, covariances are several times too large.
     """
     scores = {}
-    outputs = {"true": tmp_path / "true", "start": tmp_path / "start", "estimated": from_far_away[0][1]}
+    outputs = {"true": tmp_path / "true", "start": tmp_path / "start", "estimated": from_far_away(0)[1]}
     estimated(logs, outputs["true"], 0, *given(TRUE))
     estimated(logs, outputs["start"], 0, *given(dict.fromkeys(TRUE, START)))
     for name, out in outputs.items():

@@ -24,6 +24,8 @@ from tests.commands.test_track_logs import SCENE
 
 from .test_track_checkpoint import Killed, files
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 LENGTH, OVERLAP = 10.0, 5.0
 
 

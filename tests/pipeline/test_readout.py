@@ -16,6 +16,8 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
 from tests.core.simulation.scenes import camera, frames_of, moving_object, scene
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 READOUT_S = 0.03
 
 # Three cameras about a volume through which objects fly at some 10 m/s: 300 px/s and more, 5 px in half a readout.

@@ -19,6 +19,8 @@ from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import run_estimator
 from tests.commands.test_track import SCENE
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 
 def objects(labels: list[int], tentative: Estimates | None = None) -> Estimates:
     ids = np.array(labels, dtype=np.int64)

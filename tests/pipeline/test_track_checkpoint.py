@@ -26,6 +26,8 @@ from stereophd.pipeline.unfinished import UnfinishedRun
 from .test_report_times import SCENE
 from .test_stream import SINGLE
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[LoadedConfig, Path]:

@@ -125,6 +125,9 @@ def move_components(
     noise = np.empty((6, count if size == 6 else 0))
     reach, keep, position_noise, velocity_noise, with_velocity_parts, alone_parts, drift, _, max_speed = motion
     with_velocity = alone = np.nan
+    alike = True
+    for weight in sample_weights:
+        alike = alike and weight == 1.0
     for k in which:
         status[k] = OUT_OF_VIEW
         fraction[k] = 0.0
@@ -146,8 +149,19 @@ def move_components(
             inside[k] = region_mask(points, destination, homes[k], region, sample_weights, weights)
             if inside[k] == 0.0:
                 continue
-        view_mask(points, destination, mask)
-        whole_weight, seen_weight, squares, unseen_weight = _weigh(mask, weights, seen_weights)
+        seen = view_mask(points, destination, mask)
+        if alike and inside[k] == 1.0:
+            # sums of ones are exact: their number
+            for i in range(count):
+                seen_weights[i] = mask[i]
+            whole_weight, seen_weight, squares, unseen_weight = (
+                float(count),
+                float(seen),
+                float(seen),
+                float(count - seen),
+            )
+        else:
+            whole_weight, seen_weight, squares, unseen_weight = _weigh(mask, weights, seen_weights)
         fraction[k] = seen_weight / whole_weight if unseen_weight > 0.0 else 1.0
         # the effective number of samples: their count, where all weigh the same
         if seen_weight * seen_weight >= minimum * squares and seen_weight > 0.0:
@@ -197,7 +211,8 @@ def missed_moments(
     unit_mean = np.zeros(size)
     unit_covariance = np.eye(size)
     if total * total >= minimum * squares and total > 0.0:
-        points = samples[:size].copy()
+        # moments of states of six numbers leave the samples as they are
+        points = samples if size == 6 else samples[:size].copy()
         weighted_moments(points, weights, total, unit_mean, unit_covariance)
     for a in range(size):
         missed_mean[a] = mean[a]

@@ -37,6 +37,9 @@ LEFT_OUT = frozenset({"event", "claims", "detected"})
 
 # Largest numbers of records of a chunk, and of estimates in them: some megabytes.
 CHUNK_RECORDS = 20_000
+# Records that are packed at a time: few enough to be in the cache of the processor still. To pack thousands at once
+# takes more than twice as long.
+PACKED_AT_ONCE = 256
 
 
 @dataclass(frozen=True)
@@ -122,22 +125,34 @@ class RecordChunks:
         #: Times of the first and the last record of each chunk, s.
         self.spans: list[tuple[float, float]] = []
         self._waiting: list[Record] = []
-        self._estimates = 0
+        self._packed: list[dict[str, Any]] = []
+        self._period: list[float] = []
+        self._records = self._estimates = 0
 
     def add(self, record: Record) -> None:
         """Keep a record."""
         self._waiting.append(record if record.event is None else replace(record, event=None))
+        self._period = [*self._period[:1], record.time_s]
+        self._records += 1
         self._estimates += len(record.estimates.track_ids)
-        if max(len(self._waiting), self._estimates) >= CHUNK_RECORDS:
+        if len(self._waiting) >= PACKED_AT_ONCE:
+            self._pack()
+        if max(self._records, self._estimates) >= CHUNK_RECORDS:
             self.flush()
+
+    def _pack(self) -> None:
+        if self._waiting:
+            self._packed.append(pack(self._waiting, LEFT_OUT))
+            self._waiting = []
 
     def flush(self) -> None:
         """Write the records that wait."""
-        if not self._waiting:
+        self._pack()
+        if not self._packed:
             return
-        self.write(self._path(len(self.spans)).name, {"records": pack(self._waiting, LEFT_OUT)})
-        self.spans.append((self._waiting[0].time_s, self._waiting[-1].time_s))
-        self._waiting, self._estimates = [], 0
+        self.write(self._path(len(self.spans)).name, {"records": self._packed})
+        self.spans.append((self._period[0], self._period[-1]))
+        self._packed, self._period, self._records, self._estimates = [], [], 0, 0
 
     def write(self, name: str, parts: dict[str, Any]) -> None:
         """Write another file of the folder."""
@@ -151,9 +166,10 @@ class RecordChunks:
         for number, (first_s, last_s) in enumerate(self.spans):
             if last_s < from_s or first_s >= until_s:
                 continue
-            for record in unpack(read_checkpoint(self._path(number), self.identity, [Record])["records"], classes):
-                if from_s <= record.time_s < until_s:
-                    yield record
+            for packed in read_checkpoint(self._path(number), self.identity, [Record])["records"]:
+                for record in unpack(packed, classes):
+                    if from_s <= record.time_s < until_s:
+                        yield record
 
     def keep_only(self, spans: Sequence[tuple[float, float]]) -> None:
         """Keep the first chunks, and remove the others."""

@@ -24,8 +24,9 @@ from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import RecordJournal, journaled_records
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
-from stereophd.pipeline.tracking.outputs import Tables, smoothed_records, write_records
+from stereophd.pipeline.tracking.outputs import Tables, write_records
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
+from stereophd.pipeline.tracking.smoothed import smoothed_records
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -87,7 +88,7 @@ def reported_records(
     else:
         records = journaled_records(estimator, events, times, keep_events, journal)
     if smooth is not None:
-        records = smoothed_records(records, estimator.rig.cameras, motion, smooth.max_gap_s)
+        records = smoothed_records(records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate)
     return lasting(records, report.min_track_length) if report.min_track_length > 0.0 else records
 
 

@@ -1,0 +1,111 @@
+"""Smoothed tracks of a run that choose their detections anew (`stereophd.core.trajectories.reassociation`)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.base import Motion
+from stereophd.core.trajectories.reaching_back import Extended
+from stereophd.core.trajectories.reassociation import Reassociated, reassociate
+from stereophd.pipeline.tracking.associations import Associated
+from stereophd.pipeline.tracking.loop import Record
+
+# A track has the detection that it claims with more than this probability.
+PROBABLE = 0.5
+
+
+def choose_again(
+    whole: Sequence[Record], extended: Sequence[Extended], cameras: Sequence[Camera], motion: Motion
+) -> tuple[list[Record], list[Extended]]:
+    """Let smoothed tracks choose their detections anew; return the records and the tracks with what changed.
+
+    Parameters
+    ----------
+    whole : sequence of Record
+        Of a run that keeps its events and claims.
+    extended : sequence of Extended
+        Its tracks, smoothed.
+    cameras : sequence of Camera
+    motion : Motion
+    """
+    if not motion.moves:
+        return list(whole), list(extended)
+    numbers = {(one.time_s, one.camera, one.frame): number for number, one in enumerate(whole) if one.is_event}
+    own = _detections(whole, extended, numbers)
+    events = [record.event for record in whole]
+    found = reassociate([one.trajectory for one in extended], own, events, cameras, motion)
+    gone = {(track.trajectory.track_id, event) for track in found for event in track.changed}
+    records, tracks = list(whole), []
+    for number, record in enumerate(records):
+        left = _without(record.associations, gone, numbers)
+        records[number] = replace(record, associations=left, attributed={})
+    for before, detections, track in zip(extended, own, found, strict=True):
+        kept = [k for k, event in enumerate(before.detected) if event not in track.changed]
+        detected, shares = tuple(before.detected[k] for k in kept), tuple(before.shares[k] for k in kept)
+        tracks.append(Extended(track.trajectory, detected, shares))
+        # those that the track reached back to are counted with it
+        _enter(records, track, {event for event in detections if event not in track.changed} - set(detected))
+    return records, tracks
+
+
+def _detections(
+    whole: Sequence[Record], extended: Sequence[Extended], numbers: dict[tuple[float, str, int], int]
+) -> list[dict[int, int]]:
+    """Detections that each track has: event -> row of its points."""
+    places = {one.trajectory.track_id: k for k, one in enumerate(extended)}
+    spans = [set(one.trajectory.events.tolist()) for one in extended]
+    rows_of = [
+        {} if event is None or event.pixels is None else {tuple(p): k for k, p in enumerate(event.pixels.tolist())}
+        for event in (record.event for record in whole)
+    ]
+    out: list[dict[int, int]] = [{} for _ in extended]
+    for record in whole:
+        for one in record.associations:
+            number = numbers[one.time_s, one.camera, one.frame]
+            for pixel, track_id, probability in zip(
+                one.pixels.tolist(), one.track_ids.tolist(), one.probabilities.tolist(), strict=True
+            ):
+                place = places.get(track_id)
+                row = rows_of[number].get(tuple(pixel))
+                if place is not None and row is not None and probability > PROBABLE and number in spans[place]:
+                    out[place][number] = row
+    for track, own in zip(extended, out, strict=True):
+        for number, shares in zip(track.detected, track.shares, strict=True):
+            if shares.max() > PROBABLE:
+                own[number] = int(shares.argmax())
+    return out
+
+
+def _without(
+    associations: tuple[Associated, ...], gone: set[tuple[int, int]], numbers: dict[tuple[float, str, int], int]
+) -> tuple[Associated, ...]:
+    """Associations without those of tracks at events (pairs) that changed."""
+    out = []
+    for one in associations:
+        number = numbers[one.time_s, one.camera, one.frame]
+        kept = np.array([(track_id, number) not in gone for track_id in one.track_ids.tolist()], dtype=np.bool_)
+        out.append(one if kept.all() else one.take(kept))
+    return tuple(one for one in out if len(one.track_ids))
+
+
+def _enter(records: list[Record], track: Reassociated, kept: set[int]) -> None:
+    """Enter the detections that a track has now, and count them and those kept (events)."""
+    track_id = track.trajectory.track_id
+    entered = {event: after for event, (_, after) in track.changed.items() if after is not None}
+    for number, row in entered.items():
+        record, event = records[number], records[number].event
+        if event is None or event.pixels is None:
+            continue
+        chosen = Associated(
+            record.time_s, record.camera, record.frame, event.pixels[[row]], np.array([track_id]), np.ones(1)
+        )
+        records[number] = replace(record, associations=(*record.associations, chosen))
+    for number in sorted(kept | set(entered)):
+        record = records[number]
+        attributed = {**record.attributed, track_id: Counter({record.camera: 1})}
+        records[number] = replace(record, attributed=attributed)

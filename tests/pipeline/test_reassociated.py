@@ -1,0 +1,57 @@
+"""`report.smooth.reassociate` in a whole run: tracks, associations and counts change together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
+
+CONFIG = "configs/board_calibration.yaml"
+SHORT = ["simulate.duration_s=2.0", "report.associations=true"]
+KEY = ["camera", "u_px", "v_px"]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]]:
+    """Reports, and associations with the true objects, of two short scenes, without and with the option."""
+    folder = tmp_path_factory.mktemp("board")
+    out: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]] = {False: [], True: []}
+    for seed in (0, 1):
+        scene = folder / f"scene{seed}"
+        simulate(load_config(CONFIG, [*SHORT, f"seed={seed}"]), scene)
+        truth = pd.read_parquet(scene / "detections.parquet")[[*KEY, "object_id"]]
+        for anew in out:
+            tracks = folder / f"tracks{seed}{anew}"
+            changes = [*SHORT, f"report.smooth={{reassociate: {str(anew).lower()}}}"]
+            report = track(load_config(CONFIG, changes), scene / "detections.parquet", tracks)
+            found = pd.read_parquet(tracks / "associations.parquet")
+            out[anew].append((report, found[found.probability > 0.5].merge(truth, on=KEY)))
+    return out
+
+
+def _wrong(found: pd.DataFrame) -> int:
+    """Detections of another object than most of the track's."""
+    most = found.groupby("track_id").object_id.transform(lambda own: own.mode()[0])
+    return int((most != found.object_id).sum())
+
+
+def test_fewer_detections_are_of_a_neighbour(runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]]) -> None:
+    before, after = (sum(_wrong(found) for _, found in runs[anew]) for anew in (False, True))
+    assert before > 0
+    assert after < 0.5 * before
+    assert sum(len(found) for _, found in runs[True]) >= sum(len(found) for _, found in runs[False])
+
+
+def test_a_detection_has_one_track_and_is_counted_once(
+    runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]],
+) -> None:
+    for report, found in runs[True]:
+        assert not found.duplicated(KEY).any()
+        assert not found.duplicated(["track_id", "camera", "frame"]).any()
+        counted = sum(sum(one["n_detections"].values()) for one in report["tracks"])
+        assert counted == len(found)
