@@ -12,6 +12,7 @@ import pytest
 
 from stereophd.config.loading import load_config
 from stereophd.core.calibration.adjustment import Adjustment
+from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.task import SUCCEEDED, Fit, Start, Task
 from stereophd.pipeline.calibration.inputs import calibration_section
 from stereophd.pipeline.calibration.methods import doubt_of_starts
@@ -31,8 +32,22 @@ def start(number: int, place: float | None, evidence: float = -100.0) -> Start:
 
 def doubt(starts: list[Start], only_moves: bool = True, changes: tuple[str, ...] = ()) -> str:
     section = calibration_section(load_config(CONFIG, changes))
-    task = SimpleNamespace(settings=section.annealed, parameters=SimpleNamespace(only_moves=only_moves))
+    settings, parameters = section.annealed, SimpleNamespace(only_moves=only_moves, only_poses=only_moves)
+    task = SimpleNamespace(settings=settings, parameters=parameters, most_starts=most_starts(settings, parameters))
     return doubt_of_starts(section, cast("Task", task), starts, starts[0])
+
+
+def most_starts(settings: AnnealedSettings, parameters: SimpleNamespace) -> int:
+    """`Task.most_starts` of a task with these."""
+    assert Task.most_starts.fget is not None
+    return int(Task.most_starts.fget(SimpleNamespace(settings=settings, parameters=parameters)))
+
+
+def test_more_starts_are_made_where_they_are_cheap() -> None:
+    poses, lenses = SimpleNamespace(only_poses=True), SimpleNamespace(only_poses=False)
+    assert most_starts(AnnealedSettings(), poses) == 24
+    assert most_starts(AnnealedSettings(), lenses) == 8
+    assert most_starts(AnnealedSettings(starts=3), poses) == 3
 
 
 def test_starts_that_agree_are_trusted() -> None:

@@ -26,7 +26,11 @@ Inflation = Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ..
 class AnnealedSettings:
     """Annealed alternation of tracking and bundle adjustment, from several starts."""
 
-    starts: Count = parameter("the prior mean and draws from the prior; at most this many", default=8)
+    starts: Count | None = parameter(
+        "the prior mean and draws from the prior; at most this many; null: 24 where poses alone are unknown, and 8 "
+        "otherwise, where a start costs more",
+        default=None,
+    )
     agreeing_starts: Count = parameter("stop as soon as this many of the starts agree on the best", default=2)
     inflation: Inflation = parameter(
         "factors on the detector's sigma while tracking, pass by pass", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)

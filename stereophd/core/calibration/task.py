@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SUCCEEDED = "succeeded"
+# Most starts by default: where poses alone are unknown, and otherwise.
+STARTS_OF_POSES, STARTS = 24, 8
 # Where the passes of a start began: a pairing of one-camera tracks, or the start's own values at the widest noise.
 PAIRING, WIDE = "pairing", "wide"
 
@@ -72,6 +74,13 @@ class Task:
     settings: AnnealedSettings
     clocks: ClockOffsets
     stages: tuple[UnknownSet, ...]
+
+    @property
+    def most_starts(self) -> int:
+        """Largest number of starts."""
+        if self.settings.starts is not None:
+            return self.settings.starts
+        return STARTS_OF_POSES if self.parameters.only_poses else STARTS
 
     @property
     def followed(self) -> float:

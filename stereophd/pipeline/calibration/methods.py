@@ -113,7 +113,7 @@ def doubt_of_starts(section: CalibrationConfig, task: Task, starts: list[Start],
     although others were run may be a wrong one that happens to explain the log. With further unknowns optima are flat,
     and this is a warning only. The full posterior decides by itself.
     """
-    found, wanted = agreeing_with_best(starts), min(task.settings.agreeing_starts, task.settings.starts)
+    found, wanted = agreeing_with_best(starts), min(task.settings.agreeing_starts, task.most_starts)
     doubt = ""
     if found < wanted:
         why = f"only {found} of {len(starts)} starts found these cameras: another optimum may be the right one"
@@ -130,7 +130,7 @@ def _all_starts(
     loaded: LoadedConfig, task: Task, checkpoint: Checkpoint, jobs: int, progress: Progress | None
 ) -> list[Start]:
     """Run starts until enough agree."""
-    count, agreeing = task.settings.starts, task.settings.agreeing_starts
+    count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(loaded.config.seed), count)
     seeds = CALIBRATION_PAIRING.seed(loaded.config.seed).spawn(count)
     starts: list[Start] = list(checkpoint.get("starts") or [])
