@@ -31,6 +31,7 @@ HANDLED_SIGNALS = tuple(
 
 
 # The process that compiles the kernels of the filters before several workers start.
+LONGEST_COMPILATION_S = 300.0
 COMPILING = pytest.StashKey["subprocess.Popen[bytes]"]()
 
 
@@ -47,7 +48,8 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_node_collection_finished(node: Any) -> None:
     """Tests begin when the kernels are there."""
-    node.config.stash[COMPILING].wait()
+    if compiling := node.config.stash.get(COMPILING, None):
+        compiling.wait(LONGEST_COMPILATION_S)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

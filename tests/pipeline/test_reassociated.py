@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -10,6 +11,8 @@ import pytest
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
+from stereophd.errors import InputError
+from stereophd.pipeline.tracking.run import build_tracking
 
 CONFIG = "configs/board_calibration.yaml"
 SHORT = ["simulate.duration_s=2.0", "report.associations=true"]
@@ -55,3 +58,18 @@ def test_a_detection_has_one_track_and_is_counted_once(
         assert not found.duplicated(["track_id", "camera", "frame"]).any()
         counted = sum(sum(one["n_detections"].values()) for one in report["tracks"])
         assert counted == len(found)
+
+
+@pytest.mark.parametrize(
+    ("config", "change", "reason"),
+    [
+        ("paper/single_object.yaml", "seed=1", "filter.kind is single"),
+        ("quickstart.yaml", "motion={model: static}", "motion.model is static"),
+        ("quickstart.yaml", "report.times=grid 0.1", "report.times is a grid"),
+    ],
+)
+def test_where_tracks_cannot_choose_anew_the_option_is_refused(config: str, change: str, reason: str) -> None:
+    path = Path(__file__).parents[2] / "configs" / config
+    loaded = load_config(path, ["report.smooth={reassociate: true}", change])
+    with pytest.raises(InputError, match=rf"report.smooth.reassociate: expected false where {reason}"):
+        build_tracking(loaded)

@@ -5,10 +5,10 @@ the detections as they are, and `stereophd.core.calibration.likelihood` filters 
 changes the pixels, a clock the times and with them the order of the events, and the rates of a moving camera its
 disparity spaces. Here every hypothesis therefore has events and a filter of its own, made of the raw recording.
 
-All hypotheses count the same data, raw pixels, with densities over the image. A detection at which the lens of a
-hypothesis cannot be inverted is clutter under it: its density is that of clutter. The expected number of births depends
-on which objects other cameras have seen before; it is that of the nominal cameras, as in the batch, because it is not a
-continuous function of the cameras.
+All hypotheses are judged by the same data, raw pixels, with densities over the image. A detection at which the lens of
+a hypothesis cannot be inverted is clutter under it: its density is that of clutter. The share of undetected objects
+that other cameras would have seen is no continuous function of the cameras, so that it is that of the nominal cameras,
+as in the batch.
 """
 
 from __future__ import annotations
@@ -38,6 +38,10 @@ from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+
+# False detections a frame below which a lens that cannot be inverted would make the recording impossible.
+LEAST_CLUTTER = 1e-6
 
 
 @dataclass(frozen=True)
@@ -141,8 +145,8 @@ def _log_density_of_lost(event: Event, camera: Camera) -> float:
     """Log-density over the image of the detections that were left out of an event: clutter."""
     if event.not_invertible == 0:
         return 0.0
-    clutter = camera.detector.clutter_per_frame / (camera.width * camera.height)
-    return event.not_invertible * math.log(clutter) if clutter > 0.0 else -math.inf
+    clutter = max(camera.detector.clutter_per_frame, LEAST_CLUTTER) / (camera.width * camera.height)
+    return event.not_invertible * math.log(clutter)
 
 
 def _size(cameras: Sequence[Camera], reference: int) -> float:

@@ -35,7 +35,7 @@ class TemperedPath:
     parameters : ParameterSet
         Unknowns and their priors.
     log_likelihood : callable
-        Evidence of parameter values, (k, m) -> (k,): `stereophd.core.calibration.likelihood.Evidence`.
+        Evidence of parameter values, (k, m) -> (k,): `stereophd.core.calibration.likelihood.LogEvidence`.
     modes : Modes or None
         Without them the particles start from the prior, which takes many more steps.
     settings : TemperedSettings

@@ -75,9 +75,13 @@ def _relative_disparities(task: Task, fit: Fit) -> Array:
 
 def _rescalable(task: Task) -> bool:
     """Whether nothing but the prior fixes the scale of the cameras, about a reference that stands still."""
-    cameras = task.parameters.cameras
-    still = cameras[task.reference].pose.is_static and all(camera.pose.path is None for camera in cameras)
-    return still and task.scale is None and scale_is_free(task.parameters)
+    can = can_be_enlarged(task.parameters.cameras, task.reference)
+    return can and task.scale is None and scale_is_free(task.parameters)
+
+
+def can_be_enlarged(cameras: Sequence[Camera], reference: int) -> bool:
+    """Whether the reference stands still and no camera follows a known trajectory, whose scale is known."""
+    return cameras[reference].pose.is_static and all(camera.pose.path is None for camera in cameras)
 
 
 def enlarged(cameras: Sequence[Camera], reference: int, ratio: float) -> tuple[Camera, ...]:

@@ -127,7 +127,7 @@ class CrosswiseTest:
         for first, second in pairs.tolist():
             odds, exchanged = self.explain(history, first, second, camera, prior)
             if exchanged is not None:
-                turned = self._is_nearer_turned(mixture, homes, (first, second), exchanged)
+                turned = self._is_nearer_turned(mixture, homes, (first, second), exchanged, time_s)
                 mixture = _replaced(mixture, first, second, exchanged[::-1] if turned else exchanged)
                 history = history.exchanged(first, second, camera, others=turned)
             behind = abs(odds) if exchanged is not None else max(-odds, 0.0)
@@ -135,15 +135,20 @@ class CrosswiseTest:
         return mixture, replace(history, deferred=deferred)
 
     def _is_nearer_turned(
-        self, mixture: GaussianMixture, homes: Array, labels: tuple[int, int], tracks: tuple[Track, Track]
+        self,
+        mixture: GaussianMixture,
+        homes: Array,
+        labels: tuple[int, int],
+        tracks: tuple[Track, Track],
+        time_s: float,
     ) -> bool:
         """Whether two labels stay nearer to where they are if each takes the other's track.
 
         A ghost shares a ray with both objects, and either may continue its identity.
         """
         heads = [int(np.flatnonzero(mixture.labels == label)[0]) for label in labels]
-        here = [_place(mixture.means[head], homes[head]) for head in heads]
-        there = [_place(one.mean, self.rig.space(one.camera, one.time_s)) for one in tracks]
+        here = [_place(mixture.means[k], homes[k], time_s - mixture.times[k]) for k in heads]
+        there = [_place(one.mean, self.rig.space(one.camera, one.time_s), time_s - one.time_s) for one in tracks]
         moves = np.linalg.norm(np.array(here)[:, None] - np.array(there), axis=2)
         return bool(moves[0, 1] + moves[1, 0] < moves[0, 0] + moves[1, 1])
 
@@ -211,11 +216,14 @@ class Track(NamedTuple):
     time_s: float
 
 
-def _place(mean: Array, space: Array) -> Array:
-    """Place (3,) in the world of a mean in a packed disparity space."""
-    ray = np.array([(mean[0] - space[CX]) / space[FX], (mean[1] - space[CY]) / space[FY], 1.0])
+def _place(mean: Array, space: Array, elapsed_s: float) -> Array:
+    """Place (3,) in the world of a mean in a packed disparity space, a while later; NaN at no positive disparity."""
+    u, v, disparity = mean[:3] + elapsed_s * mean[3:6] if len(mean) == 6 else mean
+    if not disparity > 0.0:
+        return np.full(3, np.nan)
+    ray = np.array([(u - space[CX]) / space[FX], (v - space[CY]) / space[FY], 1.0])
     rotation = space[ROTATION : ROTATION + 9].reshape(3, 3)
-    return np.asarray(space[CENTER : CENTER + 3] + disparity_scale(space) / mean[2] * (ray @ rotation))
+    return np.asarray(space[CENTER : CENTER + 3] + disparity_scale(space) / disparity * (ray @ rotation))
 
 
 def _replaced(mixture: GaussianMixture, first: int, second: int, tracks: tuple[Track, Track]) -> GaussianMixture:

@@ -2,7 +2,7 @@
 
 A filter decides from the past alone. Where objects are near one another and seldom seen it takes one for its neighbour
 for an event or two, above all at the first frames, when it knows neither depth nor velocity. The smoother knows what
-follows, but it keeps the decision. Here the whole of each track speaks:
+follows, but it keeps the decision. Here all detections of each track decide:
 
 1. *Proposal.* At every event each track is predicted from its detections before and after, without those within a
    window about the event: first the event alone, then half an interval between frames to either side, for cameras that

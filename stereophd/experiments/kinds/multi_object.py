@@ -7,6 +7,7 @@ without the files between.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,7 +84,9 @@ def filtered_points(
 ) -> PointSets:
     """Track with the configuration's filter; return what it reports after the events `last`, also tentatively."""
     config = loaded.config
-    multi_filter = build_filter(config, tuple(cameras), loaded.path)
+    # detections can be chosen anew only by tracks that know theirs
+    claims = config.report.smooth is not None and config.report.smooth.reassociate
+    multi_filter = replace(build_filter(config, tuple(cameras), loaded.path), claims=claims)
     stream = EventStream(cameras, frames)
     # scored after every event, not at the times of reports
     report = config.report.model_copy(update={"times": "events"})

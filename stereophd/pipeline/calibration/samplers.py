@@ -18,6 +18,7 @@ from stereophd.core.calibration.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.task import Fit
 from stereophd.core.calibration.tempered import TemperedPath, tempered_sampler
+from stereophd.core.calibration.tracking_scale import can_be_enlarged
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
@@ -195,6 +196,8 @@ def _evidence(
     reference = problem.reference if scale_is_free(parameters) else None
     if parameters.only_poses and not template.rig.moving:
         return Evidence(parameters, problem.scans(most).events, FilterBatch(template, jobs), reference, scale)
+    if not can_be_enlarged(parameters.cameras, problem.reference):
+        reference = None
     frames = problem.frames(most)
     frames = frames[np.lexsort((problem.recording.cameras[frames], problem.recording.times[frames]))]
     return RecordingEvidence(parameters, problem.recording, frames, template, jobs, reference, scale)

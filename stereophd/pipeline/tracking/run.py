@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.cameras import CameraConfig, DetectorConfig
-from stereophd.config.report import ReportConfig
+from stereophd.config.report import GridTimes, ReportConfig
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
@@ -106,6 +106,7 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
 def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int) -> Tracking:
     """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
     config = loaded.config
+    _check_reassociation(loaded)
     if not isinstance(config.filter, SingleSettings):
         multi_filter = replace(build_filter(config, cameras, loaded.path, threads), claims=True)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
@@ -118,6 +119,20 @@ def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: in
             where = f"{loaded.path}: cameras.{camera.name}.readout_s"
             raise InputError(f"{where}: expected 0 where filter.kind is single, found {camera.readout_s:g}")
     return Tracking(SingleTracker(estimator, config.filter.point), motion, cameras, config.report)
+
+
+def _check_reassociation(loaded: LoadedConfig) -> None:
+    """Refuse `report.smooth.reassociate` where tracks cannot choose their detections anew."""
+    config = loaded.config
+    if config.report.smooth is None or not config.report.smooth.reassociate:
+        return
+    where = f"{loaded.path}: report.smooth.reassociate: expected false"
+    if isinstance(config.filter, SingleSettings):
+        raise InputError(f"{where} where filter.kind is single, found true")
+    if config.motion is not None and config.motion.model == "static":
+        raise InputError(f"{where} where motion.model is static, found true")
+    if isinstance(config.report.times, GridTimes):
+        raise InputError(f"{where} where report.times is a grid, found true")
 
 
 def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: EventStream, threads: int) -> Tracking:

@@ -103,7 +103,7 @@ def test_the_true_cameras_are_more_likely_than_wrong_ones(name: str, off: float)
 
 
 def test_a_detection_that_a_lens_cannot_invert_is_clutter_under_it() -> None:
-    """Its density is that of clutter; without clutter the hypothesis is impossible."""
+    """Its density is that of clutter; without clutter the hypothesis is unlikely, not impossible."""
     parameters = one_unknown("distortion")
     evidence = make_evidence(parameters)
     strong = np.zeros((1, parameters.size))
@@ -117,7 +117,7 @@ def test_a_detection_that_a_lens_cannot_invert_is_clutter_under_it() -> None:
     expected = filtered(evidence, parameters.build(strong[0]), EVENTS, 1.0) + lost * np.log(density)
     assert evidence(strong)[0] == pytest.approx(expected, rel=1e-12)
     clean = replace(parameters, cameras=tuple(without_clutter(one) for one in parameters.cameras))
-    assert replace(evidence, parameters=clean)(strong)[0] == -np.inf
+    assert -np.inf < replace(evidence, parameters=clean)(strong)[0] < evidence(strong)[0]
 
 
 def without_clutter(camera: Camera) -> Camera:
