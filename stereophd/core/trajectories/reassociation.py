@@ -29,7 +29,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
@@ -219,6 +218,8 @@ def _assigned(run: WholeRun, event: int, states: Array, covariances: Array) -> l
         gains[row] = np.where(distances <= GATE, gain, -np.inf)
     # a track may also have none of them, at no gain
     table = np.concatenate([np.where(np.isfinite(gains), np.maximum(gains, 0.0), 0.0), np.zeros(2 * (len(states),))], 1)
+    from scipy.optimize import linear_sum_assignment  # costly to import, often not needed
+
     rows, columns = linear_sum_assignment(-table)
     out: list[int | None] = [None] * len(states)
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
