@@ -17,8 +17,6 @@ from stereophd.cli.terminal import begin, load, print_report, progress_bar, quie
 from stereophd.errors import GateError, InputError
 
 Report = dict[str, Any]
-# What a command is called with, by name.
-Words = dict[str, Any]
 
 # Parameters that only one of the two uses has.
 OF_TRACKS = (
@@ -87,7 +85,7 @@ def evaluate_command(
     _refuse(context, OF_CAMERAS, "the scores of cameras; not used with TRACKS and TRUTH")
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
-    words: Words = {
+    words: dict[str, Any] = {
         "order": order, "cutoff": cutoff, "base": base.value, "from_s": from_s, "to_s": to_s, "max_gap_s": max_gap,
         "at": at.value, "log_path": log, "seen_by": seen_by, "within_s": within, "ospa2_window": ospa2_window,
         "cameras_path": cameras, "plots": plots, "fail_above": above, "fail_below": below,
@@ -111,7 +109,7 @@ def _score_runs(
     force: bool,
     jobs: int,
     dask: str | None,
-    words: Report,
+    words: Mapping[str, Any],
 ) -> None:
     """Score a folder of runs."""
     if out is None:

@@ -131,6 +131,11 @@ def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Arra
     return spaces
 
 
+def extent(centers: Array, reference: int) -> Array:
+    """Scale (...) of cameras with centres (..., c, 3): the root of the sum of squared distances to the reference."""
+    return np.asarray(np.sqrt(((centers - centers[..., reference, None, :]) ** 2).sum(axis=(-1, -2))))
+
+
 def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
     """Bring the cameras of hypotheses to one scale, about the reference camera.
 
@@ -149,12 +154,8 @@ def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
     -------
     array (k, c, 30)
     """
-
-    def size(centers: Array) -> Array:
-        return np.asarray(np.sqrt(((centers - centers[:, reference, None]) ** 2).sum(axis=(1, 2))))
-
     centers = spaces[:, :, CENTER : CENTER + 3]
-    whole, found = size(nominal[None, :, CENTER : CENTER + 3]), size(centers)
+    whole, found = extent(nominal[:, CENTER : CENTER + 3], reference), extent(centers, reference)
     # cameras in one place have no scale
     ratio = whole / np.where(found > 0.0, found, whole)
     scaled = spaces.copy()

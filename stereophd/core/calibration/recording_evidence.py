@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.association import inflated
-from stereophd.core.calibration.likelihood import log_density_of_scale
+from stereophd.core.calibration.likelihood import extent, log_density_of_scale
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.quantities.base import TIMES
 from stereophd.core.calibration.recording import Recording, Scans
@@ -38,7 +38,6 @@ from stereophd.core.numerics.samples import SampleSets
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
 
 # False detections a frame below which a lens that cannot be inverted would make the recording impossible.
 LEAST_CLUTTER = 1e-6
@@ -138,7 +137,12 @@ class RecordingEvidence:
         reference = self.scale_reference
         if reference is None:
             return cameras
-        return enlarged(cameras, reference, _size(self.parameters.cameras, reference) / _size(cameras, reference))
+        whole, found = (
+            float(extent(np.array([camera.pose.center for camera in one]), reference))
+            for one in (self.parameters.cameras, cameras)
+        )
+        # cameras in one place have no scale
+        return enlarged(cameras, reference, whole / found) if found > 0.0 else cameras
 
 
 def _log_density_of_lost(event: Event, camera: Camera) -> float:
@@ -147,10 +151,3 @@ def _log_density_of_lost(event: Event, camera: Camera) -> float:
         return 0.0
     clutter = max(camera.detector.clutter_per_frame, LEAST_CLUTTER) / (camera.width * camera.height)
     return event.not_invertible * math.log(clutter)
-
-
-def _size(cameras: Sequence[Camera], reference: int) -> float:
-    """Root of the sum of squared distances of cameras from the reference; 1 where all are in one place."""
-    centers = np.array([camera.pose.center for camera in cameras])
-    size = float(np.sqrt(((centers - centers[reference]) ** 2).sum()))
-    return size if size > 0.0 else 1.0

@@ -91,7 +91,7 @@ def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tup
 def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[int, Integers]]) -> TrackPairs:
     """Pair all tracks of different cameras that were seen at the same time, or may have been by unknown clocks."""
     moving = any(not camera.pose.is_static for camera in parameters.cameras)
-    if parameters.only_moves and not moving and not parameters.has_rates:
+    if parameters.only_poses and not moving:
         return _known_rays(parameters, scans, tracks)
     raw = RawTracks.of(scans.recording, tracks)
     spread = clock_spreads(parameters, raw)

@@ -30,6 +30,8 @@ Integers = NDArray[np.int64]
 # Pairs further apart than this many standard deviations in u have a likelihood below 1e-17 of the
 # peak: leaving them out changes nothing, and detections ordered by u make finding the others cheap.
 REACH_SIGMAS = 9.0
+# Where pairs are bounded and there are more components than this, pairs beyond five standard deviations (4e-6 of the
+# peak) are left out, too: most of the time of such an event goes to them.
 SHORT_REACH_SIGMAS = 5.0
 FEW_COMPONENTS = 8192
 # Pairs a component that there is room for at first.

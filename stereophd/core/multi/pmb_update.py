@@ -156,7 +156,7 @@ def _track_claims(
     member: Integers, components: Integers, detections: Integers, joint: Array, claiming: Integers, n_detections: int
 ) -> TrackClaims:
     """Add up the pairs (p,) of components, of those `claiming`, by their track (`member`) and detection."""
-    # the components of a track follow one another, but for those that came by other ways
+    # most components of a track follow one another; tracks that were joined may have others elsewhere
     order = picked(claiming, stable_order(picked(member, picked(components, claiming))))
     owners, wanted = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
     sums, pair = np.empty(len(order)), np.empty(len(order), dtype=np.int64)

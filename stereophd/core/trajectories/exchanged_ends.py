@@ -1,4 +1,4 @@
-"""Two tracks that exchanged their objects for good: the ends of both are exchanged back (ours).
+"""Two tracks that exchanged their objects and never changed back: the ends of both are exchanged (ours).
 
 At a cut the state of track a from its detections before, predicted over a window to the first event after it, is
 compared with the state of track b from its detections from there on. With the difference d and its covariance S the

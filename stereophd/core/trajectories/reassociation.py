@@ -15,11 +15,11 @@ follows, but it keeps the decision. Here all detections of each track decide:
    the log-likelihood of all detections of its tracks, with their motion integrated out, by more than `LEAST_GAIN`. One
    that does not is divided in time, and its parts are tried, down to single events.
 
-3. *Ends.* Two tracks that have exchanged their objects for good, so that no window is long enough, exchange their ends
-   (`stereophd.core.trajectories.exchanged_ends`).
+3. *Ends.* Once a round of all windows changes nothing, tracks that never change back to their own objects, so that no
+   window is long enough, exchange their ends (`stereophd.core.trajectories.exchanged_ends`).
 
-This is repeated until no group is accepted. Every accepted group raises the likelihood of the association, so that it
-ends. A track whose detections change is smoothed again from its detections; the others stay as they are.
+This is repeated until nothing changes, for `ROUNDS` rounds at most. A track whose detections change is smoothed again
+from its detections; the others stay as they are.
 """
 
 from __future__ import annotations
@@ -130,11 +130,7 @@ def _exchange_ends(chains: list[Chain], width: float) -> int:
         others = [one for k, one in enumerate(chains) if k not in {cut.one, cut.other}]
         tried = [_cut_at(before, cut.event, others, width)]
         tried += [_cut_at(tried[0], one.event, others, width) for one in cuts(tried[0], width, 0.0)]
-        first, last = 0, len(before[0].trajectory.events) + len(before[1].trajectory.events)
-        totals = [
-            sum(one.log_likelihood(first, min(last, len(one.trajectory.events))) for one in pair)
-            for pair in (before, *tried)
-        ]
+        totals = [sum(one.log_likelihood(0, len(one.trajectory.events)) for one in pair) for pair in (before, *tried)]
         best = int(np.argmax(totals))
         if totals[best] > totals[0] + LEAST_GAIN:
             chains[cut.one], chains[cut.other] = tried[best - 1]
