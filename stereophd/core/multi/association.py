@@ -182,42 +182,105 @@ def kalman_updates(
 
     Returns means (p, d) and covariances (p, d, d) of the updated components.
     """
+    count, size = len(components), means.shape[1]
+    out_means, out_covariances = np.empty((count, size)), np.empty((count, size, size))
+    rows = np.arange(count)
+    _update_pairs(
+        means, covariances, components, detections, points, noises, delays, rows, out_means, out_covariances
+    )  # fmt: skip
+    return out_means, out_covariances
+
+
+@compiled
+def shared_kalman_updates(
+    means: Array,
+    covariances: Array,
+    components: Integers,
+    detections: Integers,
+    points: Array,
+    noises: Array,
+    delays: Array | None = None,
+) -> tuple[Array, Array, Integers]:
+    """`kalman_updates`, with one covariance for consecutive pairs of one component with detections of equal noise.
+
+    A component that may have made hundreds of detections takes little memory. Returns means (p, d), covariances (q, d,
+    d), and which of these (p,) each pair has.
+    """
+    count, size = len(components), means.shape[1]
+    rows = np.empty(count, dtype=np.int64)
+    found = 0
+    for i in range(count):
+        found += 0 if i > 0 and delays is None and _share_covariance(components, detections, noises, i) else 1
+        rows[i] = found - 1
+    out_means, out_covariances = np.empty((count, size)), np.empty((found, size, size))
+    _update_pairs(
+        means, covariances, components, detections, points, noises, delays, rows, out_means, out_covariances
+    )  # fmt: skip
+    return out_means, out_covariances, rows
+
+
+@compiled
+def _share_covariance(components: Integers, detections: Integers, noises: Array, i: int) -> bool:
+    """Whether pair i has the component and the noise of the pair before."""
+    one, other = noises[detections[i]], noises[detections[i - 1]]
+    return bool(
+        components[i] == components[i - 1]
+        and one[0, 0] == other[0, 0]
+        and one[0, 1] == other[0, 1]
+        and one[1, 1] == other[1, 1]
+    )
+
+
+@compiled
+def _update_pairs(
+    means: Array,
+    covariances: Array,
+    components: Integers,
+    detections: Integers,
+    points: Array,
+    noises: Array,
+    delays: Array | None,
+    rows: Integers,
+    out_means: Array,
+    out_covariances: Array,
+) -> None:
+    """Fill in the updated means (p, d), and the covariances in their rows (p,); those of one row are equal."""
     size = means.shape[1]
-    count = len(components)
-    out_means = np.empty((count, size))
-    out_covariances = np.empty((count, size, size))
     gain = np.empty((size, 2))
     # row a: covariance of the state with the observed u and v
     observed = np.empty((size, 2))
-    for i in range(count):
+    for i in range(len(components)):
         k, j = components[i], detections[i]
         covariance = covariances[k]
         du = points[j, 0] - means[k, 0]
         dv = points[j, 1] - means[k, 1]
-        for a in range(size):
-            observed[a, 0] = covariance[a, 0]
-            observed[a, 1] = covariance[a, 1]
-        s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
         if delays is not None and size == 6:
             du -= delays[j] * means[k, 3]
             dv -= delays[j] * means[k, 4]
+        if i == 0 or rows[i] != rows[i - 1]:
             for a in range(size):
-                observed[a, 0] += delays[j] * covariance[a, 3]
-                observed[a, 1] += delays[j] * covariance[a, 4]
-            s00 = _delayed(covariance, 0, 0, delays[j])
-            s01 = _delayed(covariance, 0, 1, delays[j])
-            s11 = _delayed(covariance, 1, 1, delays[j])
-        s00 = s00 + noises[j, 0, 0]
-        s01 = s01 + noises[j, 0, 1]
-        s11 = s11 + noises[j, 1, 1]
-        determinant = s00 * s11 - s01 * s01
+                observed[a, 0] = covariance[a, 0]
+                observed[a, 1] = covariance[a, 1]
+            s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+            if delays is not None and size == 6:
+                for a in range(size):
+                    observed[a, 0] += delays[j] * covariance[a, 3]
+                    observed[a, 1] += delays[j] * covariance[a, 4]
+                s00 = _delayed(covariance, 0, 0, delays[j])
+                s01 = _delayed(covariance, 0, 1, delays[j])
+                s11 = _delayed(covariance, 1, 1, delays[j])
+            s00 = s00 + noises[j, 0, 0]
+            s01 = s01 + noises[j, 0, 1]
+            s11 = s11 + noises[j, 1, 1]
+            determinant = s00 * s11 - s01 * s01
+            for a in range(size):
+                gain[a, 0] = (observed[a, 0] * s11 - observed[a, 1] * s01) / determinant
+                gain[a, 1] = (observed[a, 1] * s00 - observed[a, 0] * s01) / determinant
+            out = out_covariances[rows[i]]
+            for a in range(size):
+                for b in range(a + 1):
+                    value = covariance[a, b] - gain[a, 0] * observed[b, 0] - gain[a, 1] * observed[b, 1]
+                    out[a, b] = value
+                    out[b, a] = value
         for a in range(size):
-            gain[a, 0] = (observed[a, 0] * s11 - observed[a, 1] * s01) / determinant
-            gain[a, 1] = (observed[a, 1] * s00 - observed[a, 0] * s01) / determinant
             out_means[i, a] = means[k, a] + gain[a, 0] * du + gain[a, 1] * dv
-        for a in range(size):
-            for b in range(a + 1):
-                value = covariance[a, b] - gain[a, 0] * observed[b, 0] - gain[a, 1] * observed[b, 1]
-                out_covariances[i, a, b] = value
-                out_covariances[i, b, a] = value
-    return out_means, out_covariances
