@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.sorting import stable_order
+from stereophd.core.numerics.sorting import largest
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -83,7 +83,8 @@ def pair_likelihoods(
     low = np.zeros(count, dtype=np.int64)
     high = np.zeros(count, dtype=np.int64)
     total = 0
-    column = points[:, 0].copy()
+    column, row = points[:, 0].copy(), points[:, 1].copy()
+    same = _same_noise(noises)
     earliest, latest = 0.0, 0.0
     if delays is not None and means.shape[1] == 6 and len(delays) > 0:
         earliest, latest = delays.min(), delays.max()
@@ -109,28 +110,38 @@ def pair_likelihoods(
             room = min(total, 2 * room + high[k] - low[k])
             components, detections = _enlarged(components, room), _enlarged(detections, room)
             densities = _enlarged(densities, room)
+        s00, s01, s11, determinant, norm = 0.0, 0.0, 0.0, 1.0, 1.0
         for j in range(low[k], high[k]):
-            s00 = covariances[k, 0, 0] + noises[j, 0, 0]
-            s01 = covariances[k, 0, 1] + noises[j, 0, 1]
-            s11 = covariances[k, 1, 1] + noises[j, 1, 1]
-            du = points[j, 0] - means[k, 0]
-            dv = points[j, 1] - means[k, 1]
+            moving = delays is not None and means.shape[1] == 6
+            # mostly all detections of a camera have one noise
+            if moving or j == low[k] or not same[j]:
+                s00 = covariances[k, 0, 0] + noises[j, 0, 0]
+                s01 = covariances[k, 0, 1] + noises[j, 0, 1]
+                s11 = covariances[k, 1, 1] + noises[j, 1, 1]
+                if delays is not None and means.shape[1] == 6:
+                    s00 = _delayed(covariances[k], 0, 0, delays[j]) + noises[j, 0, 0]
+                    s01 = _delayed(covariances[k], 0, 1, delays[j]) + noises[j, 0, 1]
+                    s11 = _delayed(covariances[k], 1, 1, delays[j]) + noises[j, 1, 1]
+                determinant = s00 * s11 - s01 * s01
+                norm = 2.0 * math.pi * math.sqrt(determinant)
+            du = column[j] - means[k, 0]
+            dv = row[j] - means[k, 1]
             if delays is not None and means.shape[1] == 6:
-                s00 = _delayed(covariances[k], 0, 0, delays[j]) + noises[j, 0, 0]
-                s01 = _delayed(covariances[k], 0, 1, delays[j]) + noises[j, 0, 1]
-                s11 = _delayed(covariances[k], 1, 1, delays[j]) + noises[j, 1, 1]
                 du -= delays[j] * means[k, 3]
                 dv -= delays[j] * means[k, 4]
             # a squared Mahalanobis distance is at least that of each coordinate alone
             if dv * dv > far * s11:
                 continue
-            determinant = s00 * s11 - s01 * s01
-            squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
+            weighted = s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv
+            # a multiplication takes less time than the division
+            if weighted > far * determinant:
+                continue
+            squared = weighted / determinant
             if squared > sigmas * sigmas:
                 continue
             components[found] = k
             detections[found] = j
-            densities[found] = areas[j] * math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(determinant))
+            densities[found] = areas[j] * math.exp(-0.5 * squared) / norm
             found += 1
         if found - begin > most:
             found = begin + _keep_densest(detections[begin:found], densities[begin:found], most)
@@ -138,12 +149,22 @@ def pair_likelihoods(
 
 
 @compiled
+def _same_noise(noises: Array) -> NDArray[np.bool_]:
+    """Whether each detection has the noise (m, 2, 2) of the one before."""
+    same = np.zeros(len(noises), dtype=np.bool_)
+    for j in range(1, len(noises)):
+        same[j] = (
+            noises[j, 0, 0] == noises[j - 1, 0, 0]
+            and noises[j, 0, 1] == noises[j - 1, 0, 1]
+            and noises[j, 1, 1] == noises[j - 1, 1, 1]
+        )
+    return same
+
+
+@compiled
 def _keep_densest(detections: Integers, densities: Array, most: int) -> int:
     """Move the pairs of the largest densities to the beginning, in their order; return how many they are."""
-    order = stable_order(-densities)
-    kept = np.zeros(len(densities), dtype=np.bool_)
-    for i in range(most):
-        kept[order[i]] = True
+    kept = largest(densities, most)
     count = 0
     for i in range(len(densities)):
         if kept[i]:

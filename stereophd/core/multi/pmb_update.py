@@ -230,7 +230,8 @@ def mix_gaussians(
 ) -> tuple[Array, Array]:
     """Moment-match, group by group, Gaussians (p) with a base Gaussian (g) of weight >= 0.
 
-    Gaussian p has the covariance of row ``rows[p]``. Returns means (g, d) and covariances (g, d, d); a group without members keeps its base.
+    Gaussian p has the covariance of row ``rows[p]``. Returns means (g, d) and covariances (g, d, d); a group without
+    members keeps its base.
     """
     out_means = base_means.copy()
     out_covariances = base_covariances.copy()
