@@ -54,10 +54,10 @@ def update_intensity(
     updated : array of int
         Detection of each detected component.
     """
-    points, noises, areas, delays, birth_means, birth_covariances = event
+    points, noises, areas, readings, birth_means, birth_covariances = event
     detected = numbers.p_detect * moved.fraction * mixture.weights
     components, detections, joint = pair_likelihoods(
-        moved.means, moved.covariances, moved.status != OUT_OF_VIEW, points, noises, areas, delays
+        moved.means, moved.covariances, moved.status != OUT_OF_VIEW, points, noises, areas, readings
     )
     # clutter, births and components compete for every detection
     per_area = 1.0 / numbers.area
@@ -74,7 +74,9 @@ def update_intensity(
     out = allocate_outcomes(mixture, components, numbers, len(points))
     fill_missed(mixture, moved, np.arange(len(detected)), numbers, out)
     out.weights[: len(detected)] = mixture.weights - detected
-    means, covariances = kalman_updates(moved.means, moved.covariances, components, detections, points, noises, delays)
+    means, covariances = kalman_updates(
+        moved.means, moved.covariances, components, detections, points, noises, readings
+    )
     begin, end = len(detected), len(detected) + len(kept)
     out.weights[begin:end], out.means[begin:end], out.covariances[begin:end] = weights[kept], means, covariances
     out.weights[end:] = born * per_area / totals
