@@ -86,21 +86,21 @@ def test_kalman_updates(size: int) -> None:
         np.linalg.cholesky(found_covariances[i])
 
 
-@pytest.mark.parametrize("delayed", [False, True])
+@pytest.mark.parametrize("read", [False, True])
 @pytest.mark.parametrize("size", [3, 6])
-def test_shared_kalman_updates(size: int, delayed: bool) -> None:
+def test_shared_kalman_updates(size: int, read: bool) -> None:
     """The same bits as without sharing; one covariance for pairs that follow one another and have equal ones."""
     rng = np.random.default_rng(6)
     means, covariances, _, points, noises, _ = pairs_of(rng, size)
     noises[10:20] = noises[10]
     components, detections = np.repeat(np.arange(20), 30), np.tile(np.arange(30), 20)
-    delays = rng.uniform(0.0, 0.03, 30) if delayed else None
-    arguments = means, covariances, components, detections, points, noises, delays
+    readings = rng.uniform(0.0, 0.03, (30, 3)) if read else None
+    arguments = means, covariances, components, detections, points, noises, readings
     expected_means, expected = kalman_updates(*arguments)
     found_means, found, rows = shared_kalman_updates(*arguments)
     np.testing.assert_array_equal(found_means, expected_means)
     np.testing.assert_array_equal(found[rows], expected)
-    assert len(found) == 20 * (30 if delayed else 21)
+    assert len(found) == 20 * (30 if read else 21)
 
 
 @pytest.mark.parametrize("components", [0, 3])
