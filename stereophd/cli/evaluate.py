@@ -21,7 +21,7 @@ Report = dict[str, Any]
 # Parameters that only one of the two uses has.
 OF_TRACKS = (
     "order", "cutoff", "base", "from_s", "to_s", "max_gap", "at", "log", "seen_by", "within", "ospa2_window",
-    "tentative", "align", "align_clock", "plots", "jobs", "dask",
+    "tentative", "align", "align_clock", "match_distance", "plots", "jobs", "dask",
 )  # fmt: skip
 OF_CAMERAS = ("config", "seed")
 # Options that only folders of runs have.
@@ -47,6 +47,7 @@ def evaluate_command(
     tentative: of.Tentative = False,
     align: of.Align = of.Alignment.NONE,
     align_clock: of.AlignClock = False,
+    match_distance: of.MatchDistance = None,
     cameras: of.Cameras = None,
     true_cameras: of.TrueCameras = None,
     config: of.Config = None,
@@ -90,6 +91,7 @@ def evaluate_command(
         "at": at.value, "log_path": log, "seen_by": seen_by, "within_s": within, "ospa2_window": ospa2_window,
         "cameras_path": cameras, "plots": plots, "fail_above": above, "fail_below": below,
         "tentative": tentative, "align": align.value, "align_clock": align_clock,
+        "match_distance": match_distance,
     }  # fmt: skip
     if tracks.is_dir():
         _score_runs(session, tracks, truth, out, force, jobs, dask, words)

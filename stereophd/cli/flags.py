@@ -29,6 +29,7 @@ FLAGS = {
     "least_score": "--least-score",
     "length_unit": "--length-unit",
     "log_path": "--log",
+    "match_distance": "--match-distance",
     "max_gap_s": "--max-gap",
     "offsets": "--offset",
     "order": "--order",

@@ -108,10 +108,14 @@ def _check_covered(cameras: Sequence[Camera], schedules: Sequence[Schedule], sta
             continue
         first, last = camera.pose.span
         _, times = schedule.window(start_s, end_s)
-        if len(times) and not (first - SAME_TIME_S <= times[0] and times[-1] <= last + SAME_TIME_S):
+        if not len(times):
+            continue
+        early, late = camera.readout_span
+        begin, end = times[0] + early, times[-1] + late
+        if not (first - SAME_TIME_S <= begin and end <= last + SAME_TIME_S):
             raise InputError(
                 f"cameras.{camera.name}.pose.trajectory: expected poses that cover the frames of the run "
-                f"({times[0]:.10g} to {times[-1]:.10g} s), found {first:.10g} to {last:.10g} s"
+                f"({begin:.10g} to {end:.10g} s), found {first:.10g} to {last:.10g} s"
             )
 
 

@@ -234,7 +234,7 @@ def make_hypotheses(
         cameras[i], times[i] = numbers.camera, numbers.time_s
     fill_missed(mixture, moved, chosen[:missed], numbers, out)
     means, covariances = kalman_updates(
-        moved.means, moved.covariances, owned, picked(outcomes.made, pairs), event.points, event.noises, event.delays
+        moved.means, moved.covariances, owned, picked(outcomes.made, pairs), event.points, event.noises, event.readings
     )
     for i in range(len(owned)):
         copy_gaussian(means, covariances, i, to_means, to_covariances, missed + i)

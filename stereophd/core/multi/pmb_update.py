@@ -64,12 +64,12 @@ def associate_tracks(
         Log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
     """
     weights, labels = mixture.weights, mixture.labels
-    points, noises, areas, delays, _, _ = event
+    points, noises, areas, readings, _, _ = event
     p_detect, clutter, births, area = numbers.p_detect, numbers.clutter, numbers.births, numbers.area
     status, fraction = moved.status, moved.fraction
     count, n_detections = len(weights), len(points)
     components, detections, densities = pair_likelihoods(
-        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, delays, MOST_PAIRS
+        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, readings, MOST_PAIRS
     )
     detected = p_detect * fraction * weights
     joint = picked(detected, components) * densities
@@ -209,7 +209,7 @@ def _first_detections(
     chosen = chosen[:count]
     groups, owned = picked(detections, chosen), picked(components, chosen)
     means, covariances = kalman_updates(
-        moved.means, moved.covariances, owned, groups, event.points, event.noises, event.delays
+        moved.means, moved.covariances, owned, groups, event.points, event.noises, event.readings
     )
     shares = picked(joint, chosen) / picked(first, groups)
     return mix_gaussians(

@@ -30,12 +30,16 @@ class Options:
     tentative: bool
     align: Literal["none", "rigid", "similarity"] = "none"
     align_clock: bool = False
+    match_distance: float | None = None
 
 
 def check_options(options: Options, log_path: Path | str | None) -> None:
     """Raise InputError for options out of range or that do not go together."""
     if not (math.isfinite(options.cutoff) and options.cutoff > 0.0):
         raise InputError(f"`cutoff`: expected a finite number above 0, found {options.cutoff}")
+    distance = options.match_distance
+    if distance is not None and not (math.isfinite(distance) and distance > 0.0):
+        raise InputError(f"`match_distance`: expected a finite number above 0, found {distance}")
     for name, low in (("order", 1.0), ("max_gap_s", 0.0), ("within_s", 0.0)):
         value = getattr(options, name)
         if value is not None and not (math.isfinite(value) and value >= low):
