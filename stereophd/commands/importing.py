@@ -17,7 +17,7 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.camera_files import read_camera_file
-from stereophd.io.interchange.consulted import consulted, refuse_unread
+from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread
 from stereophd.io.interchange.reading import read_foreign
 from stereophd.io.interchange.registry import find
 from stereophd.io.json_text import write_json
@@ -91,6 +91,7 @@ def import_recording(
             log = out.path(DETECTIONS_FILE)
             summaries = write_native_log(recording, noted, log, log.parent, to_metadata(record))
         refuse_unread(options, read, f"a source of format {form}")
+        refuse_other_cameras(options, [*recording.cameras, *summaries])
         cameras = _with_rates(recording.cameras, summaries)
         if cameras:
             assert recording.length_unit is not None

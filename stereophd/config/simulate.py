@@ -90,10 +90,10 @@ class SimulateConfig(Model):
     given: tuple[GivenObject, ...] = parameter("objects whose paths are given", default=())
     bodies: tuple[GivenBody, ...] = parameter("rigid bodies, each with several objects", default=())
     acceleration_std: Length | tuple[Length, Length, Length] = parameter(
-        "process noise, as motion.acceleration_std", default=0.0, unit="length/s^2"
+        "process noise of objects and given, as motion.acceleration_std", default=0.0, unit="length/s^2"
     )
     motion: Motion | None = parameter(
-        "how the objects move; by default as the model of the section motion, with the noise acceleration_std "
+        "how objects and given move; by default as the model of the section motion, with the noise acceleration_std "
         "in place of its own (models static and constant_velocity)",
         default=None,
     )

@@ -27,7 +27,7 @@ ACTING = {
     "config show": {"--cameras"},
     "evaluate": {"--true-cameras", "--fail-above", "--fail-below"},
     "experiment": {"--jobs", "--dask", "--resume"},
-    "import": {"--cameras", "--rename"},
+    "import": {"--cameras"},
     "init": {"--log", "--cameras", "--length-unit", "--kind"},
     "report": {"--log", "--truth", "--title"},
     "simulate": {"--cameras", "--runs"},
@@ -84,6 +84,17 @@ REFUSED = [
             ["--pixel-origin", "corner"], ["--rows-from", "bottom"],
         )
     ),
+    *(
+        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected one of the cameras")
+        for words in (["--fps", "lft=9"], ["--offset", "lft=1"], ["--frames", "lft=0:9"])
+    ),
+    (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], ["--rename", "a=b"], "--rename: expected a camera a"),
+    (["import", "csv", "TIMED", "--out", "OUT"], ["--fps", "9"], "--fps: expected frame numbers of camera left"),
+    (["import", "csv", "TIMED", "--out", "OUT"], ["--frames", "0:9"], "--frames: expected frame numbers of camera"),
+    (
+        ["import", "csv", "TABLE", "--fps", "10", "--no-fill", "--out", "OUT"], ["--frames", "0:9"],
+        "--frames: expected --fill, which adds",
+    ),
     (["import", "opencv", "CAMERAS", "--out", "OUT"], ["--no-fill"], "--fill: expected an option that a source of"),
     *(
         (["export", "opencv", "NATIVE", "--out", "OUT"], words, f"{words[0]}: expected only for tracks, found cameras")
@@ -111,6 +122,10 @@ def words_of(call: Call, config: Path, tmp_path: Path) -> Callable[[Sequence[str
             table = tmp_path / "points.csv"
             table.write_text("camera,frame,u_px,v_px\nleft,0,10,20\nleft,1,12,20\n")
             return table
+        if name == "TIMED":
+            timed = tmp_path / "timed.csv"
+            timed.write_text("camera,time_s,u_px,v_px\nleft,0.0,10,20\nleft,0.1,12,20\n")
+            return timed
         if name == "CAMERAS":
             return write_calibration(tmp_path / "calibration.json")
         if name == "SINGLE":

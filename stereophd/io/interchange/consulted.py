@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.io.interchange.base import ExportOptions, ImportOptions
 
 Options = TypeVar("Options", ImportOptions, ExportOptions)
@@ -43,3 +44,28 @@ def refuse_unread(options: Options, read: set[str], what: str) -> None:
     for name in options.plain():
         if name not in read:
             raise InputError(f"`{name}`: expected an option that {what} has a use for, found one that it has not")
+
+
+def refuse_other_cameras(options: ImportOptions, cameras: Sequence[str]) -> None:
+    """Refuse statements about cameras that a source does not have.
+
+    Parameters
+    ----------
+    options
+        As the user stated them.
+    cameras
+        Native names of the cameras of the source.
+
+    Raises
+    ------
+    InputError
+        Names the first of them, and the cameras.
+    """
+    known = list(dict.fromkeys(cameras))
+    for key in ("rates", "offsets", "frames", "image_sizes"):
+        for name in getattr(options, key).named:
+            if name not in known:
+                raise InputError(f"`{key}`: {unknown_camera(name, known)}")
+    for before, after in options.rename.items():
+        if after not in known:
+            raise InputError(f"`rename`: expected a camera {before} in the source, found {', '.join(known)}")
