@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.sorting import stable_order
+from stereophd.core.numerics.sorting import largest
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -85,7 +85,8 @@ def pair_likelihoods(
     low = np.zeros(count, dtype=np.int64)
     high = np.zeros(count, dtype=np.int64)
     total = 0
-    column = points[:, 0].copy()
+    column, row = points[:, 0].copy(), points[:, 1].copy()
+    same = _same_noise(noises)
     # of delays and of changes with the disparity, of which u is observed
     least, most_read = np.zeros(2), np.zeros(2)
     if readings is not None and len(readings) > 0:
@@ -110,28 +111,37 @@ def pair_likelihoods(
             room = min(total, 2 * room + high[k] - low[k])
             components, detections = _enlarged(components, room), _enlarged(detections, room)
             densities = _enlarged(densities, room)
+        s00, s01, s11, determinant, norm = 0.0, 0.0, 0.0, 1.0, 1.0
         for j in range(low[k], high[k]):
-            s00 = covariances[k, 0, 0] + noises[j, 0, 0]
-            s01 = covariances[k, 0, 1] + noises[j, 0, 1]
-            s11 = covariances[k, 1, 1] + noises[j, 1, 1]
-            du = points[j, 0] - means[k, 0]
-            dv = points[j, 1] - means[k, 1]
+            # mostly all detections of a camera have one noise
+            if readings is not None or j == low[k] or not same[j]:
+                s00 = covariances[k, 0, 0] + noises[j, 0, 0]
+                s01 = covariances[k, 0, 1] + noises[j, 0, 1]
+                s11 = covariances[k, 1, 1] + noises[j, 1, 1]
+                if readings is not None:
+                    s00 = _spread(covariances[k], 0, 0, readings[j]) + noises[j, 0, 0]
+                    s01 = _spread(covariances[k], 0, 1, readings[j]) + noises[j, 0, 1]
+                    s11 = _spread(covariances[k], 1, 1, readings[j]) + noises[j, 1, 1]
+                determinant = s00 * s11 - s01 * s01
+                norm = 2.0 * math.pi * math.sqrt(determinant)
+            du = column[j] - means[k, 0]
+            dv = row[j] - means[k, 1]
             if readings is not None:
-                s00 = _spread(covariances[k], 0, 0, readings[j]) + noises[j, 0, 0]
-                s01 = _spread(covariances[k], 0, 1, readings[j]) + noises[j, 0, 1]
-                s11 = _spread(covariances[k], 1, 1, readings[j]) + noises[j, 1, 1]
                 du -= _shift(means[k], 0, readings[j])
                 dv -= _shift(means[k], 1, readings[j])
             # a squared Mahalanobis distance is at least that of each coordinate alone
             if dv * dv > far * s11:
                 continue
-            determinant = s00 * s11 - s01 * s01
-            squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
+            weighted = s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv
+            # a multiplication takes less time than the division
+            if weighted > far * determinant:
+                continue
+            squared = weighted / determinant
             if squared > sigmas * sigmas:
                 continue
             components[found] = k
             detections[found] = j
-            densities[found] = areas[j] * math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(determinant))
+            densities[found] = areas[j] * math.exp(-0.5 * squared) / norm
             found += 1
         if found - begin > most:
             found = begin + _keep_densest(detections[begin:found], densities[begin:found], most)
@@ -139,12 +149,22 @@ def pair_likelihoods(
 
 
 @compiled
+def _same_noise(noises: Array) -> NDArray[np.bool_]:
+    """Whether each detection has the noise (m, 2, 2) of the one before."""
+    same = np.zeros(len(noises), dtype=np.bool_)
+    for j in range(1, len(noises)):
+        same[j] = (
+            noises[j, 0, 0] == noises[j - 1, 0, 0]
+            and noises[j, 0, 1] == noises[j - 1, 0, 1]
+            and noises[j, 1, 1] == noises[j - 1, 1, 1]
+        )
+    return same
+
+
+@compiled
 def _keep_densest(detections: Integers, densities: Array, most: int) -> int:
     """Move the pairs of the largest densities to the beginning, in their order; return how many they are."""
-    order = stable_order(-densities)
-    kept = np.zeros(len(densities), dtype=np.bool_)
-    for i in range(most):
-        kept[order[i]] = True
+    kept = largest(densities, most)
     count = 0
     for i in range(len(densities)):
         if kept[i]:
@@ -213,45 +233,108 @@ def kalman_updates(
 
     Returns means (p, d) and covariances (p, d, d) of the updated components.
     """
+    count, size = len(components), means.shape[1]
+    out_means, out_covariances = np.empty((count, size)), np.empty((count, size, size))
+    rows = np.arange(count)
+    _update_pairs(
+        means, covariances, components, detections, points, noises, readings, rows, out_means, out_covariances
+    )  # fmt: skip
+    return out_means, out_covariances
+
+
+@compiled
+def shared_kalman_updates(
+    means: Array,
+    covariances: Array,
+    components: Integers,
+    detections: Integers,
+    points: Array,
+    noises: Array,
+    readings: Array | None = None,
+) -> tuple[Array, Array, Integers]:
+    """`kalman_updates`, with one covariance for consecutive pairs of one component with detections of equal noise.
+
+    A component that may have made hundreds of detections takes little memory. Returns means (p, d), covariances (q, d,
+    d), and which of these (p,) each pair has.
+    """
+    count, size = len(components), means.shape[1]
+    rows = np.empty(count, dtype=np.int64)
+    found = 0
+    for i in range(count):
+        found += 0 if i > 0 and readings is None and _share_covariance(components, detections, noises, i) else 1
+        rows[i] = found - 1
+    out_means, out_covariances = np.empty((count, size)), np.empty((found, size, size))
+    _update_pairs(
+        means, covariances, components, detections, points, noises, readings, rows, out_means, out_covariances
+    )  # fmt: skip
+    return out_means, out_covariances, rows
+
+
+@compiled
+def _share_covariance(components: Integers, detections: Integers, noises: Array, i: int) -> bool:
+    """Whether pair i has the component and the noise of the pair before."""
+    one, other = noises[detections[i]], noises[detections[i - 1]]
+    return bool(
+        components[i] == components[i - 1]
+        and one[0, 0] == other[0, 0]
+        and one[0, 1] == other[0, 1]
+        and one[1, 1] == other[1, 1]
+    )
+
+
+@compiled
+def _update_pairs(
+    means: Array,
+    covariances: Array,
+    components: Integers,
+    detections: Integers,
+    points: Array,
+    noises: Array,
+    readings: Array | None,
+    rows: Integers,
+    out_means: Array,
+    out_covariances: Array,
+) -> None:
+    """Fill in the updated means (p, d), and the covariances in their rows (p,); those of one row are equal."""
     size = means.shape[1]
-    count = len(components)
-    out_means = np.empty((count, size))
-    out_covariances = np.empty((count, size, size))
     gain = np.empty((size, 2))
     # row a: covariance of the state with the observed u and v
     observed = np.empty((size, 2))
-    for i in range(count):
+    for i in range(len(components)):
         k, j = components[i], detections[i]
         covariance = covariances[k]
         du = points[j, 0] - means[k, 0]
         dv = points[j, 1] - means[k, 1]
-        for a in range(size):
-            observed[a, 0] = covariance[a, 0]
-            observed[a, 1] = covariance[a, 1]
-        s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
         if readings is not None:
             du -= _shift(means[k], 0, readings[j])
             dv -= _shift(means[k], 1, readings[j])
+        if i == 0 or rows[i] != rows[i - 1]:
             for a in range(size):
-                if size == 6:
-                    observed[a, 0] += readings[j, 0] * covariance[a, 3]
-                    observed[a, 1] += readings[j, 0] * covariance[a, 4]
-                observed[a, 0] += readings[j, 1] * covariance[a, 2]
-                observed[a, 1] += readings[j, 2] * covariance[a, 2]
-            s00 = _spread(covariance, 0, 0, readings[j])
-            s01 = _spread(covariance, 0, 1, readings[j])
-            s11 = _spread(covariance, 1, 1, readings[j])
-        s00 = s00 + noises[j, 0, 0]
-        s01 = s01 + noises[j, 0, 1]
-        s11 = s11 + noises[j, 1, 1]
-        determinant = s00 * s11 - s01 * s01
+                observed[a, 0] = covariance[a, 0]
+                observed[a, 1] = covariance[a, 1]
+            s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+            if readings is not None:
+                for a in range(size):
+                    if size == 6:
+                        observed[a, 0] += readings[j, 0] * covariance[a, 3]
+                        observed[a, 1] += readings[j, 0] * covariance[a, 4]
+                    observed[a, 0] += readings[j, 1] * covariance[a, 2]
+                    observed[a, 1] += readings[j, 2] * covariance[a, 2]
+                s00 = _spread(covariance, 0, 0, readings[j])
+                s01 = _spread(covariance, 0, 1, readings[j])
+                s11 = _spread(covariance, 1, 1, readings[j])
+            s00 = s00 + noises[j, 0, 0]
+            s01 = s01 + noises[j, 0, 1]
+            s11 = s11 + noises[j, 1, 1]
+            determinant = s00 * s11 - s01 * s01
+            for a in range(size):
+                gain[a, 0] = (observed[a, 0] * s11 - observed[a, 1] * s01) / determinant
+                gain[a, 1] = (observed[a, 1] * s00 - observed[a, 0] * s01) / determinant
+            out = out_covariances[rows[i]]
+            for a in range(size):
+                for b in range(a + 1):
+                    value = covariance[a, b] - gain[a, 0] * observed[b, 0] - gain[a, 1] * observed[b, 1]
+                    out[a, b] = value
+                    out[b, a] = value
         for a in range(size):
-            gain[a, 0] = (observed[a, 0] * s11 - observed[a, 1] * s01) / determinant
-            gain[a, 1] = (observed[a, 1] * s00 - observed[a, 0] * s01) / determinant
             out_means[i, a] = means[k, a] + gain[a, 0] * du + gain[a, 1] * dv
-        for a in range(size):
-            for b in range(a + 1):
-                value = covariance[a, b] - gain[a, 0] * observed[b, 0] - gain[a, 1] * observed[b, 1]
-                out_covariances[i, a, b] = value
-                out_covariances[i, b, a] = value
-    return out_means, out_covariances

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from stereophd.core.multi.mixture import GaussianMixture, take_components
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
-from stereophd.core.numerics.sorting import picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -72,6 +72,12 @@ def merge_sorted(
             if not mutual or (factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance):
                 members[found] = k
                 found += 1
+        if found == 1:
+            # most are alone: the sums below, of one part
+            out_weights[merged], leaders[merged] = weights[leader], leader
+            copy_gaussian(means, covariances, leader, out_means, out_covariances, merged)
+            merged += 1
+            continue
         total, whole = 0.0, 0.0
         for m in range(found):
             used[members[m]] = True
