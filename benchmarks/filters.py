@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
-from stereophd.core.metrics.clear_mot import follow
+from stereophd.core.metrics.clear_mot import match_within
 from stereophd.core.metrics.confirmation_delay import Waits
-from stereophd.core.metrics.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures as figures_of_run
 from stereophd.core.metrics.summary import pair_errors, track_ospa
@@ -102,6 +101,8 @@ WITHOUT = {
 
 
 ORDER, CUTOFF, WINDOW = 2.0, 20.0, 10
+# Objects come nearer to each other than the cutoff: see docs/filters.md, NEES.
+MATCH_DISTANCE = 10.0
 # The limit of a filter, on scenes without noise of motion.
 KNOWN = "known association"
 LIMIT = (
@@ -165,11 +166,10 @@ def score(run: Run, settings: Sequence[str]) -> list[float]:
     estimates = tracked(run, settings)
     found = points_of_estimates(estimates)
     scores = score_scans(found, run.truth, ORDER, CUTOFF)
-    near = near_pairs(found, run.truth, CUTOFF)
-    scores = follow(found, run.truth, scores, near, ORDER)
+    scores, near = match_within(found, run.truth, scores, ORDER, CUTOFF, MATCH_DISTANCE)
     ospa2 = track_ospa(found, run.truth, WINDOW, ORDER, CUTOFF, mahalanobis=False)
     errors = pair_errors(found, run.truth, scores)
-    report = figures_of_run(found, run.truth, scores, near, ospa2, errors, Waits(np.zeros(0), np.zeros(0), 0))
+    report = figures_of_run(found, run.truth, scores, near, near, ospa2, errors, Waits(np.zeros(0), np.zeros(0), 0))
     both = points_of_estimates([one.with_tentative() for one in estimates])
     late = run.time_s >= 0.5 * (run.time_s[0] + run.time_s[-1])
     last_half = float(scores.ospa[late].mean())

@@ -84,6 +84,15 @@ AlignClock = Annotated[
         "--align-clock", help="Score the tracks after a change of their clock's offset and rate, found with --align."
     ),
 ]
+MatchDistance = Annotated[
+    float | None,
+    option(
+        "--match-distance",
+        "D",
+        "Match tracks and objects nearer than this (RMSE, NEES, identity switches, purity, IDF1), in the unit of "
+        "length; default: the cutoff. Choose it below the distance between objects.",
+    ),
+]
 Cameras = Annotated[
     Path | None,
     option(

@@ -56,6 +56,7 @@ def evaluate(
     tentative: bool = False,
     align: Literal["none", "rigid", "similarity"] = "none",
     align_clock: bool = False,
+    match_distance: float | None = None,
     fail_above: Mapping[str, float] | None = None,
     fail_below: Mapping[str, float] | None = None,
     cameras_path: Path | str | None = None,
@@ -74,8 +75,7 @@ def evaluate(
     order, cutoff : float
         Order p and cutoff c of OSPA and GOSPA; c in the length unit of the files, or a number of standard
         deviations for the base ``mahalanobis``. The default of c is `evaluation.cutoff` of the configuration of
-        the tracks; without it 20 cm for files in centimetres, the paper's, and 20 standard deviations. Pairs
-        nearer than c count as matched for RMSE, NEES, position errors and identity switches.
+        the tracks; without it 20 cm for files in centimetres, the paper's, and 20 standard deviations.
     base : str
         Base distance: ``euclidean``, or ``mahalanobis`` with the covariance of the estimate (paper VIII-C).
     from_s, to_s : float, optional
@@ -98,6 +98,10 @@ def evaluate(
         of cameras that calibrated themselves; ``similarity``: and after a change of scale.
     align_clock : bool
         Score the tracks after a change of the offset and rate of their clock, estimated with the frame.
+    match_distance : float, optional
+        Tracks and objects nearer than this, in the unit of c, may be matched: for RMSE, NEES, position errors, identity
+        switches, purity and IDF1. Default c. Where objects are nearer to each other than this, a match may be wrong
+        from the first time on and yet be kept.
     fail_above, fail_below : mapping, optional
         Limits of figures, such as ``{"ospa.mean": 0.8}``.
     cameras_path : path, optional
@@ -124,7 +128,8 @@ def evaluate(
     """
     chosen = PAPER_CUTOFF if cutoff is None else cutoff
     options = Options(
-        order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window, tentative, align, align_clock
+        order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window, tentative, align,
+        align_clock, match_distance,
     )  # fmt: skip
     check_options(options, log_path)
     run = partial(

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 from annotated_types import Interval
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo
 
 from stereophd.config.base import Model, OneOf, Units
 from stereophd.config.poses import PoseConfig
@@ -146,12 +146,6 @@ class CameraConfig(Model):
         default=0.0,
         advice="0 for a global shutter; for a rolling shutter at most the time between two frames.",
     )
-
-    @model_validator(mode="after")
-    def _readout_at_rest(self) -> CameraConfig:
-        if self.readout_s != 0.0 and self.pose.moves:
-            raise ValueError(f"readout_s: expected 0 of a camera that moves, found {self.readout_s:g}")
-        return self
 
     def build(self, name: str) -> Camera:
         """Return the geometric `Camera` of this name."""

@@ -116,11 +116,6 @@ class PoseConfig(Model):
             raise ValueError(f"expected only mount besides trajectory, found {', '.join(stated)}")
         return self
 
-    @property
-    def moves(self) -> bool:
-        """Whether the camera moves."""
-        return self.trajectory is not None or any(self.velocity) or any(self.rotation_rate_deg_s)
-
     def build(self) -> Pose:
         """Return the `Pose`; without a rotation the camera looks along the world's z axis."""
         if self.trajectory is not None:

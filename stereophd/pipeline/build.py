@@ -111,6 +111,7 @@ def report_times(config: ReportConfig) -> ReportTimes:
         times.camera if isinstance(times, CameraTimes) else None,
         times.grid if isinstance(times, GridTimes) else None,
         config.max_position_std,
+        whole_run=config.smooth is not None,
     )
 
 

@@ -14,7 +14,6 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.bodies import Body, BodyPoint
 from stereophd.core.simulation.detections import Scene
@@ -31,7 +30,7 @@ def scene_motion(config: Config) -> Motion:
     if settings.motion is not None:
         own: Any = settings.motion
         # a scene has no noise that it does not state
-        if own.acceleration_std in (None, ESTIMATE):
+        if own.acceleration_std is None:
             own = replace(own, acceleration_std=0.0)
         built: Motion = own.build()
         return built
@@ -108,10 +107,14 @@ def _check_covered(cameras: Sequence[Camera], schedules: Sequence[Schedule], sta
             continue
         first, last = camera.pose.span
         _, times = schedule.window(start_s, end_s)
-        if len(times) and not (first - SAME_TIME_S <= times[0] and times[-1] <= last + SAME_TIME_S):
+        if not len(times):
+            continue
+        early, late = camera.readout_span
+        begin, end = times[0] + early, times[-1] + late
+        if not (first - SAME_TIME_S <= begin and end <= last + SAME_TIME_S):
             raise InputError(
                 f"cameras.{camera.name}.pose.trajectory: expected poses that cover the frames of the run "
-                f"({times[0]:.10g} to {times[-1]:.10g} s), found {first:.10g} to {last:.10g} s"
+                f"({begin:.10g} to {end:.10g} s), found {first:.10g} to {last:.10g} s"
             )
 
 

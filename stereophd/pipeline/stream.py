@@ -108,15 +108,17 @@ def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> 
     Raises
     ------
     InputError
-        A frame lies before the first or after the last pose of its camera.
+        A frame, or a row of it, lies before the first or after the last pose of its camera.
     """
     spans = [camera.pose.span for camera in cameras]
     for frame in frames:
         first, last = spans[frame.camera]
-        if not first - SAME_TIME_S <= frame.time_s <= last + SAME_TIME_S:
+        early, late = cameras[frame.camera].readout_span
+        if not (first - SAME_TIME_S <= frame.time_s + early and frame.time_s + late <= last + SAME_TIME_S):
             raise InputError(
                 f"{source}: camera {cameras[frame.camera].name}, frame {frame.frame}: expected a true time that the "
                 f"trajectory of the camera covers ({first:.10g} to {last:.10g} s), found {frame.time_s:.10g} s"
+                + ("" if early == late else f" and rows from {early:g} to {late:g} s after it")
             )
         yield frame
 

@@ -235,6 +235,26 @@ def test_identity_switches(tmp_path):
     assert per_scan(tmp_path / "out")["ospa2"][:3] == pytest.approx([0.0, 0.0, 20 / 3])
 
 
+def test_matches_of_tracks_that_follow_other_objects_are_named(tmp_path, caplog):
+    """Two objects 10 apart; the first scan has one track, 3 beside the wrong object."""
+    truth = write_truth(tmp_path / "truth.parquet", [(t, k, 10 * k) for t in range(20) for k in (0, 1)])
+    rows = [(0.0, "a", 0, 8, 3.0), *((float(t), "a", t, 7 + k, 10.0 * k) for t in range(1, 20) for k in (0, 1))]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows)
+    wide = evaluate(tracks, truth)
+    assert wide["match_distance"] == 20.0
+    assert wide["rmse"]["position"] > 9.0
+    assert "in 39 of 39 matches the track follows another object" in caplog.text
+    caplog.clear()
+    narrow = evaluate(tracks, truth, match_distance=5.0)
+    assert narrow["match_distance"] == 5.0
+    assert narrow["rmse"]["position"] == pytest.approx(3.0 / 39**0.5)
+    assert narrow["identity_switches"] == 1
+    assert narrow["idf1"] == pytest.approx(2 * 38 / (39 + 40))
+    assert narrow["ospa"] == wide["ospa"]
+    assert narrow["hota"] == wide["hota"]
+    assert not caplog.text
+
+
 def with_status(path: Path, status: list[str]) -> Path:
     pq.write_table(pq.read_table(path).append_column("status", pa.array(status)), path)
     return path
@@ -508,6 +528,8 @@ def test_plots_without_matplotlib(run, monkeypatch):
         ({"order": 0.5}, "order"),
         ({"cutoff": 0.0}, "cutoff"),
         ({"cutoff": float("nan")}, "cutoff"),
+        ({"match_distance": 0.0}, "match_distance"),
+        ({"match_distance": float("inf")}, "match_distance"),
         ({"base": "manhattan"}, "base"),
         ({"at": "frames"}, "at"),
         ({"from_s": 3.0, "to_s": 2.0}, "not after `to_s`"),

@@ -6,9 +6,13 @@ many; the suite tries a few, the same ones each time.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
+import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +39,9 @@ BUDGET = settings(
     database=None,
     suppress_health_check=list(HealthCheck),
 )
+
+# Processor time of a command, s, after which it counts as one that does not end; the first ones compile.
+LONGEST_S = 120.0
 
 # A scene that takes a moment.
 SMALL = {"simulate": {"duration_s": 3.0}, "moments": {"samples": 64}}
@@ -78,10 +85,47 @@ def changed(base: dict[str, Any], changes: list[tuple[tuple[str, ...], Any]]) ->
 
 
 def outcome(command: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Run a command in this process; return its exit code, and what it says on stderr."""
+    """Run a command in this process; return its exit code, and what it says on stderr.
+
+    One that does not end is ended by an error, which becomes exit code 3.
+    """
     capfd.readouterr()
-    code = run(command)
+    with bounded(LONGEST_S):
+        code = run(command)
     return code, capfd.readouterr().err
+
+
+@contextlib.contextmanager
+def bounded(longest_s: float) -> Iterator[None]:
+    """Raise an error within what takes more processor time than this (on Unix)."""
+    if not hasattr(signal, "SIGPROF"):
+        yield
+        return
+
+    def end(_number: int, _frame: object) -> None:
+        raise RuntimeError(f"no end after {longest_s:g} s of processor time")
+
+    before = signal.signal(signal.SIGPROF, end)
+    signal.setitimer(signal.ITIMER_PROF, longest_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def test_what_does_not_end_is_found(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bound on processor time ends a command, and its exit code is one that the other tests refuse."""
+
+    def endless(*_: object) -> None:
+        while True:
+            pass
+
+    monkeypatch.setattr("stereophd.commands.info.info", endless)
+    monkeypatch.setattr(sys.modules[__name__], "LONGEST_S", 0.2)
+    code, said = outcome(["info", "."], capfd)
+    assert code == 3
+    assert "no end after 0.2 s" in said
 
 
 @BUDGET

@@ -79,10 +79,6 @@ def test_shared_intrinsics_are_one_parameter() -> None:
         (["calibration.priors.right.distortion_std={k1: 0.1}"], "expected coefficients of its lens model none"),
         ([LENS, "calibration.priors.right.distortion_std={k2: 0.1}"], r"lens model radial \(k1\), found k2"),
         (["calibration.priors.right.focal_sdt=0.1"], "focal_std"),
-        (
-            ["calibration.priors.right.velocity_std=0.1", "calibration.priors.right.readout_std_s=0.01"],
-            "expected no readout of a camera that moves",
-        ),
         ([LENS, "calibration.shared=[[left, right]]"], "expected cameras of the same intrinsics and lens"),
         (["calibration.shared=[[left, middle]]"], "expected one of the cameras left, right, found middle"),
         (["calibration.shared=[[left]]"], "groups of two or more"),

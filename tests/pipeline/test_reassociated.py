@@ -33,12 +33,18 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, list[tuple[dict
             changes = [*SHORT, f"report.smooth={{reassociate: {str(anew).lower()}}}"]
             report = track(load_config(CONFIG, changes), scene / "detections.parquet", tracks)
             found = pd.read_parquet(tracks / "associations.parquet")
-            out[anew].append((report, found[found.probability > 0.5].merge(truth, on=KEY)))
+            out[anew].append((report, found.merge(truth, on=KEY)))
     return out
+
+
+def _probable(found: pd.DataFrame) -> pd.DataFrame:
+    """The detections that tracks have."""
+    return found[found.probability > 0.5]
 
 
 def _wrong(found: pd.DataFrame) -> int:
     """Detections of another object than most of the track's."""
+    found = _probable(found)
     most = found.groupby("track_id").object_id.transform(lambda own: own.mode()[0])
     return int((most != found.object_id).sum())
 
@@ -47,17 +53,33 @@ def test_fewer_detections_are_of_a_neighbour(runs: dict[bool, list[tuple[dict[st
     before, after = (sum(_wrong(found) for _, found in runs[anew]) for anew in (False, True))
     assert before > 0
     assert after < 0.5 * before
-    assert sum(len(found) for _, found in runs[True]) >= sum(len(found) for _, found in runs[False])
+    after, before = (sum(len(_probable(found)) for _, found in runs[anew]) for anew in (True, False))
+    assert after >= before
 
 
 def test_a_detection_has_one_track_and_is_counted_once(
     runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]],
 ) -> None:
-    for report, found in runs[True]:
+    for report, rows in runs[True]:
+        found = _probable(rows)
         assert not found.duplicated(KEY).any()
         assert not found.duplicated(["track_id", "camera", "frame"]).any()
         counted = sum(sum(one["n_detections"].values()) for one in report["tracks"])
         assert counted == len(found)
+
+
+def test_probabilities_of_a_detection_add_up_to_at_most_one(
+    runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]],
+) -> None:
+    """What a track was given anew is its own alone, with probability 1; without the option nothing is that certain."""
+    for anew, found in ((anew, rows) for anew, several in runs.items() for _, rows in several):
+        assert not found.duplicated([*KEY, "frame", "track_id"]).any()
+        sums = found.groupby([*KEY, "frame"]).probability.transform("sum")
+        assert sums.max() < 1.0 + 1e-9
+        chosen = found.probability == 1.0
+        assert chosen.any() == anew
+        assert not found[chosen].duplicated([*KEY, "frame"]).any()
+        assert (sums[chosen] == 1.0).all()
 
 
 @pytest.mark.parametrize(

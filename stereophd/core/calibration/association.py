@@ -114,11 +114,17 @@ def undistorted_pixels(camera: Camera, points: Array) -> Array:
 def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
     """Undistorted pixels (n, m, 2) of objects, positions and velocities (n, 6), at the times of m detections.
 
-    With a rolling shutter a detection is later than its event by the delay of its row.
+    With a rolling shutter a detection is later than its event by the delay of its row. The pixels are those of the
+    camera at the event; that the camera moves on until then is as if the objects moved the other way.
     """
-    if event.delays is None or states.shape[1] < 6:
+    moves = event.delays is not None and states.shape[1] == 6
+    if event.delays is None or not (moves or event.travels is not None):
         return np.asarray(undistorted_pixels(camera, states[:, :3])[:, None, :])
-    moved = states[:, None, :3] + event.delays[None, :, None] * states[:, None, 3:]
+    moved = np.repeat(states[:, None, :3], len(event.points), axis=1)
+    if moves:
+        moved = moved + event.delays[None, :, None] * states[:, None, 3:]
+    if event.travels is not None:
+        moved = moved - event.travels
     return undistorted_pixels(camera, moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
 
 

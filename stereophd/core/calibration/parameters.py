@@ -149,6 +149,15 @@ class ParameterSet:
         return all(quantity.affects == MOVES for quantity in self.quantities)
 
     @property
+    def same_events(self) -> bool:
+        """Whether all values make the same events of a recording.
+
+        Detections of a rolling shutter that moves are turned by its motion (`stereophd.core.disparity.rolling`).
+        """
+        rolling = any(c.readout_s != 0.0 and (self.has_rates or not c.pose.is_static) for c in self.cameras)
+        return self.only_moves and not rolling
+
+    @property
     def only_poses(self) -> bool:
         """Whether nothing but poses of cameras that stand still is unknown."""
         return self.only_moves and not self.has_rates

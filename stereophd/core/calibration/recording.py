@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.problem import Observations
-from stereophd.core.disparity.events import Event, undistorted_detections
+from stereophd.core.disparity.events import Event, framed_detections
 from stereophd.core.geometry.camera import Camera, Clock
 
 Array = NDArray[np.float64]
@@ -134,7 +134,7 @@ class Scans:
     first : array (e + 1,) of int
         Event i has the detections first[i] to first[i + 1] - 1.
     points, precisions : arrays (n, 2), (n, 2, 2)
-        Undistorted pixels of all detections and the inverse of their covariances.
+        Undistorted pixels of all detections, as in the events, and the inverse of their covariances.
     event_of : array (n,) of int
         Event of each detection.
     detection_times : array (n,)
@@ -191,18 +191,18 @@ def _events_of(
     of_frame = np.repeat(np.arange(len(frames)), counts)
     rows = np.concatenate([[], *(np.arange(recording.first[i], recording.first[i + 1]) for i in frames)]).astype(int)
     pixels, sigma = recording.pixels[rows], recording.sigma[rows]
-    points, covariances, areas = undistorted_detections(camera, pixels, sigma)
+    points, covariances, areas, delays, moved = framed_detections(camera, times[frames][of_frame], pixels, sigma)
     order = np.lexsort((points[:, 1], points[:, 0], of_frame))
     order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
     ends = np.searchsorted(of_frame[order], np.arange(len(frames) + 1))
     out = []
     for place, frame in enumerate(frames.tolist()):
         one = order[ends[place] : ends[place + 1]]
-        delays = camera.row_delays(pixels[one, 1])
-        lost = int(counts[place]) - len(one)
         event = Event(
-            float(times[frame]), number, points[one], covariances[one], areas[one], delays, not_invertible=lost
-        )
+            float(times[frame]), number, points[one], covariances[one], areas[one],
+            None if delays is None else delays[one], not_invertible=int(counts[place]) - len(one),
+            travels=None if moved is None else moved[one],
+        )  # fmt: skip
         out.append((place, event, rows[one]))
     return out
 

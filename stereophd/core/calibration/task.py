@@ -122,11 +122,11 @@ class Task:
 
     def all_scans(self, cameras: Sequence[Camera]) -> Scans:
         """Return the events of all frames by these cameras."""
-        return self.scans if self.parameters.only_moves else Scans.of(self.recording, cameras)
+        return self.scans if self.parameters.same_events else Scans.of(self.recording, cameras)
 
     def tracked_scans(self, cameras: Sequence[Camera]) -> Scans:
         """Return the events of the tracked frames by these cameras."""
-        return self.tracking if self.parameters.only_moves else Scans.of(self.recording, cameras, self.frames)
+        return self.tracking if self.parameters.same_events else Scans.of(self.recording, cameras, self.frames)
 
     def observations(
         self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.disparity.rolling import readings, travels, turned_to_frame
 from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
 
@@ -29,7 +30,8 @@ class Event:
     camera : int
         Index of the camera in the rig.
     points : array (m, 2)
-        Undistorted pixels, ordered by u, so that results do not depend on the order in the log.
+        Undistorted pixels, ordered by u, so that results do not depend on the order in the log. Of a rolling shutter
+        that turns: in the axes of the camera at `time_s` (`stereophd.core.disparity.rolling`).
     covariances : array (m, 2, 2)
         Noise of the undistorted pixels, px^2.
     areas : array (m,)
@@ -45,6 +47,9 @@ class Event:
         Whether each detection states its own noise, which replaces the detector's.
     pixels : array (m, 2), optional
         The detections as in the log, distorted.
+    travels : array (m, 3), optional
+        Displacement of the camera's centre in the world from `time_s` until each detection was made, of a rolling
+        shutter that moves; None: it stands still meanwhile.
     """
 
     time_s: float
@@ -57,6 +62,14 @@ class Event:
     not_invertible: int = 0
     own_noise: bool = False
     pixels: Array | None = None
+    travels: Array | None = None
+
+    def readings(self, space: Array) -> Array | None:
+        """Return when and from where the detections were read (m, 3): `stereophd.core.disparity.rolling.readings`.
+
+        `space` (30,) is the packed space of the camera at `time_s`. None without a rolling shutter.
+        """
+        return None if self.delays is None else readings(self.delays, self.travels, self.points, space)
 
 
 @dataclass(frozen=True)
@@ -156,14 +169,39 @@ def make_event(
         Without the detections at which the lens model cannot be inverted; it counts them.
     """
     std = np.broadcast_to(np.asarray(camera.detector.sigma if sigma is None else sigma, dtype=float), pixels.shape)
-    points, covariances, areas = undistorted_detections(camera, pixels, std)
+    points, covariances, areas, delays, moved = framed_detections(camera, np.full(len(pixels), time_s), pixels, std)
     order = np.lexsort((points[:, 1], points[:, 0]))
     order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
-    delays = camera.row_delays(pixels[order, 1])
     return Event(
-        time_s, index, points[order], covariances[order], areas[order], delays, frame, len(pixels) - len(order),
-        sigma is not None, pixels[order],
+        time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
+        frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],
     )  # fmt: skip
+
+
+def framed_detections(
+    camera: Camera, times: Array, pixels: Array, std: Array
+) -> tuple[Array, Array, Array, Array | None, Array | None]:
+    """Undistort detections of any frames of a camera, each in the axes of the camera at the time of its frame.
+
+    Parameters
+    ----------
+    camera : Camera
+    times : array (n,)
+        Times of the frames, s.
+    pixels, std : arrays (n, 2)
+        Distorted pixels and their standard deviations, px.
+
+    Returns
+    -------
+    points, covariances, areas, delays, travels
+        As those of an `Event`; a row of NaN points where a detection cannot be used.
+    """
+    points, covariances, areas = undistorted_detections(camera, pixels, std)
+    delays = camera.row_delays(pixels[:, 1])
+    if delays is None or camera.pose.is_static:
+        return points, covariances, areas, delays, None
+    points, covariances, areas = turned_to_frame(camera, times, delays, points, covariances, areas)
+    return points, covariances, areas, delays, travels(camera.pose, times, delays)
 
 
 def undistorted_detections(camera: Camera, pixels: Array, std: Array) -> tuple[Array, Array, Array]:

@@ -32,7 +32,7 @@ def initial_moments(
     std: float,
     velocity_std: float,
     size: int,
-    delays: Array | None = None,
+    readings: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the Gaussians of objects of which only one detection each is known.
 
@@ -48,8 +48,9 @@ def initial_moments(
         Standard deviation of each component of velocity in the world, length/s.
     size : int
         6, or 3 for static objects.
-    delays : array (m,), optional
-        Time of each detection after that of the Gaussian, s.
+    readings : array (m, 3), optional
+        Time of each detection after that of the Gaussian, s, and the change of its u and v with the disparity
+        (`stereophd.core.disparity.rolling`).
 
     Returns
     -------
@@ -76,6 +77,8 @@ def initial_moments(
         means[j, 2] = mean
         covariances[j, 2, 2] = std**2
         if size == 3:
+            if readings is not None:
+                _seen_from_frame(readings[j], means[j], covariances[j])
             continue
         rows[0, 2] = (space[CX] - points[j, 0]) / scale
         rows[1, 2] = (space[CY] - points[j, 1]) / scale
@@ -85,9 +88,23 @@ def initial_moments(
                 product = rows[a, 0] * rows[b, 0] + rows[a, 1] * rows[b, 1] + rows[a, 2] * rows[b, 2]
                 variance = product * velocity_std**2 * power
                 covariances[j, 3 + a, 3 + b] = variance
-                if delays is not None:
+                if readings is not None:
                     # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
-                    covariances[j, a, b] += delays[j] ** 2 * variance
-                    covariances[j, a, 3 + b] = -delays[j] * variance
-                    covariances[j, 3 + a, b] = -delays[j] * variance
+                    delay = readings[j, 0]
+                    covariances[j, a, b] += delay**2 * variance
+                    covariances[j, a, 3 + b] = -delay * variance
+                    covariances[j, 3 + a, b] = -delay * variance
+        if readings is not None:
+            _seen_from_frame(readings[j], means[j], covariances[j])
     return means, covariances
+
+
+@compiled
+def _seen_from_frame(reading: Array, mean: Array, covariance: Array) -> None:
+    """Take an object to where the camera at the time of its frame would have seen it: z - s d for a detection z."""
+    for a in range(2):
+        mean[a] -= reading[1 + a] * mean[2]
+        for b in range(len(mean)):
+            covariance[a, b] -= reading[1 + a] * covariance[2, b]
+        for b in range(len(mean)):
+            covariance[b, a] -= reading[1 + a] * covariance[b, 2]

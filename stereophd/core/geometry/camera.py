@@ -154,6 +154,11 @@ class Camera:
         return None if self.readout_s == 0.0 else self.readout_s / self.height * rows
 
     @property
+    def readout_span(self) -> tuple[float, float]:
+        """Times of the first and the last row after that of a frame, s, in order of time."""
+        return min(self.readout_s, 0.0), max(self.readout_s, 0.0)
+
+    @property
     def intrinsic_matrix(self) -> FloatArray:
         """Intrinsic matrix K (3, 3), px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
@@ -186,6 +191,14 @@ class Camera:
             seen = np.einsum("ni,ni->n", xy, xy) <= self.lens.max_radius**2
             xy = self.lens.distort(np.where(seen[:, None], xy, np.nan))[0]
         return self._to_pixels(xy)
+
+    def project_at(self, x_world: ArrayLike, times: FloatArray) -> FloatArray:
+        """Project world positions (n, 3) at true times (n,), s, each with the pose of its own time; see `project`."""
+        if self.pose.is_static:
+            return self.project(x_world)
+        motions = self.pose.motions(times)
+        seen = np.einsum("nij,nj->ni", motions.rotations, np.asarray(x_world, dtype=np.float64) - motions.centers)
+        return replace(self, pose=Pose(np.eye(3), np.zeros(3))).project(seen)
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> FloatArray:
         """Return the world positions of distorted pixels at given depths.

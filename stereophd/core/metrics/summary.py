@@ -114,11 +114,14 @@ def figures(
     truth: PointSets,
     scores: ScanScores,
     near: NearPairs,
+    matchable: NearPairs,
     ospa2: Ospa,
     errors: PairErrors,
     waits: Waits,
 ) -> dict[str, Any]:
     """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
+
+    `near` are all pairs nearer than the cutoff (HOTA), `matchable` those that may be matched (IDF1).
 
     Means of OSPA, OSPA(2) and GOSPA (and of their parts) are over scans, the others over matched pairs. The
     parts of a mean distance do not add up to it: only those of a single scan do.
@@ -167,7 +170,7 @@ def figures(
         },
         # Without labels there are no identities to switch.
         "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
-        **_identity_scores(estimates, truth, near),
+        **_identity_scores(estimates, truth, near, matchable),
         "tracks": len(np.unique(labels)),
         **identity_figures(estimates, truth, scores, errors.switched),
         "confirmation": _confirmation(waits),
@@ -194,7 +197,7 @@ def _confirmation(waits: Waits) -> dict[str, Any]:
     }
 
 
-def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs) -> dict[str, Any]:
+def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs, matchable: NearPairs) -> dict[str, Any]:
     """Return IDF1 and HOTA; NaN for estimates without identities."""
     if not has_identities(estimates):
         unknown = float("nan")
@@ -202,7 +205,7 @@ def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs) ->
             "idf1": unknown, "id_precision": unknown, "id_recall": unknown,
             "hota": dict.fromkeys(("mean", "detection", "association", "localisation"), unknown),
         }  # fmt: skip
-    identity, curves = identity_score(estimates, truth, near), hota(estimates, truth, near)
+    identity, curves = identity_score(estimates, truth, matchable), hota(estimates, truth, near)
     return {
         "idf1": identity.f1,
         "id_precision": identity.precision,

@@ -279,14 +279,15 @@ class DisparityFilter(ABC):
         """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
         space = self.rig.space(event.camera, event.time_s)
         means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
-        return EventArrays(event.points, event.covariances, event.areas, event.delays, means, covariances)
+        return EventArrays(event.points, event.covariances, event.areas, event.readings(space), means, covariances)
 
     def detections(self, event: Event) -> tuple[Detections, NewbornPrior]:
         """Return an event's detections, and the prior of the objects that they may have given birth to."""
-        found = Detections(event.points, event.covariances, event.areas, event.delays)
+        space = self.rig.space(event.camera, event.time_s)
+        found = Detections(event.points, event.covariances, event.areas, event.readings(space))
         if not self.rig.moving:
             return found, self._newborns[event.camera]
-        return found, newborn_prior(self.rig.space(event.camera, event.time_s), self.settings.birth)
+        return found, newborn_prior(space, self.settings.birth)
 
     @cached_property
     def _newborns(self) -> list[NewbornPrior]:

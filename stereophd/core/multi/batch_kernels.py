@@ -169,8 +169,8 @@ def update_intensities(
     found, first = 0, 0
     for h in range(len(begins)):
         before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
-        updated, log_likelihoods[h], _ = update_intensity(before, seen, event, numbers, reduction.prune_weight)
-        after, _ = reduce_intensity(updated, reduction)
+        updated, log_likelihoods[h], _, shares = update_intensity(before, seen, event, numbers, reduction)
+        after, _ = reduce_intensity(updated, shares, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]

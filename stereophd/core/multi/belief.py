@@ -65,26 +65,24 @@ def propagate_beliefs(
     to_track = np.ones(count)
     per_track = np.zeros(n_tracks)
     per_detection = np.zeros(n_detections)
+    for p in range(count):
+        per_track[tracks[p]] += odds[p]
     for _ in range(min(MAX_SWEEPS, max(MOST_MESSAGES // max(count, 1), LEAST_SWEEPS))):
-        per_track[:] = 0.0
-        for p in range(count):
-            per_track[tracks[p]] += odds[p] * to_track[p]
-        change = 0.0
         per_detection[:] = 0.0
         for p in range(count):
             others = per_track[tracks[p]] - odds[p] * to_track[p]
             to_detection[p] = odds[p] / (1.0 + max(others, 0.0))
             per_detection[detections[p]] += to_detection[p]
+        settled = True
+        per_track[:] = 0.0
         for p in range(count):
             others = per_detection[detections[p]] - to_detection[p]
             message = 1.0 / (1.0 + max(others, 0.0))
-            change = max(change, abs(message - to_track[p]) / message)
+            settled &= abs(message - to_track[p]) < TOLERANCE * message
             to_track[p] = message
-        if change < TOLERANCE:
+            per_track[tracks[p]] += odds[p] * message
+        if settled:
             break
-    per_track[:] = 0.0
-    for p in range(count):
-        per_track[tracks[p]] += odds[p] * to_track[p]
     log_evidence = 0.0
     pair = np.empty(count)
     for p in range(count):

@@ -42,4 +42,6 @@ def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> t
         In the camera's disparity space, given the detection.
     """
     mean, std = prior.disparity_moments(space)
-    return initial_moments(event.points, event.covariances, space, mean, std, prior.velocity_std, size, event.delays)
+    return initial_moments(
+        event.points, event.covariances, space, mean, std, prior.velocity_std, size, event.readings(space)
+    )

@@ -151,20 +151,24 @@ def _solve(
         return True, math.log(total)
     rows, row_names = _renumber(tracks, cluster, numbers)
     columns, column_names = _renumber(detections, cluster, numbers)
+    too_dense = _too_dense(len(cluster), len(row_names) + len(column_names))
+    if too_dense and not last:
+        return False, 0.0
     weights = picked(odds, cluster)
-    table, index = make_table(rows, columns, weights, len(row_names), len(column_names))
-    plan, turned = make_plan(table, MOST_WIDTH), False
-    if plan.cost > CHEAP:
-        other_table, other_index = make_table(columns, rows, weights, len(column_names), len(row_names))
-        other = make_plan(other_table, MOST_WIDTH)
-        if other.cost < plan.cost:
-            table, index, plan, turned = other_table, other_index, other, True
     value = math.nan
-    if largest <= MOST_ODDS and plan.cost <= max(MOST_COST, MOST_COST_A_PAIR * len(cluster)):
-        share, idle, free, value = eliminate(table, plan)
-        for i in range(len(index)):
-            pair[cluster[index[i]]] = share[i]
-        by_track, by_detection = (free, idle) if turned else (idle, free)
+    if not too_dense:
+        table, index = make_table(rows, columns, weights, len(row_names), len(column_names))
+        plan, turned = make_plan(table, MOST_WIDTH), False
+        if plan.cost > CHEAP:
+            other_table, other_index = make_table(columns, rows, weights, len(column_names), len(row_names))
+            other = make_plan(other_table, MOST_WIDTH)
+            if other.cost < plan.cost:
+                table, index, plan, turned = other_table, other_index, other, True
+        if largest <= MOST_ODDS and plan.cost <= max(MOST_COST, MOST_COST_A_PAIR * len(cluster)):
+            share, idle, free, value = eliminate(table, plan)
+            for i in range(len(index)):
+                pair[cluster[index[i]]] = share[i]
+            by_track, by_detection = (free, idle) if turned else (idle, free)
     if not math.isfinite(value):
         if not last:
             return False, 0.0
@@ -178,6 +182,16 @@ def _solve(
     for j in range(len(column_names)):
         unclaimed[column_names[j]] = by_detection[j]
     return True, value
+
+
+@compiled
+def _too_dense(n_pairs: int, n_nodes: int) -> bool:
+    """Whether a cluster of tracks and detections has too many pairs for any plan within `MOST_WIDTH`.
+
+    Steps of one row and a frontier of at most w columns are a path decomposition of width w, and a graph that has one
+    has fewer than w edges for each node. Dense crowds are thus left to other levels without a search for a plan.
+    """
+    return n_pairs > MOST_WIDTH * n_nodes
 
 
 @compiled

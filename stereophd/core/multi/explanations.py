@@ -175,15 +175,15 @@ def _begin(
     point, noise, camera = rows.points[row : row + 1], rows.noises[row : row + 1], rows.cameras[row]
     born, spread = initial_moments(
         point, noise, space, prior.means[camera], prior.stds[camera], prior.velocity_std, means.shape[1],
-        _delay(rows.delays, row),
+        _reading(rows.readings, row),
     )  # fmt: skip
     copy_gaussian(born, spread, 0, means, covariances, track)
 
 
 @compiled
-def _delay(delays: Array | None, row: int) -> Array | None:
-    """Return the delay (1,) of a detection: of a parameter the compiler knows whether it is None."""
-    return None if delays is None else delays[row : row + 1]
+def _reading(readings: Array | None, row: int) -> Array | None:
+    """Return the reading (1, 3) of a detection: of a parameter the compiler knows whether it is None."""
+    return None if readings is None else readings[row : row + 1]
 
 
 @compiled
@@ -198,16 +198,16 @@ def _follow(
 ) -> tuple[float, bool]:
     """Update a moved track with its next detection; return its log-likelihood, and whether the detection fits."""
     point, noise = rows.points[row : row + 1], rows.noises[row : row + 1]
-    delay = _delay(rows.delays, row)
+    reading = _reading(rows.readings, row)
     after, spread = moved.means[k : k + 1], moved.covariances[k : k + 1]
     seen, one, unit = np.empty(1, dtype=np.bool_), np.zeros(1, dtype=np.int64), np.empty(1)
     seen[0], unit[0] = True, 1.0
-    _, _, density = pair_likelihoods(after, spread, seen, point, noise, unit, delay)
+    _, _, density = pair_likelihoods(after, spread, seen, point, noise, unit, reading)
     likely = density[0] if len(density) > 0 else 0.0
     area = noise[0, 0, 0] * noise[0, 1, 1] - noise[0, 0, 1] * noise[0, 1, 0]
     least = math.exp(-MOST_SURPRISE) / (2.0 * math.pi * math.sqrt(area))
     fits = likely > least
     if fits:
-        after, spread = kalman_updates(after, spread, one, one, point, noise, delay)
+        after, spread = kalman_updates(after, spread, one, one, point, noise, reading)
     copy_gaussian(after, spread, 0, means, covariances, track)
     return math.log(likely + least), fits

@@ -17,6 +17,8 @@ Integers = NDArray[np.int64]
 KEPT_EVENTS = 32
 
 _NO_POINT, _NO_NOISE = np.empty((0, 2)), np.empty((0, 2, 2))
+# Of a camera that reads all rows at once.
+_NO_READING = np.zeros((1, 3))
 
 
 class ClaimedDetections(NamedTuple):
@@ -30,8 +32,8 @@ class ClaimedDetections(NamedTuple):
         Labels, and the detection that each claims or `UNDECIDED`.
     points, noises : arrays (m, 2), (m, 2, 2)
         Undistorted pixels of all detections, and their covariances.
-    delays : array (m,) or None
-        As in `stereophd.core.disparity.events.Event`.
+    readings : array (m, 3) or None
+        Those of `stereophd.core.disparity.events.Event`.
     """
 
     camera: int
@@ -40,7 +42,7 @@ class ClaimedDetections(NamedTuple):
     detections: Integers
     points: Array
     noises: Array
-    delays: Array | None
+    readings: Array | None
 
 
 class DeferredPairs(NamedTuple):
@@ -99,15 +101,15 @@ class History:
         ends = np.cumsum([len(one.labels) for one in kept])
         own = [kept[event] for event in np.searchsorted(ends, found, side="right").tolist()]
         rows = [(one, slice(k, k + 1)) for one, k in zip(own, detections[found].tolist(), strict=True)]
-        delayed = any(one.delays is not None for one in own)
+        rolling = any(one.readings is not None for one in own)
         return ClaimedRows(
             np.array([one.camera for one in own], dtype=np.int64),
             np.array([one.time_s for one in own], dtype=np.float64),
             labels[found],
             np.concatenate([_NO_POINT, *(one.points[row] for one, row in rows)]),
             np.concatenate([_NO_NOISE, *(one.noises[row] for one, row in rows)]),
-            np.concatenate([[0.0] if one.delays is None else one.delays[row] for one, row in rows])
-            if delayed
+            np.concatenate([_NO_READING if one.readings is None else one.readings[row] for one, row in rows])
+            if rolling
             else None,
         )
 
@@ -139,14 +141,14 @@ def _exchanged(sighting: ClaimedDetections, first: int, second: int) -> ClaimedD
 
 
 class ClaimedRows(NamedTuple):
-    """In order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), delays (n,) or None."""
+    """In order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), readings (n, 3) or None."""
 
     cameras: Integers
     times: Array
     labels: Integers
     points: Array
     noises: Array
-    delays: Array | None
+    readings: Array | None
 
     def backwards(self) -> ClaimedRows:
         """Return the rows in reverse order."""
@@ -156,5 +158,5 @@ class ClaimedRows(NamedTuple):
         """Return some of the rows."""
         return ClaimedRows(
             self.cameras[index], self.times[index], self.labels[index], self.points[index], self.noises[index],
-            None if self.delays is None else self.delays[index],
+            None if self.readings is None else self.readings[index],
         )  # fmt: skip

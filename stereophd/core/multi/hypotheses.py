@@ -7,6 +7,7 @@ computed, so that only those are made that the reduction keeps.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from stereophd.core.multi.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, allocate_mixture
 from stereophd.core.multi.outcomes import fill_missed
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, largest, picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -159,14 +160,17 @@ def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: 
     weights = outcomes.weights.copy()
     n_pairs = len(outcomes.made)
     n_components = len(weights) - n_pairs - len(outcomes.new_means)
-    order = picked(index, stable_order(-picked(weights, index)))
+    heaviest = largest(picked(weights, index), most)
     kept = np.zeros(len(weights), dtype=np.bool_)
-    for i in range(most):
-        kept[order[i]] = True
-    lightest = weights[order[most - 1]]
-    for i in range(most, len(order)):
-        if n_components <= order[i] < n_components + n_pairs:
-            weights[outcomes.owned[order[i] - n_components]] += weights[order[i]]
+    lightest = math.inf
+    for i in range(len(index)):
+        if heaviest[i]:
+            kept[index[i]] = True
+            lightest = min(lightest, weights[index[i]])
+    for i in range(len(index)):
+        k = index[i]
+        if not heaviest[i] and n_components <= k < n_components + n_pairs:
+            weights[outcomes.owned[k - n_components]] += weights[k]
     heads = np.full(n_groups, -1)
     for k in range(len(weights)):
         # with what it got, a missed hypothesis may be one of the heaviest
@@ -234,7 +238,7 @@ def make_hypotheses(
         cameras[i], times[i] = numbers.camera, numbers.time_s
     fill_missed(mixture, moved, chosen[:missed], numbers, out)
     means, covariances = kalman_updates(
-        moved.means, moved.covariances, owned, picked(outcomes.made, pairs), event.points, event.noises, event.delays
+        moved.means, moved.covariances, owned, picked(outcomes.made, pairs), event.points, event.noises, event.readings
     )
     for i in range(len(owned)):
         copy_gaussian(means, covariances, i, to_means, to_covariances, missed + i)

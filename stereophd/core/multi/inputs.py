@@ -16,12 +16,12 @@ Kind = TypeVar("Kind")
 
 
 class Detections(NamedTuple):
-    """Detections of an event: arrays (m, 2), (m, 2, 2), (m,), (m,) or None as in `EventArrays`."""
+    """Detections of an event: arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None as in `EventArrays`."""
 
     points: Array
     noises: Array
     areas: Array
-    delays: Array | None
+    readings: Array | None
 
 
 class NewbornPrior(NamedTuple):
@@ -48,7 +48,7 @@ class EventArrays(NamedTuple):
 
     Attributes
     ----------
-    points, noises, areas, delays : arrays (m, 2), (m, 2, 2), (m,), (m,) or None
+    points, noises, areas, readings : arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None
         As in `stereophd.core.disparity.events.Event`, where `noises` are its covariances.
     birth_means, birth_covariances : arrays (m, d), (m, d, d)
         Gaussian of the object born with each detection, in the event's space.
@@ -57,7 +57,7 @@ class EventArrays(NamedTuple):
     points: Array
     noises: Array
     areas: Array
-    delays: Array | None
+    readings: Array | None
     birth_means: Array
     birth_covariances: Array
 
@@ -93,11 +93,11 @@ class EventNumbers(NamedTuple):
 @compiled
 def with_newborns(detections: Detections, prior: NewbornPrior, size: int) -> EventArrays:
     """Return detections with the objects of `size` 6 or 3 that they may have given birth to."""
-    points, noises, areas, delays = detections
+    points, noises, areas, readings = detections
     means, covariances = initial_moments(
-        points, noises, prior.space, prior.mean, prior.std, prior.velocity_std, size, delays
+        points, noises, prior.space, prior.mean, prior.std, prior.velocity_std, size, readings
     )
-    return EventArrays(points, noises, areas, delays, means, covariances)
+    return EventArrays(points, noises, areas, readings, means, covariances)
 
 
 def compiled_settings(kind: type[Kind], settings: object) -> Kind:

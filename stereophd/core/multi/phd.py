@@ -44,7 +44,7 @@ class PhdFilter(DisparityFilter):
         settings = self.settings
         return PhdReduction(
             float(settings.prune_weight), float(settings.merge_distance), most_components(settings.max_components),
-            settings.merge_rule == "mutual",
+            settings.merge_rule == "mutual", settings.merge_moments == "label",
         )  # fmt: skip
 
     @property
@@ -55,7 +55,7 @@ class PhdFilter(DisparityFilter):
     @property
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
         """See `DisparityFilter`."""
-        return ((reduce_intensity, (empty_mixture(self.state_size), self.reduction)),)
+        return ((reduce_intensity, (empty_mixture(self.state_size), np.empty(0), self.reduction)),)
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event: eq. (5), then reduction."""
@@ -86,8 +86,8 @@ def _update(
 ) -> tuple[GaussianMixture, float, Integers, Claims | None, int]:
     """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
     event = with_newborns(detected, prior, mixture.means.shape[1])
-    updated, log_likelihood, by = update_intensity(mixture, moved, event, numbers, reduction.prune_weight)
+    updated, log_likelihood, by, shares = update_intensity(mixture, moved, event, numbers, reduction)
     labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
-    reduced, left_out = reduce_intensity(updated, reduction)
+    reduced, left_out = reduce_intensity(updated, shares, reduction)
     return reduced, log_likelihood, labels, claims, left_out

@@ -102,8 +102,9 @@ class PmbFilter(DisparityFilter):
         history = state.history
         if math.isfinite(self.settings.exchange_above):
             claimed = ClaimedDetections(
-                event.camera, event.time_s, labels, detections, event.points, event.covariances, event.delays
-            )
+                event.camera, event.time_s, labels, detections, event.points, event.covariances,
+                event.readings(self.rig.space(event.camera, event.time_s)),
+            )  # fmt: skip
             history = (history or History()).add(claimed)
             reduced, history = self.crosswise_test.put_right(
                 reduced, history, event.camera, event.time_s, state.n_events

@@ -115,8 +115,8 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
         else:
             # what is written lies before what is still to be read
             w, m, c, heaviest = merge_sorted(
-                weights[start:end], means[start:end], covariances[start:end], cameras[start:end], times[start:end],
-                distance, True,
+                weights[start:end], weights[start:end], means[start:end], covariances[start:end], cameras[start:end],
+                times[start:end], distance, True,
             )  # fmt: skip
             for i in range(len(w)):
                 weights[merged] = w[i]

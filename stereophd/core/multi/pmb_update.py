@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
-from stereophd.core.multi.association import kalman_updates, pair_likelihoods
+from stereophd.core.multi.association import pair_likelihoods, shared_kalman_updates
 from stereophd.core.multi.exact_association import association_marginals
 from stereophd.core.multi.hypotheses import Outcomes, group
 from stereophd.core.multi.inputs import EventArrays, EventNumbers
@@ -64,12 +64,12 @@ def associate_tracks(
         Log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
     """
     weights, labels = mixture.weights, mixture.labels
-    points, noises, areas, delays, _, _ = event
+    points, noises, areas, readings, _, _ = event
     p_detect, clutter, births, area = numbers.p_detect, numbers.clutter, numbers.births, numbers.area
     status, fraction = moved.status, moved.fraction
     count, n_detections = len(weights), len(points)
     components, detections, densities = pair_likelihoods(
-        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, delays, MOST_PAIRS
+        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, readings, MOST_PAIRS
     )
     detected = p_detect * fraction * weights
     joint = picked(detected, components) * densities
@@ -208,12 +208,12 @@ def _first_detections(
         return event.birth_means, event.birth_covariances
     chosen = chosen[:count]
     groups, owned = picked(detections, chosen), picked(components, chosen)
-    means, covariances = kalman_updates(
-        moved.means, moved.covariances, owned, groups, event.points, event.noises, event.delays
+    means, covariances, rows = shared_kalman_updates(
+        moved.means, moved.covariances, owned, groups, event.points, event.noises, event.readings
     )
     shares = picked(joint, chosen) / picked(first, groups)
     return mix_gaussians(
-        groups, shares, means, covariances, born, event.birth_means, event.birth_covariances
+        groups, shares, means, covariances, rows, born, event.birth_means, event.birth_covariances
     )  # fmt: skip
 
 
@@ -223,13 +223,15 @@ def mix_gaussians(
     weights: Array,
     means: Array,
     covariances: Array,
+    rows: Integers,
     base_weights: Array,
     base_means: Array,
     base_covariances: Array,
 ) -> tuple[Array, Array]:
     """Moment-match, group by group, Gaussians (p) with a base Gaussian (g) of weight >= 0.
 
-    Returns means (g, d) and covariances (g, d, d); a group without members keeps its base.
+    Gaussian p has the covariance of row ``rows[p]``. Returns means (g, d) and covariances (g, d, d); a group without
+    members keeps its base.
     """
     out_means = base_means.copy()
     out_covariances = base_covariances.copy()
@@ -262,7 +264,11 @@ def mix_gaussians(
         g = groups[p]
         part = weights[p] / totals[g]
         for a in range(size):
-            for b in range(size):
+            for b in range(a + 1):
                 spread = (means[p, a] - out_means[g, a]) * (means[p, b] - out_means[g, b])
-                out_covariances[g, a, b] += part * (covariances[p, a, b] + spread)
+                out_covariances[g, a, b] += part * (covariances[rows[p], a, b] + spread)
+    for g in range(len(base_weights)):
+        for a in range(size):
+            for b in range(a):
+                out_covariances[g, b, a] = out_covariances[g, a, b]
     return out_means, out_covariances

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from stereophd.core.multi.mixture import GaussianMixture, take_components
 from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
-from stereophd.core.numerics.sorting import picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -17,6 +17,7 @@ Integers = NDArray[np.int64]
 @compiled
 def merge_sorted(
     weights: Array,
+    shares: Array,
     means: Array,
     covariances: Array,
     cameras: Integers,
@@ -24,7 +25,7 @@ def merge_sorted(
     distance: float,
     mutual: bool,
 ) -> tuple[Array, Array, Array, Integers]:
-    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `mutual` as below.
+    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `shares`, `mutual` as below.
 
     Returns the merged weights, means and covariances, and the index of the heaviest part of each.
     """
@@ -71,15 +72,22 @@ def merge_sorted(
             if not mutual or (factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance):
                 members[found] = k
                 found += 1
-        total = 0.0
+        if found == 1:
+            # most are alone: the sums below, of one part
+            out_weights[merged], leaders[merged] = weights[leader], leader
+            copy_gaussian(means, covariances, leader, out_means, out_covariances, merged)
+            merged += 1
+            continue
+        total, whole = 0.0, 0.0
         for m in range(found):
             used[members[m]] = True
             total += weights[members[m]]
+            whole += shares[members[m]]
         mean = out_means[merged]
         for a in range(size):
             mean[a] = 0.0
         for m in range(found):
-            part = weights[members[m]] / total
+            part = shares[members[m]] / whole
             for a in range(size):
                 mean[a] += part * means[members[m], a]
         covariance = out_covariances[merged]
@@ -88,7 +96,7 @@ def merge_sorted(
                 covariance[a, b] = 0.0
         for m in range(found):
             k = members[m]
-            part = weights[k] / total
+            part = shares[k] / whole
             for a in range(size):
                 for b in range(size):
                     spread = (means[k, a] - mean[a]) * (means[k, b] - mean[b])
@@ -102,6 +110,7 @@ def merge_sorted(
 @compiled
 def reduce_mixture(
     mixture: GaussianMixture,
+    shares: Array,
     prune_weight: float,
     merge_distance: float,
     max_components: int,
@@ -113,6 +122,9 @@ def reduce_mixture(
     ----------
     mixture : GaussianMixture
         Components are compared only with those at home in the same camera at the same time.
+    shares : array (n,)
+        What each component counts for the mean and the covariance of a merged one; the weights for its moments as a
+        part of the intensity.
     prune_weight : float
         Components below this weight are dropped.
     merge_distance : float
@@ -134,11 +146,13 @@ def reduce_mixture(
         Number of components that `max_components` left out.
     """
     heavy = places(mixture.weights >= prune_weight)
-    found = take_components(mixture, picked(heavy, stable_order(-picked(mixture.weights, heavy))))
+    order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
+    found = take_components(mixture, order)
     if merge_distance > 0.0 and len(found.weights) > 1:
         weights, means, covariances, leaders = merge_sorted(
-            found.weights, found.means, found.covariances, found.cameras, found.times, merge_distance, mutual
-        )
+            found.weights, picked(shares, order), found.means, found.covariances, found.cameras, found.times,
+            merge_distance, mutual,
+        )  # fmt: skip
         found = GaussianMixture(
             weights, means, covariances, found.cameras[leaders], found.times[leaders], found.labels[leaders],
             found.tracks[leaders], found.reported[leaders],

@@ -84,6 +84,57 @@ def _precedes(one: float, other: float) -> bool:
 
 
 @compiled
+def largest(keys: Array, count: int) -> NDArray[np.bool_]:
+    """Return which keys (n,) are the `count` largest, the first of equal ones; NaN counts as the smallest.
+
+    The time is proportional to n: the largest ones are not brought in order (C. A. R. Hoare's "Find", 1961).
+    """
+    chosen = np.zeros(len(keys), dtype=np.bool_)
+    if count <= 0:
+        return chosen
+    values = np.empty(len(keys))
+    for i in range(len(keys)):
+        # only NaN differs from itself
+        values[i] = keys[i] if keys[i] == keys[i] else -np.inf
+    least = _nth_largest(values, count) if count < len(keys) else -np.inf
+    equal = count
+    for i in range(len(keys)):
+        chosen[i] = keys[i] > least
+        equal -= 1 if chosen[i] else 0
+    for i in range(len(keys)):
+        if equal > 0 and not chosen[i] and (keys[i] == least or least == -np.inf):
+            chosen[i] = True
+            equal -= 1
+    return chosen
+
+
+@compiled
+def _nth_largest(values: Array, nth: int) -> float:
+    """Return the nth largest of values (n,) without NaN, 1 <= nth <= n; their order changes."""
+    begin, end, place = 0, len(values) - 1, nth - 1
+    while begin < end:
+        one, two, three = values[begin], values[(begin + end) // 2], values[end]
+        pivot = max(min(one, two), min(max(one, two), three))
+        left, right = begin, end
+        while left <= right:
+            while values[left] > pivot:
+                left += 1
+            while values[right] < pivot:
+                right -= 1
+            if left <= right:
+                values[left], values[right] = values[right], values[left]
+                left += 1
+                right -= 1
+        if place <= right:
+            end = right
+        elif place >= left:
+            begin = left
+        else:
+            break
+    return float(values[place])
+
+
+@compiled
 def picked(values: NDArray[Any], index: Integers) -> NDArray[Any]:
     """Return the values (n,) with these indices (m,)."""
     out = np.empty(len(index), dtype=values.dtype)

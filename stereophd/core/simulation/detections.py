@@ -118,26 +118,31 @@ def _detect(
     frame, row = np.nonzero(detected & ~np.isnan(states[:, :, 0]))
     points = states[frame, row, :3]
     if camera.readout_s != 0.0:
-        points = points + _row_delays(camera, points, states[frame, row, 3:])[:, None] * states[frame, row, 3:]
-    pixels, in_view = _project_in_view(camera, points, times_s[frame])
+        velocities = states[frame, row, 3:]
+        delays = _row_delays(camera, points, velocities, times_s[frame])
+        pixels = camera.project_at(points + delays[:, None] * velocities, times_s[frame] + delays)
+        in_view = camera.contains(pixels)
+    else:
+        pixels, in_view = _project_in_view(camera, points, times_s[frame])
     pixels = pixels + noise[frame, row]
     # Noise over the edge of the image is no detection: the sensor ends there.
     kept = in_view & _inside_image(camera, pixels)
     return frame[kept], pixels[kept], window.object_id[row[kept]]
 
 
-def _row_delays(camera: Camera, points: FloatArray, velocities: FloatArray) -> FloatArray:
-    """Return when a rolling shutter reads moving points (n, 3), s after the time of the frame at which they are there.
+def _row_delays(camera: Camera, points: FloatArray, velocities: FloatArray, times_s: FloatArray) -> FloatArray:
+    """Return when a rolling shutter reads moving points (n, 3), s after the times (n,) of their frames.
 
-    The delay t solves t = readout v(x + t dx/dt) / height, v being the distorted row: iterated from the middle
-    row on, a contraction by the speed along the rows over that of the readout. During a readout objects move on
-    straight. NaN for a point that keeps pace with the readout: it may be seen many times, or never.
+    The points are where the objects are at the times of the frames. The delay t solves t = readout v(x + t dx/dt) /
+    height, v being the distorted row in the camera where it is t later: iterated from the middle row on, a contraction
+    by the speed along the rows over that of the readout. During a readout objects move on straight. NaN for a point
+    that keeps pace with the readout: it may be seen many times, or never.
     """
     outermost = np.array([-0.5, camera.height - 0.5])
     delays = np.full(len(points), camera.readout_s / 2.0)
     change = np.zeros(len(points))
     for _ in range(READOUT_ITERATIONS):
-        rows = camera.project(points + delays[:, None] * velocities)[:, 1]
+        rows = camera.project_at(points + delays[:, None] * velocities, times_s + delays)[:, 1]
         # outside the image (NaN: behind the camera) nothing is read: any time will do
         rows = np.clip(np.where(np.isnan(rows), camera.height / 2.0, rows), *outermost)
         found = camera.readout_s / camera.height * rows

@@ -60,9 +60,13 @@ class WholeRun:
         found = self.event(event)
         return self.cameras[found.camera].at(found.time_s)
 
-    def pixels(self, event: int, states: Array, delay_s: float) -> tuple[Array, Array]:
-        """Pixels (n, 2) of states (n, 6) at an event, read so much later, and their derivatives (n, 2, 6)."""
-        positions = states[:, :3] + delay_s * states[:, 3:]
+    def pixels(self, event: int, states: Array, detection: int | None = None) -> tuple[Array, Array]:
+        """Pixels (n, 2) of states (n, 6) when a detection of an event was made, and their derivatives (n, 2, 6).
+
+        Without a detection: when all of them were made on average. Pixels are those of `Event`.
+        """
+        delay_s, travelled = self._reading(event, detection)
+        positions = states[:, :3] + delay_s * states[:, 3:] - travelled
         points, jacobians = projective(self.camera(event).projection_matrix, positions)
         return points, np.concatenate([jacobians, delay_s * jacobians], axis=2)
 
@@ -70,12 +74,14 @@ class WholeRun:
         """Whether states (n, 6) are in view of an event's camera."""
         return np.asarray(self.camera(event).in_view(states[:, :3]), dtype=np.bool_)
 
-    def delay(self, event: int, detection: int | None = None) -> float:
-        """Time after the frame at which a detection was read, or all of them on average, s."""
-        delays = self.event(event).delays
-        if delays is None or not len(delays):
-            return 0.0
-        return float(delays.mean() if detection is None else delays[detection])
+    def _reading(self, event: int, detection: int | None) -> tuple[float, Array]:
+        """Time after the frame at which a detection was read, s, and how far its camera had travelled (3,)."""
+        found = self.event(event)
+        if found.delays is None or not len(found.delays):
+            return 0.0, np.zeros(3)
+        row = slice(None) if detection is None else slice(detection, detection + 1)
+        travelled = np.zeros(3) if found.travels is None else found.travels[row].mean(axis=0)
+        return float(found.delays[row].mean()), travelled
 
 
 @dataclass(frozen=True)
@@ -207,7 +213,7 @@ class Chain:
         if detection is None:
             return None
         found, state = self.run.event(event), self.trajectory.states[place]
-        points, jacobians = self.run.pixels(event, state[None], self.run.delay(event, detection))
+        points, jacobians = self.run.pixels(event, state[None], detection)
         if not (np.isfinite(points).all() and np.isfinite(jacobians).all()):
             return None
         return found.points[detection] - points[0] + jacobians[0] @ state, jacobians[0], found.covariances[detection]

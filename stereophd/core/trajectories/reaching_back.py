@@ -150,6 +150,8 @@ def _detections(camera: Camera, event: Event, state: Array, covariance: Array) -
         return 0.0, np.zeros(len(event.points))
     delays = np.zeros(len(event.points)) if event.delays is None else event.delays
     positions = state[:3] + delays[:, None] * state[3:]
+    if event.travels is not None:
+        positions = positions - event.travels
     points, jacobians = projective(camera.projection_matrix, positions)
     spread = jacobians @ covariance[:3, :3] @ np.swapaxes(jacobians, 1, 2) + event.covariances
     errors = event.points - points

@@ -200,7 +200,7 @@ def _assigned(run: WholeRun, event: int, states: Array, covariances: Array) -> l
     """Detection of each of some tracks (t, 6), (t, 6, 6) at an event, at the greatest total gain."""
     found = run.event(event)
     camera = run.cameras[found.camera]
-    in_view, (points, jacobians) = run.in_view(event, states), run.pixels(event, states, run.delay(event))
+    in_view, (points, jacobians) = run.in_view(event, states), run.pixels(event, states)
     spread = jacobians @ covariances @ np.swapaxes(jacobians, 1, 2)
     gains = np.full((len(states), len(found.points)), -np.inf)
     p_detect = camera.detector.p_detect

@@ -33,11 +33,14 @@ def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...]) -> PmbFilter:
 
 
 def phd_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], samples: int | None = None) -> PhdFilter:
-    """Return the PHD filter of a configuration, with `samples` pseudo-random samples (default: the configuration's)."""
+    """Return the PHD filter of a configuration, with `samples` pseudo-random samples (default: the configuration's).
+
+    For a PMB configuration it is the paper's filter, with the same births and survival.
+    """
     config: Config = loaded.config
     settings = _filter_section(loaded)
     if not isinstance(settings, PhdSettings):
-        settings = PhdSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
+        settings = PhdSettings(survival_per_s=settings.survival_per_s, birth=settings.birth, merge_moments="intensity")
     update: dict[str, object] = {"filter": settings}
     if samples is not None:
         update["moments"] = MomentsSettings(method="particle", samples=samples)

@@ -101,15 +101,10 @@ def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Came
     if camera.name not in section.priors:
         return
     place = f"{loaded.path}: calibration.priors.{camera.name}"
-    unknown = set()
     for quantity in quantities():
         for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True):
             if std > 0.0 and component not in quantity.available(camera):
                 raise InputError(f"{place}.{quantity.prior}: {_unavailable(quantity, component, camera)}")
-            if std > 0.0:
-                unknown.add(quantity.name)
-    if unknown & {"velocity", "rotation_rate"} and ("readout" in unknown or camera.readout_s != 0.0):
-        raise InputError(f"{place}: expected no readout of a camera that moves, found one and rates")
 
 
 def _unavailable(quantity: Quantity, component: str, camera: Camera) -> str:

@@ -37,6 +37,8 @@ SHIFT_DETECTIONS = 120
 SHIFTS_AT_ONCE = 40
 # Clocks that are tried, and pairs of cameras for each: each is a search through many offsets.
 MOST_CLOCKS, MOST_CLOCK_PAIRS = 12, 6
+# Frames with detections below which no clock offset or rate can be told.
+LEAST_CLOCK_FRAMES = 8
 # Detections and shifted times of the first trial of an alternative, and alternatives that get a second one.
 FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 100, 3, 6
 # The same where the check is part of another command and must be quick: fewer detections, coarser clock steps.
@@ -200,14 +202,26 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
     return Trial(scope, alternative.cause, alternative.text, alternative.remedy, views)
 
 
+def usable_clocks(geometry: Geometry) -> list[int]:
+    """Return the cameras whose clocks can be examined, those whose rays meet least first.
+
+    A camera needs a pair with another one, and some frames.
+    """
+    cameras = range(len(geometry.samples))
+    of_camera = [_pairs_with(geometry, c) for c in cameras]
+    usable = [c for c in cameras if of_camera[c] and len(geometry.samples[c].times) >= LEAST_CLOCK_FRAMES]
+    return sorted(usable, key=lambda c: float(np.mean([geometry.given[k].excess for k in of_camera[c]])))
+
+
+def _pairs_with(geometry: Geometry, camera: int) -> list[int]:
+    """Return the numbers of the pairs of one camera."""
+    return [k for k, pair in enumerate(geometry.pairs) if camera in (pair.a, pair.b)]
+
+
 def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> Iterator[Trial]:
     """Yield clock offsets and rates of single cameras; of many, those whose rays meet least."""
-    cameras = range(len(geometry.samples))
-    of_camera = [[k for k, pair in enumerate(geometry.pairs) if c in (pair.a, pair.b)] for c in cameras]
-    tried = [c for c in cameras if of_camera[c] and len(geometry.samples[c].times) >= 8]
-    tried.sort(key=lambda c: float(np.mean([geometry.given[k].excess for k in of_camera[c]])))
-    for c in sorted(tried[:MOST_CLOCKS]):
-        sample, concerned = geometry.samples[c], of_camera[c][:MOST_CLOCK_PAIRS]
+    for c in sorted(usable_clocks(geometry)[:MOST_CLOCKS]):
+        sample, concerned = geometry.samples[c], _pairs_with(geometry, c)[:MOST_CLOCK_PAIRS]
         shift = _best_shift(geometry, concerned, c, steps)
         if shift is not None:
             yield Trial(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from stereophd.pipeline.checks.explanations import MOST_CLOCKS, Explanation, best_explanation
+from stereophd.pipeline.checks.explanations import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry import LEAST_EXPECTED, MOST_CHANCE, SHARP, Geometry, pairs_of
 
@@ -21,7 +21,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     thorough : bool
         Whether clock offsets are tried even where nothing is suspicious.
     """
-    yield from left_out(len(geometry.samples))
+    yield from left_out(geometry)
     suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
     explanation = None
     if geometry.pairs and (suspicious or thorough):
@@ -58,10 +58,12 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
             yield Finding("geometry.rays", "ok", text, round(found.excess, 3), round(expected, 3))
 
 
-def left_out(cameras: int) -> Iterator[Finding]:
-    """Yield a finding where so many cameras are checked that pairs of them, or their clocks, are left out."""
+def left_out(geometry: Geometry) -> Iterator[Finding]:
+    """Yield a finding where so many cameras are checked that pairs of them, or usable clocks, are left out."""
+    cameras = len(geometry.samples)
     possible, examined = cameras * (cameras - 1) // 2, len(pairs_of(cameras))
-    clocks = max(cameras - MOST_CLOCKS, 0)
+    usable = len(usable_clocks(geometry))
+    clocks = max(usable - MOST_CLOCKS, 0)
     if possible == examined and clocks == 0:
         return
     parts = []
@@ -69,8 +71,8 @@ def left_out(cameras: int) -> Iterator[Finding]:
         parts.append(f"the rays of {possible - examined} of {possible} pairs of cameras are not compared")
     if clocks:
         parts.append(
-            f"where a clock offset or rate is looked for, {clocks} of {cameras} clocks are not tried, those of the "
-            "cameras whose rays meet most"
+            f"where a clock offset or rate is looked for, {clocks} of {usable} clocks that could be are not "
+            "tried, those of the cameras whose rays meet most"
         )
     remedy = "to check the others, run `check` on a configuration and log of fewer cameras"
     yield Finding(

@@ -88,7 +88,7 @@ class _Watched:
         prediction = self._filter.predict(state, event)
         sighting = observe(
             sums[event.camera], prediction, event, self.rig.cameras[event.camera].at(event.time_s),
-            prediction.births, settled.labels(), not event.own_noise,
+            self.rig.space(event.camera, event.time_s), prediction.births, settled.labels(), not event.own_noise,
         )  # fmt: skip
         state, info = self._filter.update(state, prediction, event)
         state, estimates = self._filter.extract(state)

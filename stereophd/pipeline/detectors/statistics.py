@@ -138,6 +138,7 @@ def observe(
     prediction: Prediction,
     event: Event,
     camera: Camera,
+    space: Array,
     births_per_frame: float,
     settled: Integers,
     with_noise: bool = True,
@@ -153,6 +154,8 @@ def observe(
     event : Event
     camera : Camera
         At the time of the event, with the present detector.
+    space : array (30,)
+        Its packed disparity space.
     births_per_frame : float
     settled : array of int
         Labels of tracks that are confirmed and were seen by at least two cameras.
@@ -162,9 +165,10 @@ def observe(
     chosen, existence = _decided(prediction, settled)
     moved = prediction.moved
     means, covariances = moved.means[chosen], moved.covariances[chosen]
+    readings = event.readings(space)
     owners, targets, densities = pair_likelihoods(
         means, covariances, np.ones(len(chosen), dtype=np.bool_), event.points, event.covariances, event.areas,
-        event.delays,
+        readings,
     )  # fmt: skip
     detector = camera.detector
     expected = detector.p_detect * existence
@@ -174,7 +178,10 @@ def observe(
     share, untouched, _, _ = association_marginals(owners, targets, odds, len(chosen), len(event.points))
     labels = prediction.mixture.labels[chosen]
     if with_noise and len(owners):
-        _add_residuals(sums, means[owners], covariances[owners], event, targets, share, camera, labels[owners])
+        read = None if readings is None else readings[targets]
+        _add_residuals(
+            sums, means[owners], covariances[owners], event.points[targets], read, share, camera, labels[owners]
+        )
     return Sighting(labels, 1.0 - untouched, untouched * existence * (1.0 - detector.p_detect) / missed)
 
 
@@ -193,20 +200,21 @@ def _add_residuals(
     sums: DetectorSums,
     means: Array,
     covariances: Array,
-    event: Event,
-    targets: Integers,
+    points: Array,
+    readings: Array | None,
     share: Array,
     camera: Camera,
     labels: Integers,
 ) -> None:
-    """Add pairs of components (p, d) and detections, of these probabilities, in distorted pixels."""
-    observation = np.zeros((len(targets), 2, means.shape[1]))
+    """Add pairs of components (p, d) and detections (p, 2), of these probabilities, in distorted pixels."""
+    observation = np.zeros((len(points), 2, means.shape[1]))
     observation[:, 0, 0] = observation[:, 1, 1] = 1.0
-    if event.delays is not None and means.shape[1] == 6:
-        observation[:, 0, 3] = observation[:, 1, 4] = event.delays[targets]
+    if readings is not None:
+        observation[:, :, 2] = readings[:, 1:]
+        if means.shape[1] == 6:
+            observation[:, 0, 3] = observation[:, 1, 4] = readings[:, 0]
     predicted = np.einsum("pij,pj->pi", observation, means)
     spread = observation @ covariances @ np.swapaxes(observation, 1, 2)
-    points = event.points[targets]
     to_image = camera.distort_pixels(points)[1]
     residuals = np.einsum("pij,pj->pi", to_image, points - predicted)
     spread = to_image @ spread @ np.swapaxes(to_image, 1, 2)

@@ -71,6 +71,7 @@ def build_report(
             **result,
             "scans": scored.scans,
             "window": {"from_s": options.from_s, "to_s": options.to_s, "at": options.at},
+            "match_distance": options.cutoff if options.match_distance is None else options.match_distance,
             "max_gap_s": max_gap_s,
             "seen_by": visible,
             "tentative": options.tentative,

@@ -17,6 +17,9 @@ PAPER_CUTOFF, PAPER_UNIT = 20.0, "cm"
 # Share of the scans, and of the truth's period, that the two must have in common.
 LEAST_IN_COMMON = 0.5
 
+# Share of the matches that may be beside another object before a warning says so: newborn tracks have large errors.
+MOST_BESIDE = 0.01
+
 LOGGER = logging.getLogger("stereophd")
 
 
@@ -75,4 +78,25 @@ def warn_of_another_scene(inputs: Mapping[str, Path], tracks: Tracks, truth: Tru
         LOGGER.warning(
             "%s: %d of %d scans lie outside the times of %s (%g to %g s): do both belong to the same recording?",
             inputs["tracks"], outside, outside + scans["scored"], inputs["truth"], start, end,
+        )  # fmt: skip
+
+
+def warn_of_wrong_matches(tracks_path: Path, beside: int, matched: int, distance: float) -> None:
+    """Warn where matches were kept although their tracks follow other objects.
+
+    Parameters
+    ----------
+    tracks_path : Path
+        For the message.
+    beside, matched : int
+        Number of matches of objects with tracks that follow other objects, and of all.
+    distance : float
+        Distance below which tracks and objects may be matched.
+    """
+    if beside > MOST_BESIDE * matched:
+        LOGGER.warning(
+            "%s: in %d of %d matches the track follows another object, which is more than four times nearer. A match "
+            "is kept while its distance is below %g. RMSE, NEES and figures of identity count these matches: state "
+            "`match_distance` below the distance between objects",
+            tracks_path, beside, matched, distance,
         )  # fmt: skip

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.metrics.assignment import IntArray, is_positive_definite
-from stereophd.core.metrics.clear_mot import follow
+from stereophd.core.metrics.clear_mot import beside_another, match_within
 from stereophd.core.metrics.confirmation_delay import FirstReports, first_reports, waits
-from stereophd.core.metrics.near_pairs import near_pairs
+from stereophd.core.metrics.near_pairs import NearPairs, near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa
 from stereophd.core.metrics.truth_interpolation import (
@@ -28,6 +28,7 @@ from stereophd.pipeline.evaluation.inputs import Tracks
 from stereophd.pipeline.evaluation.options import Options
 from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
 from stereophd.pipeline.evaluation.report import Scored
+from stereophd.pipeline.evaluation.scale import warn_of_wrong_matches
 
 
 def score_tracks(
@@ -89,18 +90,28 @@ def score_tracks(
     if len(time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
     scores = score_scans(estimates, points, options.order, options.cutoff, mahalanobis=mahalanobis)
-    near = near_pairs(estimates, points, options.cutoff, mahalanobis=mahalanobis)
-    scores = follow(estimates, points, scores, near, options.order)
+    distance = options.cutoff if options.match_distance is None else options.match_distance
+    scores, matchable = match_within(
+        estimates, points, scores, options.order, options.cutoff, distance, mahalanobis=mahalanobis
+    )
+    beside = beside_another(estimates, points, scores, matchable)
+    warn_of_wrong_matches(tracks_path, beside, len(scores.pair_scan), distance)
+    near = matchable if distance == options.cutoff else _near(estimates, points, options)
     ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
     waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
     return Scored(
-        figures=figures(estimates, points, scores, near, ospa2, errors, waited),
+        figures=figures(estimates, points, scores, near, matchable, ospa2, errors, waited),
         scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
         columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,
         registration=found,
     )
+
+
+def _near(estimates: PointSets, truth: PointSets, options: Options) -> NearPairs:
+    """Return all pairs nearer than the cutoff."""
+    return near_pairs(estimates, truth, options.cutoff, mahalanobis=options.base == "mahalanobis")
 
 
 def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> PointSets:

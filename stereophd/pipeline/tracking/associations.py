@@ -6,7 +6,7 @@ then, and are forgotten with the label.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,6 +116,35 @@ class Associations:
         alive = set(labels.tolist())
         self._known = {label: track for label, track in self._known.items() if label in alive}
         self._pending = {label: found for label, found in self._pending.items() if label in alive}
+
+
+def at_most_one(sure: Sequence[Associated], further: Sequence[Associated]) -> list[Associated]:
+    """Return further rows of an event, reduced so that all rows of a detection add up to at most 1.
+
+    Parameters
+    ----------
+    sure : sequence of Associated
+        Rows of the event that stay as they are.
+    further : sequence of Associated
+        Of each detection these share what the others leave; the negligible ones are left out.
+    """
+    taken, wanted = _totals(sure), _totals(further)
+    out = []
+    for one in further:
+        keys = [tuple(pixel) for pixel in one.pixels.tolist()]
+        room = np.array([max(1.0 - taken.get(key, 0.0), 0.0) / max(wanted[key], LEAST_PROBABILITY) for key in keys])
+        reduced = replace(one, probabilities=one.probabilities * np.minimum(room, 1.0))
+        out.append(reduced.take(reduced.probabilities >= LEAST_PROBABILITY))
+    return [one for one in out if len(one.track_ids)]
+
+
+def _totals(rows: Sequence[Associated]) -> dict[tuple[float, ...], float]:
+    """Return the sum of the probabilities of each detection."""
+    totals: dict[tuple[float, ...], float] = {}
+    for one in rows:
+        for pixel, probability in zip(one.pixels.tolist(), one.probabilities.tolist(), strict=True):
+            totals[tuple(pixel)] = totals.get(tuple(pixel), 0.0) + probability
+    return totals
 
 
 def _joined(claims: Claims) -> tuple[Integers, Integers, Array]:

@@ -36,11 +36,9 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
         Detections as in the log.
     """
     delays = camera.row_delays(pixels[:, 1])
-    positions = states[:, :3] if delays is None else states[:, :3] + delays[:, None] * states[:, 3:]
-    if camera.pose.is_static:
-        return np.asarray(pixels - camera.project(positions))
-    projected = [camera.at(t).project(x[None])[0] for t, x in zip(times.tolist(), positions, strict=True)]
-    return np.asarray(pixels - np.reshape(projected, (-1, 2)))
+    if delays is None:
+        return np.asarray(pixels - camera.project_at(states[:, :3], times))
+    return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
 
 
 @dataclass

@@ -41,7 +41,7 @@ LOGGER = logging.getLogger("stereophd")
 class ReportTimes:
     """When estimates are reported: after every event, or as the camera or grid that is set requires.
 
-    With `max_position_std`, also how certain they must be.
+    With `max_position_std`, also how certain they must be for their associations to be reported.
 
     Attributes
     ----------
@@ -50,20 +50,25 @@ class ReportTimes:
     grid_s : float, optional
         At the multiples of this interval, s, from the first event to the last.
     max_position_std : float, optional
-        Associations are those of tracks whose position was at least once as certain as this.
+        Associations are those of tracks whose position was at least once as certain as this when they were reported.
+    whole_run : bool
+        Associations are those of all confirmed tracks: what is written of them is decided once the run is known.
     """
 
     camera: str | None = None
     grid_s: float | None = None
     max_position_std: float | None = None
+    whole_run: bool = False
 
     def after(self, camera: str) -> bool:
         """Whether estimates are reported after an event of this camera."""
         return self.grid_s is None and self.camera in (None, camera)
 
     def certain(self, estimates: Estimates) -> Estimates:
-        """Return the estimates that are certain enough."""
-        return estimates if self.max_position_std is None else estimates.certain(self.max_position_std)
+        """Return the estimates that are certain enough for their associations to be reported."""
+        if self.whole_run or self.max_position_std is None:
+            return estimates
+        return estimates.certain(self.max_position_std)
 
 
 @dataclass(frozen=True)
@@ -238,7 +243,7 @@ def run_estimator(
         attributed = run.attribution.update(name, info.detected, estimates)
         estimates = _supported(estimates, run, len(names))
         associations = run.associations.update(event, name, info.claims)
-        if times.after(name):
+        if times.whole_run or times.after(name):
             associations += tuple(run.associations.report(times.certain(estimates)))
         run.last = record = Record(
             event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,

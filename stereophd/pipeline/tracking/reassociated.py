@@ -1,4 +1,9 @@
-"""Smoothed tracks of a run that choose their detections anew (`stereophd.core.trajectories.reassociation`)."""
+"""Smoothed tracks of a run that choose their detections anew (`stereophd.core.trajectories.reassociation`).
+
+What they choose is a decision: the likelihood of the whole log made it, and no probability is left to state. Its
+association has probability 1, and the claims that others have to that detection are dropped, as are all claims of a
+track at an event at which its detection changed. All other claims stay those of the filter.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.reaching_back import Extended
@@ -40,9 +46,10 @@ def choose_again(
     events = [record.event for record in whole]
     found = reassociate([one.trajectory for one in extended], own, events, cameras, motion)
     gone = {(track.trajectory.track_id, event) for track in found for event in track.changed}
+    given = _given(found, events)
     records, tracks = list(whole), []
     for number, record in enumerate(records):
-        left = _without(record.associations, gone, numbers)
+        left = _without(record.associations, gone, given, numbers)
         records[number] = replace(record, associations=left, attributed={})
     for before, detections, track in zip(extended, own, found, strict=True):
         kept = [k for k, event in enumerate(before.detected) if event not in track.changed]
@@ -81,14 +88,32 @@ def _detections(
     return out
 
 
+def _given(found: Sequence[Reassociated], events: Sequence[Event | None]) -> set[tuple[int, tuple[float, ...]]]:
+    """Detections (event, pixel) that a track has now and had not before."""
+    given = set()
+    for track in found:
+        for number, (_, after) in track.changed.items():
+            event = events[number]
+            if after is not None and event is not None and event.pixels is not None:
+                given.add((number, tuple(event.pixels[after].tolist())))
+    return given
+
+
 def _without(
-    associations: tuple[Associated, ...], gone: set[tuple[int, int]], numbers: dict[tuple[float, str, int], int]
+    associations: tuple[Associated, ...],
+    gone: set[tuple[int, int]],
+    given: set[tuple[int, tuple[float, ...]]],
+    numbers: dict[tuple[float, str, int], int],
 ) -> tuple[Associated, ...]:
-    """Associations without those of tracks at events (pairs) that changed."""
+    """Associations without those of tracks at events (pairs) that changed, and without those of detections `given`."""
     out = []
     for one in associations:
         number = numbers[one.time_s, one.camera, one.frame]
-        kept = np.array([(track_id, number) not in gone for track_id in one.track_ids.tolist()], dtype=np.bool_)
+        pairs = zip(one.track_ids.tolist(), one.pixels.tolist(), strict=True)
+        kept = np.array(
+            [(track_id, number) not in gone and (number, tuple(pixel)) not in given for track_id, pixel in pairs],
+            dtype=np.bool_,
+        )
         out.append(one if kept.all() else one.take(kept))
     return tuple(one for one in out if len(one.track_ids))
 

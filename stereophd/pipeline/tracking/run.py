@@ -88,7 +88,9 @@ def reported_records(
     else:
         records = journaled_records(estimator, events, times, keep_events, journal)
     if smooth is not None:
-        records = smoothed_records(records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate)
+        records = smoothed_records(
+            records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate, report.max_position_std
+        )
     return lasting(records, report.min_track_length) if report.min_track_length > 0.0 else records
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
-from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
+from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated, at_most_one
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.reassociated import choose_again
 
@@ -26,14 +26,20 @@ SEEN_EXISTENCE = 0.5
 
 
 def smoothed_records(
-    records: Iterable[Record], cameras: Sequence[Camera], motion: Motion, max_gap_s: float, reassociate: bool = False
+    records: Iterable[Record],
+    cameras: Sequence[Camera],
+    motion: Motion,
+    max_gap_s: float,
+    reassociate: bool = False,
+    max_position_std: float | None = None,
 ) -> Iterator[Record]:
     """Yield the records of a whole run with smoothed estimates in place of the filtered ones.
 
     Every track reaches back to its first detection (beyond the filter's, if records carry their events), ends
     where it was last more probable than not, and is stitched to the track that it continues, if any. Predictions
     to the times of a grid are smoothed as events are that measure nothing: the state between two events given
-    both, by the motion model. With `reassociate` the smoothed tracks choose their detections anew.
+    both, by the motion model. With `reassociate` the smoothed tracks choose their detections anew. Associations are
+    those of tracks that are reported at least once, with `max_position_std` as certain as this.
     """
     whole = list(records)
     times = np.array([record.time_s for record in whole])
@@ -62,37 +68,53 @@ def smoothed_records(
         for number in one.detected:
             track_id = name(one.trajectory.track_id)
             detections[number].setdefault(track_id, Counter())[whole[number].camera] += 1
-    associations = _continued_associations(whole, extended, name)
+    reported = np.array([record.reported for record in whole])
+    written = {name(one.track_id) for one in trajectories if _is_written(one, reported, max_position_std)}
+    associations = _continued_associations(whole, extended, name, written)
     for record, found, attributed, sightings in zip(whole, rows, detections, associations, strict=True):
         found.sort(key=lambda row: row[0])
         yield replace(record, estimates=_estimates(found), attributed=attributed, associations=sightings)
 
 
-def _continued_associations(
-    whole: Sequence[Record], extended: Sequence[Extended], name: Callable[[int], int]
-) -> list[tuple[Associated, ...]]:
-    """Associations of every record, under the names of the stitched tracks, each with its own event.
+def _is_written(trajectory: Trajectory, reported: NDArray[np.bool_], max_position_std: float | None) -> bool:
+    """Whether any estimate of a track is reported, with `max_position_std` one as certain as this."""
+    shown = reported[trajectory.events]
+    if max_position_std is not None:
+        shown = shown & (np.trace(trajectory.covariances[:, :3, :3], axis1=1, axis2=2) <= max_position_std**2)
+    return bool(shown.any())
 
-    With them the detections to which smoothed tracks reach back.
+
+def _continued_associations(
+    whole: Sequence[Record], extended: Sequence[Extended], name: Callable[[int], int], written: Set[int]
+) -> list[tuple[Associated, ...]]:
+    """Associations of every record, under the names of the stitched tracks (those `written`), each with its own event.
+
+    With them the detections to which smoothed tracks reach back, with what the filter's claims to these leave.
     """
     numbers = {(one.time_s, one.camera, one.frame): number for number, one in enumerate(whole) if one.is_event}
-    out: list[list[Associated]] = [[] for _ in whole]
+    claimed: list[list[Associated]] = [[] for _ in whole]
+    reached: list[list[Associated]] = [[] for _ in whole]
     for record in whole:
         for one in record.associations:
             names = np.array([name(track_id) for track_id in one.track_ids.tolist()])
-            out[numbers[one.time_s, one.camera, one.frame]].append(replace(one, track_ids=names))
+            kept = np.array([track_id in written for track_id in names.tolist()], dtype=np.bool_)
+            if kept.any():
+                found = replace(one, track_ids=names)
+                claimed[numbers[one.time_s, one.camera, one.frame]].append(found if kept.all() else found.take(kept))
     for track in extended:
         track_id = name(track.trajectory.track_id)
+        if track_id not in written:
+            continue
         for number, shares in zip(track.detected, track.shares, strict=True):
             event, record = whole[number].event, whole[number]
             if event is None or event.pixels is None:
                 continue
-            kept = np.flatnonzero(shares >= LEAST_PROBABILITY)
-            ids = np.full(len(kept), track_id)
-            out[number].append(
-                Associated(record.time_s, record.camera, record.frame, event.pixels[kept], ids, shares[kept])
+            rows = np.flatnonzero(shares >= LEAST_PROBABILITY)
+            ids = np.full(len(rows), track_id)
+            reached[number].append(
+                Associated(record.time_s, record.camera, record.frame, event.pixels[rows], ids, shares[rows])
             )
-    return [tuple(sightings) for sightings in out]
+    return [(*sure, *at_most_one(sure, further)) for sure, further in zip(claimed, reached, strict=True)]
 
 
 def _reach_back(

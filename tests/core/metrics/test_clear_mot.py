@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from stereophd.core.metrics.clear_mot import follow
+from stereophd.core.metrics.clear_mot import beside_another, follow, match_within
 from stereophd.core.metrics.hota import THRESHOLDS, hota
 from stereophd.core.metrics.identity import identity_switches
 from stereophd.core.metrics.idf1 import identity_score
@@ -98,6 +98,24 @@ def test_perfect_tracks_nearer_than_their_errors_never_switch():
     assert (scores.n_matched == 2).all()
     assert (estimates.label[scores.pair_estimate] == truth.label[scores.pair_truth] + 7).all()
     assert (scores.ospa == optimal.ospa).all()
+    assert beside_another(estimates, truth, scores, near_pairs(estimates, truth, 20.0)) == 0
+
+
+def test_a_match_that_is_wrong_from_the_first_scan_on_is_kept_within_the_distance_only():
+    """At the first scan track 8 lies beside object 0, and object 1 has no track; then both tracks are right."""
+    places = np.array([[0.0, 0, 0], [10.0, 0, 0]])
+    truth = point_sets([[(0, places[0]), (1, places[1])] for _ in range(50)])
+    later = [(7, places[0] + 0.1), (8, places[1] + 0.1)]
+    estimates = point_sets([[(8, np.array([3.0, 0, 0]))], *([later] * 49)])
+    optimal = score_scans(estimates, truth, 2.0, 20.0)
+    wide, pairs = match_within(estimates, truth, optimal, 2.0, 20.0, 20.0)
+    assert wide.pair_estimate.tolist() == followed(estimates, truth, 2.0, 20.0).pair_estimate.tolist()
+    assert beside_another(estimates, truth, wide, pairs) == 99
+    narrow, pairs = match_within(estimates, truth, optimal, 2.0, 20.0, 5.0)
+    assert beside_another(estimates, truth, narrow, pairs) == 0
+    assert narrow.n_matched.tolist() == [1] + [2] * 49
+    assert (narrow.ospa == optimal.ospa).all()
+    assert switches(estimates, truth, narrow) == 1
 
 
 def test_a_track_beyond_the_cutoff_is_let_go_and_may_be_taken_up_again():

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from stereophd.core.disparity.events import make_event
-from stereophd.core.multi.association import REACH_SIGMAS, kalman_updates, pair_likelihoods
+from stereophd.core.multi.association import REACH_SIGMAS, kalman_updates, pair_likelihoods, shared_kalman_updates
 from tests.core.disparity.cases import LENSES, make_camera, random_covariance
 
 
@@ -24,8 +24,12 @@ def pairs_of(rng: np.random.Generator, size: int, components: int = 20, count: i
 
 @pytest.mark.parametrize("size", [3, 6])
 @pytest.mark.parametrize("seed", range(4))
-def test_pair_likelihoods(size: int, seed: int) -> None:
+@pytest.mark.parametrize("noise", ["own", "some common", "common"])
+def test_pair_likelihoods(size: int, seed: int, noise: str) -> None:
     means, covariances, seen, points, noises, areas = pairs_of(np.random.default_rng(seed), size)
+    if noise != "own":
+        noises[:: 1 if noise == "common" else 3] = noises[0]
+        noises[1 :: 1 if noise == "common" else 3] = noises[0]
     components, detections, densities = pair_likelihoods(means, covariances, seen, points, noises, areas)
     found = np.zeros((len(means), len(points)))
     found[components, detections] = densities
@@ -80,6 +84,23 @@ def test_kalman_updates(size: int) -> None:
         np.testing.assert_allclose(found_covariances[i], expected, rtol=1e-9, atol=1e-10)
         assert np.array_equal(found_covariances[i], found_covariances[i].T)
         np.linalg.cholesky(found_covariances[i])
+
+
+@pytest.mark.parametrize("read", [False, True])
+@pytest.mark.parametrize("size", [3, 6])
+def test_shared_kalman_updates(size: int, read: bool) -> None:
+    """The same bits as without sharing; one covariance for pairs that follow one another and have equal ones."""
+    rng = np.random.default_rng(6)
+    means, covariances, _, points, noises, _ = pairs_of(rng, size)
+    noises[10:20] = noises[10]
+    components, detections = np.repeat(np.arange(20), 30), np.tile(np.arange(30), 20)
+    readings = rng.uniform(0.0, 0.03, (30, 3)) if read else None
+    arguments = means, covariances, components, detections, points, noises, readings
+    expected_means, expected = kalman_updates(*arguments)
+    found_means, found, rows = shared_kalman_updates(*arguments)
+    np.testing.assert_array_equal(found_means, expected_means)
+    np.testing.assert_array_equal(found[rows], expected)
+    assert len(found) == 20 * (30 if read else 21)
 
 
 @pytest.mark.parametrize("components", [0, 3])

@@ -320,7 +320,7 @@ def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> No
     assert state.history is not None
     assert found.history.deferred.due.tolist() == state.history.deferred.due.tolist()
     for one, other in zip(found.history.sightings, state.history.sightings, strict=True):
-        assert (one.camera, one.time_s, one.delays) == (other.camera, other.time_s, other.delays)
+        assert (one.camera, one.time_s, one.readings) == (other.camera, other.time_s, other.readings)
         np.testing.assert_array_equal(one.points, other.points)
         np.testing.assert_array_equal(one.labels, other.labels)
         np.testing.assert_array_equal(one.detections, other.detections)

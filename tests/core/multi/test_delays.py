@@ -1,4 +1,7 @@
-"""Rolling shutter: detections after the time of their frame, in the likelihoods, the updates and the births."""
+"""Rolling shutter: detections after the time of their frame, in the likelihoods, the updates and the births.
+
+A reading is the delay of a detection and, where the camera moves meanwhile, the change of its pixel with the disparity.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +20,30 @@ from tests.core.disparity.cases import LENSES, make_camera, make_space
 from tests.core.multi.test_association import pairs_of
 
 
-def delayed_observation(delay: float) -> np.ndarray:
+def observation(reading: np.ndarray, size: int = 6) -> np.ndarray:
     matrix = np.zeros((2, 6))
-    matrix[:, :2], matrix[:, 3:5] = np.eye(2), delay * np.eye(2)
-    return matrix
+    matrix[:, :2], matrix[:, 2], matrix[:, 3:5] = np.eye(2), reading[1:], reading[0] * np.eye(2)
+    return matrix[:, :size]
 
 
+def random_readings(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Delays of either sign and changes of tens of pixels: components end up far from where they were."""
+    return np.column_stack([rng.uniform(-0.3, 0.7, count), rng.uniform(-3.0, 3.0, (count, 2))])
+
+
+@pytest.mark.parametrize("size", [3, 6])
 @pytest.mark.parametrize("seed", range(4))
-def test_pair_likelihoods(seed: int) -> None:
+def test_pair_likelihoods(seed: int, size: int) -> None:
     rng = np.random.default_rng(seed)
-    means, covariances, seen, points, noises, areas = pairs_of(rng, 6)
+    means, covariances, seen, points, noises, areas = pairs_of(rng, size)
     means[:, 3:] -= 50.0
-    # delays of either sign: components and detections end up far from where they were
-    delays = rng.uniform(-0.3, 0.7, len(points))
-    components, detections, densities = pair_likelihoods(means, covariances, seen, points, noises, areas, delays)
+    readings = random_readings(rng, len(points))
+    components, detections, densities = pair_likelihoods(means, covariances, seen, points, noises, areas, readings)
     found = np.zeros((len(means), len(points)))
     found[components, detections] = densities
     for k in range(len(means)):
         for j in range(len(points)):
-            h = delayed_observation(delays[j])
+            h = observation(readings[j], size)
             covariance = h @ covariances[k] @ h.T + noises[j]
             difference = points[j] - h @ means[k]
             squared = difference @ np.linalg.solve(covariance, difference)
@@ -48,16 +56,19 @@ def test_pair_likelihoods(seed: int) -> None:
     assert np.count_nonzero(found) > 20
 
 
-def test_kalman_updates() -> None:
+@pytest.mark.parametrize("size", [3, 6])
+def test_kalman_updates(size: int) -> None:
     rng = np.random.default_rng(5)
-    means, covariances, _, points, noises, _ = pairs_of(rng, 6)
-    delays = rng.uniform(-0.3, 0.7, len(points))
+    means, covariances, _, points, noises, _ = pairs_of(rng, size)
+    readings = random_readings(rng, len(points))
     components, detections = rng.integers(0, 20, 50), rng.integers(0, 30, 50)
-    found_means, found_covariances = kalman_updates(means, covariances, components, detections, points, noises, delays)
+    found_means, found_covariances = kalman_updates(
+        means, covariances, components, detections, points, noises, readings
+    )
     for i, (k, j) in enumerate(zip(components, detections, strict=True)):
-        h = delayed_observation(delays[j])
+        h = observation(readings[j], size)
         gain = covariances[k] @ h.T @ np.linalg.inv(h @ covariances[k] @ h.T + noises[j])
-        joseph = np.eye(6) - gain @ h
+        joseph = np.eye(size) - gain @ h
         expected = joseph @ covariances[k] @ joseph.T + gain @ noises[j] @ gain.T
         np.testing.assert_allclose(found_means[i], means[k] + gain @ (points[j] - h @ means[k]), rtol=1e-9)
         np.testing.assert_allclose(found_covariances[i], expected, rtol=1e-8, atol=1e-9)
@@ -69,14 +80,15 @@ def test_no_delay_is_no_delay_to_the_last_bit(size: int) -> None:
     arrays = pairs_of(rng, size)
     without = pair_likelihoods(*arrays)
     # static objects have not moved, whatever the delay
-    delays = np.zeros(30) if size == 6 else rng.uniform(0.0, 0.1, 30)
-    for a, b in zip(without, pair_likelihoods(*arrays, delays), strict=True):
+    readings = np.zeros((30, 3))
+    readings[:, 0] = 0.0 if size == 6 else rng.uniform(0.0, 0.1, 30)
+    for a, b in zip(without, pair_likelihoods(*arrays, readings), strict=True):
         np.testing.assert_array_equal(a, b)
     means, covariances, _, points, noises, _ = arrays
     pairs = rng.integers(0, 20, 50), rng.integers(0, 30, 50)
     for a, b in zip(
         kalman_updates(means, covariances, *pairs, points, noises),
-        kalman_updates(means, covariances, *pairs, points, noises, delays),
+        kalman_updates(means, covariances, *pairs, points, noises, readings),
         strict=True,
     ):
         np.testing.assert_array_equal(a, b)
@@ -110,5 +122,5 @@ def test_births_are_taken_back_to_the_time_of_the_frame() -> None:
         back[:3, 3:] = -event.delays[k] * np.eye(3)
         np.testing.assert_allclose(found_covariances[k], back @ covariances[k] @ back.T, rtol=1e-12, atol=1e-12)
         # seen again at its own delay it is where it was detected
-        h = delayed_observation(event.delays[k])
+        h = observation(np.array([event.delays[k], 0.0, 0.0]))
         np.testing.assert_allclose(h @ found_covariances[k] @ h.T, event.covariances[k], rtol=1e-9, atol=1e-9)

@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.multi import belief
-from stereophd.core.multi.exact_association import MOST_COST, MOST_COST_A_PAIR, WEAK_LINKS, association_marginals
+from stereophd.core.multi.exact_association import (
+    MOST_COST,
+    MOST_COST_A_PAIR,
+    MOST_WIDTH,
+    WEAK_LINKS,
+    association_marginals,
+)
 from stereophd.core.multi.frontier import eliminate, make_plan, make_table
 from tests.core.multi.associations import Marginals, enumerate_associations, worst
 
@@ -128,6 +134,35 @@ def test_a_cluster_too_large_is_propagated() -> None:
     assert make_plan(table, 12).cost > max(MOST_COST, MOST_COST_A_PAIR * len(values))
     found = association_marginals(tracks, detections, values, 30, 30)
     expected = belief.propagate_beliefs(tracks, detections, values, 30, 30)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@settings(max_examples=60)
+@given(seed=seeds, n_tracks=st.integers(2, 60), n_detections=st.integers(2, 60), width=st.integers(1, 4))
+def test_what_counts_as_too_dense_has_no_plan(seed: int, n_tracks: int, n_detections: int, width: int) -> None:
+    """The bound on the pairs of a node leaves no affordable cluster out, here for narrower frontiers.
+
+    Columns are near one another, as in an image, so that many plans are just narrow enough.
+    """
+    rng = np.random.default_rng(seed)
+    place = np.arange(n_tracks) * (n_detections - 1) // (n_tracks - 1)
+    reach = rng.integers(0, width + 2, n_tracks)
+    near = np.abs(np.arange(n_detections) - place[:, None]) <= reach[:, None]
+    tracks, detections = np.nonzero(near)
+    table, _ = make_table(tracks, detections, np.ones(len(tracks)), n_tracks, n_detections)
+    if np.isfinite(make_plan(table, width).cost):
+        assert len(tracks) <= width * (n_tracks + n_detections)
+
+
+def test_a_crowd_is_propagated() -> None:
+    """More pairs of a track than any plan allows: belief propagation alone, as without the bound on pairs."""
+    odds = dense(60, 60)
+    tracks, detections = np.nonzero(odds)
+    values = odds[tracks, detections]
+    assert len(values) > MOST_WIDTH * 120
+    found = association_marginals(tracks, detections, values, 60, 60)
+    expected = belief.propagate_beliefs(tracks, detections, values, 60, 60)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, other)
 

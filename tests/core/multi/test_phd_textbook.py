@@ -52,7 +52,7 @@ class LinearCase:
         )
         return make_filter(
             [self.camera], self.motion, method, 128, prior, self.baseline, survival_per_s=SURVIVAL,
-            prune_weight=1e-6, merge_distance=7.0, max_components=CAP, merge_rule="vo_ma",
+            prune_weight=1e-6, merge_distance=7.0, max_components=CAP, merge_rule="vo_ma", merge_moments="intensity",
         )  # fmt: skip
 
     def textbook(self) -> TextbookPhd:

@@ -307,7 +307,9 @@ def test_mix_gaussians(seed: int, size: int) -> None:
     covariances = np.stack([random_covariance(rng, rng.uniform(0.1, 2.0, size)) for _ in range(count)])
     base = np.stack([random_covariance(rng, rng.uniform(0.1, 2.0, size)) for _ in range(groups)])
     kept = base_means.copy(), base.copy(), base_weights.copy()
-    found_means, found = mix_gaussians(member, weights, means, covariances, base_weights, base_means, base)
+    found_means, found = mix_gaussians(
+        member, weights, means, covariances, np.arange(count), base_weights, base_means, base
+    )
     for g in range(groups):
         mine = member == g
         if not mine.any():

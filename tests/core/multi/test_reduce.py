@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from stereophd.core.multi.mixture import GaussianMixture, concatenate
-from stereophd.core.multi.reduce import reduce_mixture
+from stereophd.core.multi.reduce import reduce_mixture as reduce_with_shares
 from tests.core.multi.scenes import make_mixture, random_mixture
 from tests.core.multi.textbook import reduce
+
+
+def reduce_mixture(mixture: GaussianMixture, *settings: float | bool, **rule: bool) -> tuple[GaussianMixture, int]:
+    """Reduce with the moments of the intensity."""
+    return reduce_with_shares(mixture, mixture.weights, *settings, **rule)
 
 
 def by_chart(mixture: GaussianMixture) -> dict[tuple[int, float], list]:
@@ -64,6 +69,16 @@ def test_merging_keeps_mass_and_moments() -> None:
     second = np.einsum("k,kab->ab", share, mixture.covariances + np.einsum("ka,kb->kab", mixture.means, mixture.means))
     np.testing.assert_allclose(found.means[0], mean, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(found.covariances[0], second - np.outer(mean, mean), rtol=1e-10, atol=1e-12)
+
+
+def test_shares_decide_moments_and_weights_decide_the_rest() -> None:
+    mixture = make_mixture([0.2, 0.7], np.array([0.0, 1.0])[:, None] * np.ones(6), labels=[4, 5])
+    found, _ = reduce_with_shares(mixture, np.array([0.6, 0.2]), 1e-6, 7.0, 10)
+    assert found.weights.tolist() == pytest.approx([0.9])
+    assert found.labels.tolist() == [5]
+    np.testing.assert_allclose(found.means[0], 0.25)
+    expected = 0.75 * mixture.covariances[0] + 0.25 * mixture.covariances[1] + 0.75 * 0.25
+    np.testing.assert_allclose(found.covariances[0], expected, atol=1e-12)
 
 
 def test_a_merged_component_keeps_the_identity_of_its_heaviest_part() -> None:

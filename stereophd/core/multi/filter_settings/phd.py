@@ -32,6 +32,12 @@ class PhdSettings(FilterSettings):
     merge_rule: Literal["mutual", "vo_ma"] = parameter(
         "mutual: near in the covariances of both; vo_ma: in that of the lighter one only (textbook)", default="mutual"
     )
+    merge_moments: Literal["label", "intensity"] = parameter(
+        "what counts for mean and covariance of a merged component. label: the probabilities of the alternatives for "
+        "one object; intensity: the weights (textbook)",
+        default="label",
+        advice="intensity states covariances that are too large, the more so the lower the probability of detection.",
+    )
     missed: Missed = parameter(
         MISSED, default="split", advice="split for objects that are never hidden, keep where they hide behind others."
     )
