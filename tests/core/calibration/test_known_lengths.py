@@ -28,7 +28,7 @@ def equations(seed: int, size: int, values: int) -> tuple[NormalEquations, np.nd
     for k in range(12):
         bands[k, : size - k] = np.diagonal(whole[:size, :size], -k)
     found = NormalEquations(
-        0.0, bands, whole[:size, size:], whole[size:, size:], right[:size], right[size:], np.empty(0)
+        0.0, bands, whole[:size, size:], whole[size:, size:], right[:size], right[size:], np.empty(0), 0.0, np.empty(0)
     )
     return found, whole, right
 
