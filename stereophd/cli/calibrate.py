@@ -10,6 +10,7 @@ import typer
 from stereophd.cli import options
 from stereophd.cli.batch import are_many, finish_batch
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
+from stereophd.cli.unused_options import report_jobs_beside_dask
 from stereophd.errors import GateError, InputError
 
 
@@ -61,6 +62,7 @@ def calibrate_command(
     if are_many(log):
         from stereophd.commands.calibrate_logs import calibrate_logs
 
+        report_jobs_beside_dask(context, dask)
         with progress_bar(session, "calibrate") as progress:
             found = calibrate_logs(loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least)
         finish_batch(session, found, strict)

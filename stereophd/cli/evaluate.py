@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from stereophd.cli import options
 from stereophd.cli.batch import finish_batch
 from stereophd.cli.options import Session
 from stereophd.cli.terminal import begin, load, print_report, progress_bar, quiet_pipe
+from stereophd.cli.unused_options import refuse, report_jobs_beside_dask
 from stereophd.errors import GateError, InputError
 
 Report = dict[str, Any]
@@ -74,7 +75,10 @@ def evaluate_command(
     if true_cameras is not None:
         if cameras is None or tracks is not None:
             raise InputError("--true-cameras: expected --cameras FILE to score, and neither TRACKS nor TRUTH")
-        _refuse(context, OF_TRACKS, "the scores of tracks; not used with --true-cameras")
+        refuse(context, OF_TRACKS, "for the scores of tracks; not used with --true-cameras")
+        if config is None:
+            refuse(context, ("seed",), "with --config CONFIG, found none")
+        _refuse_without_out(context, out)
         from stereophd.commands.evaluate_cameras import evaluate_calibration
 
         loaded = None if config is None else load(config, None, seed, true_cameras)
@@ -83,7 +87,10 @@ def evaluate_command(
         return
     if tracks is None or truth is None:
         raise InputError("expected TRACKS and TRUTH, or --cameras and --true-cameras")
-    _refuse(context, OF_CAMERAS, "the scores of cameras; not used with TRACKS and TRUTH")
+    refuse(context, OF_CAMERAS, "for the scores of cameras; not used with TRACKS and TRUTH")
+    _refuse_without_out(context, out)
+    if log is None and (out is None or plots is False):
+        refuse(context, ("cameras",), "with --log, whose clocks they have, or with plots (--out DIR), found neither")
     if plots and out is None:
         raise InputError("--plots: expected --out DIR to put the plots in, found none")
     words: dict[str, Any] = {
@@ -94,9 +101,10 @@ def evaluate_command(
         "match_distance": match_distance,
     }  # fmt: skip
     if tracks.is_dir():
+        report_jobs_beside_dask(context, dask)
         _score_runs(session, tracks, truth, out, force, jobs, dask, words)
         return
-    _refuse(context, OF_FOLDERS, "folders of runs, found one run")
+    refuse(context, OF_FOLDERS, "for folders of runs, found one run")
     from stereophd.commands.evaluate import evaluate
 
     score = partial(evaluate, tracks, truth, out, force=force, **words)
@@ -123,12 +131,10 @@ def _score_runs(
     finish_batch(session, found)
 
 
-def _refuse(context: typer.Context, names: Sequence[str], what: str) -> None:
-    """Refuse options that would do nothing."""
-    for parameter in context.command.params:
-        source = context.get_parameter_source(parameter.name or "")
-        if parameter.name in names and source is not None and source.name == "COMMANDLINE":
-            raise InputError(f"{parameter.opts[0]}: expected only for {what}")
+def _refuse_without_out(context: typer.Context, out: Path | None) -> None:
+    """Refuse what concerns files where none is written."""
+    if out is None:
+        refuse(context, ("force",), "with --out DIR, found none")
 
 
 def _run(score: Callable[[], Report], show: Callable[[Mapping[str, Any]], None]) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, load, print_data, progress_bar, quiet_pipe, to_json
+from stereophd.cli.unused_options import report_jobs_beside_dask
 
 # Characters of a line of the table where no terminal limits it.
 PIPED_WIDTH = 180
@@ -32,6 +33,7 @@ def experiment_command(
 ) -> None:
     """Run a scenario many times with several methods: runs.parquet, summary.parquet and a figure."""
     session = begin(context)
+    report_jobs_beside_dask(context, dask)
     loaded = load(config, overrides, seed, None)
     from stereophd.commands.experiment import experiment, finished_runs
 

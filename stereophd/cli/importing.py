@@ -12,6 +12,7 @@ from stereophd.cli import import_options as of
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
 from stereophd.cli.terminal import begin, print_data, print_report
+from stereophd.cli.unused_options import refuse
 
 Value = TypeVar("Value")
 
@@ -47,6 +48,8 @@ def import_command(
 ) -> None:
     """Convert files of another program to detections.parquet, cameras.yaml and report.json."""
     session = begin(context)
+    if sigma_px is None:
+        refuse(context, ("p_detect", "clutter"), "with --sigma-px PX, found none: the detectors are estimated")
     from stereophd.commands.importing import import_recording
     from stereophd.io.interchange.base import ImportOptions
 

@@ -10,6 +10,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, exit_if_strict, print_data, print_report
+from stereophd.cli.unused_options import refuse
 
 
 class ObjectKind(StrEnum):
@@ -65,6 +66,8 @@ def init_command(
 ) -> None:
     """Write a commented configuration, with values estimated from a log and cameras as far as these show them."""
     session = begin(context)
+    if log is None:
+        refuse(context, ("strict",), "with --log FILE, which is checked, found none")
     from stereophd.commands.init import init
 
     report = init(

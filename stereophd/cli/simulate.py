@@ -8,6 +8,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, load, print_report, progress_bar
+from stereophd.cli.unused_options import refuse
 
 
 def simulate_command(
@@ -31,6 +32,8 @@ def simulate_command(
     If the configuration has a section calibration, guess.yaml is written too: wrong cameras for calibrate.
     """
     session = begin(context)
+    if runs is None:
+        refuse(context, ("jobs",), "with --runs N, found one run")
     loaded = load(config, overrides, seed, cameras)
     from stereophd.commands.simulate import simulate
 

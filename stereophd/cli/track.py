@@ -8,6 +8,7 @@ from stereophd.cli import options
 from stereophd.cli import track_options as of
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_run, progress_bar
+from stereophd.cli.unused_options import report, report_jobs_beside_dask
 from stereophd.errors import InputError
 
 
@@ -50,12 +51,17 @@ def track_command(
     many = are_many(log)
     if dask is not None and not many and pieces is None:
         raise InputError("--dask: expected several logs, or --pieces S for one, found one log without")
+    report_jobs_beside_dask(context, dask)
+    if jobs > 1 and not many and pieces is None:
+        report(context, ("jobs",), "with several logs, or with --pieces S for one")
+    if threads > 1 and loaded.config.filter is not None and loaded.config.filter.kind == "single":
+        report(context, ("threads",), "with filters of several objects; filter.kind is single")
     try:
         with progress_bar(session, "track") as progress:
             if many:
                 from stereophd.commands.track_logs import track_logs
 
-                report = track_logs(
+                found = track_logs(
                     loaded, log, out, force, threads, progress, resume, jobs, dask, pieces, overlap, plots
                 )
             else:
@@ -63,12 +69,12 @@ def track_command(
                 from stereophd.pipeline.batch.names import expand
 
                 path = expand(log)[0]
-                report = track(loaded, path, out, force, threads, progress, resume, pieces, overlap, jobs, dask, plots)
+                found = track(loaded, path, out, force, threads, progress, resume, pieces, overlap, jobs, dask, plots)
     except (KeyboardInterrupt, SystemExit):
         say_what_is_kept(out)
         raise
     if many:
-        finish_batch(session, report, strict)
+        finish_batch(session, found, strict)
     else:
-        print_run(session, report)
-        exit_if_strict(strict, report)
+        print_run(session, found)
+        exit_if_strict(strict, found)

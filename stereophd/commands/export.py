@@ -12,6 +12,7 @@ from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
 from stereophd.io.disk import write_error
 from stereophd.io.interchange.base import ExportOptions, Format
 from stereophd.io.interchange.camera_files import read_camera_file
+from stereophd.io.interchange.consulted import consulted, refuse_unread
 from stereophd.io.interchange.registry import find, names
 from stereophd.io.provenance import provenance
 
@@ -50,17 +51,22 @@ def export(
     Raises
     ------
     InputError
-        An unknown format or one that holds no such thing; an unusable source; an existing target without `force`.
+        An unknown format or one that holds no such thing; an unusable source; an option for which the format has no
+        use; an existing target without `force`.
     """
     options = options or ExportOptions()
     written = find(form)
     path, target = Path(source), Path(out)
     what, path = _find_source(written, form, path)
+    if what == "cameras" and (stated := list(options.plain())):
+        raise InputError(f"`{stated[0]}`: expected only for tracks, found cameras ({path})")
     _check_target(target, force, written)
     if what == "tracks":
         assert written.write_tracks is not None
+        noted, read = consulted(options)
         with atomic_write(target) as temporary:
-            notes = written.write_tracks(path, temporary, options)
+            notes = written.write_tracks(path, temporary, noted)
+            refuse_unread(options, read, f"a file of format {form}")
     else:
         notes = _write_cameras(written, path, target)
     inputs = {what: path} if path.is_file() else {}

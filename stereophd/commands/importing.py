@@ -17,6 +17,7 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.camera_files import read_camera_file
+from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread
 from stereophd.io.interchange.reading import read_foreign
 from stereophd.io.interchange.registry import find
 from stereophd.io.json_text import write_json
@@ -70,7 +71,8 @@ def import_recording(
     Raises
     ------
     InputError
-        An unknown format, a source that is not of it, a statement that is missing, or an unusable output folder.
+        An unknown format, a source that is not of it, a statement that is missing or of no use for it, or an unusable
+        output folder.
     """
     options = options or ImportOptions()
     find(form)  # an unknown format is named before a missing source
@@ -79,14 +81,17 @@ def import_recording(
         if not path.exists():
             raise InputError(f"{path}: there is no such file or folder")
     with OutputFolder(out_dir, FILES, force) as out:
-        recording = _read(read_foreign(form, paths, options), options, cameras_path)
+        noted, read = consulted(options)
+        recording = _read(read_foreign(form, paths, noted), noted, cameras_path)
         inputs = {f"source.{index}": path for index, path in enumerate(recording.files)}
         config = {"format": form, **options.plain()}
         record = provenance("import", config, inputs=inputs, length_unit=recording.length_unit)
         summaries: dict[str, CameraSummary] = {}
         if recording.pieces is not None:
             log = out.path(DETECTIONS_FILE)
-            summaries = write_native_log(recording, options, log, log.parent, to_metadata(record))
+            summaries = write_native_log(recording, noted, log, log.parent, to_metadata(record))
+        refuse_unread(options, read, f"a source of format {form}")
+        refuse_other_cameras(options, [*recording.cameras, *summaries])
         cameras = _with_rates(recording.cameras, summaries)
         if cameras:
             assert recording.length_unit is not None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval, Len
-from pydantic import model_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
 from stereophd.config.base import Model, Range3
 from stereophd.config.motion import Motion
+from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.settings import (
     FINITE,
     LARGEST_COUNT,
@@ -89,10 +90,10 @@ class SimulateConfig(Model):
     given: tuple[GivenObject, ...] = parameter("objects whose paths are given", default=())
     bodies: tuple[GivenBody, ...] = parameter("rigid bodies, each with several objects", default=())
     acceleration_std: Length | tuple[Length, Length, Length] = parameter(
-        "process noise, as motion.acceleration_std", default=0.0, unit="length/s^2"
+        "process noise of objects and given, as motion.acceleration_std", default=0.0, unit="length/s^2"
     )
     motion: Motion | None = parameter(
-        "how the objects move; by default as the model of the section motion, with the noise acceleration_std "
+        "how objects and given move; by default as the model of the section motion, with the noise acceleration_std "
         "in place of its own (models static and constant_velocity)",
         default=None,
     )
@@ -100,6 +101,30 @@ class SimulateConfig(Model):
         "rate of the rows of truth.parquet; by default they are at every distinct frame time", default=None, unit="Hz"
     )
     object_id: bool = parameter("write the true object_id of each detection (-1 clutter) into the log", default=False)
+
+    @field_validator("acceleration_std", "motion")
+    @classmethod
+    def _something_moves(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse a motion that moves no object: bodies have paths of their own. It is asked of stated keys only."""
+        others = info.data.get("objects") is not None or info.data.get("given")
+        states = value is not None if info.field_name == "motion" else np.any(value)
+        if states and info.data.get("bodies") and not others:
+            raise ValueError(
+                "expected objects or given, which it moves (bodies sway by center_std and rotation_std_deg), found "
+                "bodies only"
+            )
+        return value
+
+    @field_validator("motion")
+    @classmethod
+    def _acts(cls, value: Any) -> Any:
+        """Refuse keys of a motion that only a filter has a use for."""
+        limit = getattr(value, "max_speed", None)
+        if limit is not None:
+            raise ValueError(f"expected no max_speed, which limits the samples of a filter only, found {limit:g}")
+        if getattr(value, "acceleration_std", None) == ESTIMATE:
+            raise ValueError(f"expected a number as acceleration_std, which only track estimates, found {ESTIMATE}")
+        return value
 
     @model_validator(mode="after")
     def _some_objects(self) -> SimulateConfig:

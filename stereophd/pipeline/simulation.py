@@ -14,7 +14,6 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.bodies import Body, BodyPoint
 from stereophd.core.simulation.detections import Scene
@@ -31,7 +30,7 @@ def scene_motion(config: Config) -> Motion:
     if settings.motion is not None:
         own: Any = settings.motion
         # a scene has no noise that it does not state
-        if own.acceleration_std in (None, ESTIMATE):
+        if own.acceleration_std is None:
             own = replace(own, acceleration_std=0.0)
         built: Motion = own.build()
         return built

@@ -157,22 +157,6 @@ def test_parts_of_a_usage_error(call: Call, words: list[str], place: str | None,
     assert document["found"] in (found, None)  # some versions of typer do not name the value
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["calibrate", "a", "b", "--out", "c", "--dask", "d"], "--dask: expected several logs"),
-        (["track", "a", "b", "--out", "c", "--dask", "d"], "--dask: expected several logs, or --pieces S"),
-        (["track", "a", "b", "--out", "c", "--overlap", "3"], "--overlap: expected --pieces S too"),
-        (["evaluate", "a", "b", "--dask", "d"], "--dask: expected only for folders of runs"),
-        (["evaluate", "a", "b", "--jobs", "2"], "--jobs: expected only for folders of runs"),
-    ],
-)
-def test_options_that_would_do_nothing_are_refused(call: Call, config: Path, words: list[str], sentence: str) -> None:
-    outcome = call(*[config if word == "a" and words[0] != "evaluate" else word for word in words])
-    assert outcome.code == 2
-    assert outcome.sentence.startswith(f"error: {sentence}")
-
-
 def test_errors_with_json_are_one_document(call: Call, config: Path, tmp_path: Path) -> None:
     for words, kind, file in (
         (["config", "show", tmp_path / "none.yaml", "--json"], "input", str(tmp_path / "none.yaml")),

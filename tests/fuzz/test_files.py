@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import tempfile
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.csv as csv
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
 
 from .test_configuration import BUDGET, base, log, outcome  # noqa: F401
 
@@ -28,6 +33,73 @@ def files(log: Path) -> Path:  # noqa: F811
     return log.parent.parent
 
 
+# What further commands do with the files of a run; the words after them are those of the damaged copy.
+READING = {
+    "info": ["info", "{file}"],
+    "info of a folder": ["info", "{folder}"],
+    "check": ["check", "config.yaml", "out/detections.parquet", "--cameras", "out/cameras.yaml"],
+    "evaluate": [
+        "evaluate", "tracked/tracks.parquet", "out/truth.parquet", "--cutoff", "1", "--cameras", "out/cameras.yaml",
+        "--log", "out/detections.parquet", "--seen-by", "1", "--within", "1", "--out", "scores", "--no-plots",
+    ],
+    "evaluate cameras": ["evaluate", "--cameras", "out/cameras.yaml", "--true-cameras", "out/cameras.yaml"],
+    "export tracks": ["export", "csv", "tracked/tracks.parquet", "--out", "tracks.csv"],
+    "export tracks at a rate": ["export", "trc", "tracked/tracks.parquet", "--rate", "20", "--out", "tracks.trc"],
+    "export cameras": ["export", "opencv", "out/cameras.yaml", "--out", "exported"],
+    "init": ["init", "new", "--log", "out/detections.parquet", "--cameras", "out/cameras.yaml"],
+    "config show": ["config", "show", "config.yaml", "--cameras", "out/cameras.yaml"],
+    "import": ["import", "csv", "points.csv", "--cameras", "out/cameras.yaml", "--fps", "20", "--out", "imported"],
+}  # fmt: skip
+DAMAGED = [
+    "config.yaml", "out/detections.parquet", "out/cameras.yaml", "out/truth.parquet", "tracked/tracks.parquet",
+    "tracked/scans.parquet", "tracked/associations.parquet", "tracked/report.json", "points.csv",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole_run(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a configuration, its log, the tracks of it, and the log as text."""
+    folder = shutil.copytree(files, tmp_path_factory.mktemp("run") / "whole")
+    detections = folder / "out" / "detections.parquet"
+    track(load_config(folder / "config.yaml", ["report.associations=true"]), detections, folder / "tracked")
+    table = pq.read_table(detections, columns=["camera", "frame", "u_px", "v_px"])
+    csv.write_csv(table, folder / "points.csv")
+    return folder
+
+
+@BUDGET
+@given(
+    damage=DAMAGE,
+    keep=st.one_of(st.just(1.0), st.floats(0, 1)),
+    file=st.sampled_from(DAMAGED),
+    command=st.sampled_from(sorted(READING)),
+)
+def test_damaged_bytes_of_any_file_of_a_run(
+    whole_run: Path,
+    capfd: pytest.CaptureFixture[str],
+    damage: list[tuple[float, int]],
+    keep: float,
+    file: str,
+    command: str,
+) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = shutil.copytree(whole_run, Path(name, "x"))
+        damage_file(folder / file, damage, keep)
+        words = [word.format(file=file, folder=Path(file).parent) for word in READING[command]]
+        with contextlib.chdir(folder):
+            code, said = outcome([*words, "-q"], capfd)
+        assert code in (0, 2), said
+        assert "Warning" not in said
+
+
+def damage_file(path: Path, damage: list[tuple[float, int]], keep: float) -> None:
+    """Change some bytes of a file, and keep a share of it."""
+    content = bytearray(path.read_bytes())
+    for share, value in damage:
+        content[min(int(share * len(content)), len(content) - 1)] = value
+    path.write_bytes(content[: int(keep * len(content))])
+
+
 @BUDGET
 @given(damage=DAMAGE, keep=st.one_of(st.just(1.0), st.floats(0, 1)), kind=st.sampled_from(["log", "config", "cameras"]))
 def test_damaged_bytes(
@@ -37,10 +109,7 @@ def test_damaged_bytes(
         folder = shutil.copytree(files, Path(name, "x"))
         paths = {"config": folder / "config.yaml", "log": folder / "out" / "detections.parquet"}
         paths["cameras"] = folder / "out" / "cameras.yaml"
-        content = bytearray(paths[kind].read_bytes())
-        for share, value in damage:
-            content[min(int(share * len(content)), len(content) - 1)] = value
-        paths[kind].write_bytes(content[: int(keep * len(content))])
+        damage_file(paths[kind], damage, keep)
         words = ["track", str(paths["config"]), str(paths["log"]), "--cameras", str(paths["cameras"]), "-q"]
         code, said = outcome([*words, "--out", os.path.join(name, "out")], capfd)
         assert code in (0, 2), said

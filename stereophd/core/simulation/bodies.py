@@ -6,7 +6,7 @@ random path of stated standard deviation that stays near its middle however long
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,29 @@ from stereophd.core.simulation.timing import FloatArray
 HARMONICS = 4
 # Angle, rad, below which (a - sin a) / a^3 is taken from its series.
 SMALL_ANGLE = 1e-3
+
+
+@dataclass(frozen=True)
+class BodyPoses:
+    """Poses of a body at some times, and how they change.
+
+    Attributes
+    ----------
+    times_s : (n,)
+        True times.
+    centers, velocities : (n, 3)
+        Of the origin of its axes, world frame, length and length/s.
+    rotations : (n, 3, 3)
+        Of the sway: applied after the mean rotation `Body.rotation`.
+    turning : (n, 3)
+        Angular velocities, world frame, rad/s.
+    """
+
+    times_s: FloatArray
+    centers: FloatArray
+    rotations: FloatArray
+    velocities: FloatArray
+    turning: FloatArray
 
 
 @dataclass(frozen=True)
@@ -47,6 +70,8 @@ class Body:
     amplitudes: FloatArray
     frequencies: FloatArray
     phases: FloatArray
+    # Poses of the last call of `poses`: all points of a body are asked for the same times, one after the other.
+    _latest: list[BodyPoses] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @staticmethod
     def drawn(
@@ -79,12 +104,21 @@ class Body:
 
     def states(self, point: int, times_s: FloatArray) -> FloatArray:
         """Return position and velocity (n, 6), world frame, of one point at true times (n,)."""
+        poses = self.poses(times_s)
+        arm = poses.rotations @ (self.rotation @ self.points[point])
+        return np.concatenate([poses.centers + arm, poses.velocities + np.cross(poses.turning, arm)], axis=1)
+
+    def poses(self, times_s: FloatArray) -> BodyPoses:
+        """Return the poses at true times (n,); those of the last call are not computed again."""
+        if self._latest and np.array_equal(self._latest[0].times_s, times_s):
+            return self._latest[0]
         angles = self.frequencies * (times_s[:, None, None] - self.start_s) + self.phases
         sway = (self.amplitudes * np.cos(angles)).sum(axis=1)
         rate = -(self.amplitudes * self.frequencies * np.sin(angles)).sum(axis=1)
-        arm = rotations(sway[:, 3:]) @ (self.rotation @ self.points[point])
         turning = _angular_velocities(sway[:, 3:], rate[:, 3:])
-        return np.concatenate([self.center + sway[:, :3] + arm, rate[:, :3] + np.cross(turning, arm)], axis=1)
+        found = BodyPoses(times_s, self.center + sway[:, :3], rotations(sway[:, 3:]), rate[:, :3], turning)
+        self._latest[:] = [found]
+        return found
 
 
 def _angular_velocities(vectors: FloatArray, rates: FloatArray) -> FloatArray:

@@ -129,7 +129,7 @@ def _split(
     else:
         codes, names = np.zeros(len(batch), dtype=int), [path.stem]
     keep = np.ones(len(batch), dtype=bool)
-    if options.least_score is not None and "score" in values:
+    if "score" in values and options.least_score is not None:
         keep = ~(values["score"] < options.least_score)
     for code, name in enumerate(names):
         mine = {key: column[codes == code] for key, column in values.items()}

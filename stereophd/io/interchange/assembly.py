@@ -115,6 +115,10 @@ class _Camera:
         self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
         self._fill = options.fill
+        if not spool.has_frames and (unused := [key for key in ("rates", "frames") if getattr(options, key).get(name)]):
+            raise InputError(f"`{unused[0]}`: expected frame numbers of camera {name}, found times only")
+        if not options.fill and options.frames.get(name):
+            raise InputError("`frames`: expected `fill`, which adds the frames without rows, found it turned off")
         self._stride = self._measure_stride() if spool.has_frames else 1
         self._count = 0
         self._last: Floats | None = None

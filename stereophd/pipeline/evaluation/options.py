@@ -54,7 +54,7 @@ def check_options(options: Options, log_path: Path | str | None) -> None:
     if options.from_s is not None and options.to_s is not None and options.from_s > options.to_s:
         raise InputError(f"`from_s`: expected a time not after `to_s`, found {options.from_s} > {options.to_s}")
     together = (options.seen_by, options.within_s, log_path)
-    if any(value is None for value in together) and (options.seen_by, options.within_s) != (None, None):
+    if any(value is None for value in together) and together != (None, None, None):
         raise InputError("`seen_by`: expected `seen_by`, `within_s` and `log_path` together, found only some of them")
     if options.seen_by is not None and options.seen_by < 1:
         raise InputError(f"`seen_by`: expected at least one camera, found {options.seen_by}")

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from stereophd.config.loading import load_config
 from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.core.geometry.rotations import rotations
+from stereophd.core.simulation import bodies
 from stereophd.core.simulation.bodies import Body, BodyPoint
 from stereophd.core.simulation.objects import state_windows
 from stereophd.core.simulation.timing import Schedule, TimeGrid
@@ -49,6 +54,75 @@ def test_a_body_sways_by_its_standard_deviation_about_its_middle() -> None:
     paths = np.stack([body(seed).states(0, times)[:, :3] - CENTER for seed in range(200)])
     np.testing.assert_allclose(np.sqrt((paths**2).mean(axis=(0, 1))), STD[:3], rtol=0.02)
     np.testing.assert_allclose(paths.mean(axis=(0, 1)), 0.0, atol=0.01)
+
+
+def test_the_pose_of_a_body_is_computed_once_for_all_of_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    computed: list[int] = []
+
+    def counted(vectors: np.ndarray) -> np.ndarray:
+        computed.append(len(vectors))
+        return rotations(vectors)
+
+    monkeypatch.setattr(bodies, "rotations", counted)
+    grid = TimeGrid((Schedule(7.0, 0.0, 1500.0),))
+    first, second = body(), body(7)
+    items = [BodyPoint(3 * k + point, one, point, 0.0) for k, one in enumerate((first, second)) for point in range(3)]
+    windows = list(state_windows(items, grid, NO_NOISE))
+    assert computed == [window.times_s.size for window in windows for _ in (first, second)]
+    for window in windows:
+        for item, states in zip(items, window.states, strict=True):
+            # a body that was never asked before gives the same states
+            np.testing.assert_array_equal(states, replace(item.body).states(item.point, window.times_s))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        pytest.param(["acceleration_std=0.1"], r"simulate.acceleration_std: expected objects or given", id="noise"),
+        pytest.param(
+            ["acceleration_std=[0.0, 0.0, 0.1]"],
+            r"simulate.acceleration_std: expected .*, found bodies only",
+            id="axis",
+        ),
+        pytest.param(
+            ["motion={model: damped_velocity, time_constant_s: 2.0}"],
+            r"simulate.motion: expected objects or given, .*, found bodies only",
+            id="motion",
+        ),
+        pytest.param(
+            ["motion={max_speed: 2.0}", "given=[{position: [0, 0, 1]}]"],
+            "simulate.motion: expected no max_speed, .*, found 2",
+            id="limit of speed",
+        ),
+        pytest.param(
+            ["motion={acceleration_std: estimate}", "given=[{position: [0, 0, 1]}]"],
+            "simulate.motion: expected a number as acceleration_std, .*, found estimate",
+            id="estimate",
+        ),
+        pytest.param(["acceleration_std=0.0"], None, id="no noise"),
+        pytest.param(["motion=null"], None, id="no motion"),
+        pytest.param(["acceleration_std=0.1", "given=[{position: [0, 0, 1]}]"], None, id="noise of another object"),
+        pytest.param(
+            ["motion={acceleration_std: 0.1}", "given=[{position: [0, 0, 1]}]"], None, id="motion of another object"
+        ),
+    ],
+)
+def test_keys_of_a_scene_that_would_do_nothing_are_refused(changes: list[str], message: str | None) -> None:
+    overrides = [f"simulate.{change}" for change in changes]
+    if message is None:
+        assert load_config("configs/board_calibration.yaml", overrides).config.simulate is not None
+        return
+    with pytest.raises(InputError, match=message):
+        load_config("configs/board_calibration.yaml", overrides)
+
+
+def test_the_place_of_a_key_that_would_do_nothing_is_named(tmp_path: Path) -> None:
+    text = Path("configs/board_calibration.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "config.yaml"
+    path.write_text(text.replace("simulate:\n", "simulate:\n  acceleration_std: 0.5\n"), encoding="utf-8")
+    line = path.read_text(encoding="utf-8").splitlines().index("  acceleration_std: 0.5") + 1
+    with pytest.raises(InputError, match=rf"config.yaml:{line}: simulate.acceleration_std: expected"):
+        load_config(path)
 
 
 def test_a_scene_asks_points_window_by_window() -> None:

@@ -1,0 +1,58 @@
+"""Options that would do nothing in the use that is made of a command: refused, or only reported.
+
+What the contract of the command line demands that a command accepts in every use, such as ``track --jobs`` for one log,
+is reported: the outputs do not depend on it. Everything else is refused.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import typer
+
+from stereophd.errors import InputError
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def refuse(context: typer.Context, names: Sequence[str], use: str) -> None:
+    """Refuse parameters that the user states, and that act only in another use.
+
+    Parameters
+    ----------
+    context : typer.Context
+    names : sequence of str
+        Names of parameters of the command.
+    use : str
+        Continues the sentence "--option: expected only ...", such as "with --out DIR, found none".
+
+    Raises
+    ------
+    InputError
+        One of them is on the command line.
+    """
+    for option in _stated(context, names):
+        raise InputError(f"{option}: expected only {use}")
+
+
+def report(context: typer.Context, names: Sequence[str], use: str) -> None:
+    """Warn of parameters that the user states, and that act only in another use; otherwise the same as `refuse`."""
+    for option in _stated(context, names):
+        LOGGER.warning("%s does nothing here: it acts only %s", option, use)
+
+
+def report_jobs_beside_dask(context: typer.Context, dask: str | None) -> None:
+    """Warn of a stated --jobs where a cluster does the work."""
+    if dask is not None:
+        report(context, ("jobs",), "without --dask, whose cluster does the work")
+
+
+def _stated(context: typer.Context, names: Sequence[str]) -> list[str]:
+    """Return the options of the parameters that are on the command line."""
+    out = []
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name in names and source is not None and source.name == "COMMANDLINE":
+            out.append(parameter.opts[0])
+    return out

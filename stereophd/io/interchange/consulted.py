@@ -1,0 +1,71 @@
+"""Which of the options that a user states a format makes use of: one that nothing reads would silently do nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from stereophd.errors import InputError, unknown_camera
+from stereophd.io.interchange.base import ExportOptions, ImportOptions
+
+Options = TypeVar("Options", ImportOptions, ExportOptions)
+
+
+def consulted(options: Options) -> tuple[Options, set[str]]:
+    """Return options that note what is read of them, and the names noted so far."""
+    read: set[str] = set()
+
+    class Noted(type(options)):  # type: ignore[misc]
+        def __getattribute__(self, name: str) -> Any:
+            read.add(name)
+            return super().__getattribute__(name)
+
+    noted: Options = Noted(**vars(options))
+    return noted, read
+
+
+def refuse_unread(options: Options, read: set[str], what: str) -> None:
+    """Refuse options that differ from their defaults and that nothing has read.
+
+    Parameters
+    ----------
+    options
+        As the user stated them.
+    read
+        Names of those that were read, from `consulted`.
+    what
+        What was read or written, such as "a source of format mot".
+
+    Raises
+    ------
+    InputError
+        Names the first of them.
+    """
+    for name in options.plain():
+        if name not in read:
+            raise InputError(f"`{name}`: expected an option that {what} has a use for, found one that it has not")
+
+
+def refuse_other_cameras(options: ImportOptions, cameras: Sequence[str]) -> None:
+    """Refuse statements about cameras that a source does not have.
+
+    Parameters
+    ----------
+    options
+        As the user stated them.
+    cameras
+        Native names of the cameras of the source.
+
+    Raises
+    ------
+    InputError
+        Names the first of them, and the cameras.
+    """
+    known = list(dict.fromkeys(cameras))
+    for key in ("rates", "offsets", "frames", "image_sizes"):
+        for name in getattr(options, key).named:
+            if name not in known:
+                raise InputError(f"`{key}`: {unknown_camera(name, known)}")
+    for before, after in options.rename.items():
+        if after not in known:
+            raise InputError(f"`rename`: expected a camera {before} in the source, found {', '.join(known)}")

@@ -1,0 +1,186 @@
+"""In which use each option of the command line acts; in any other it is refused or reported, never silent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+import typer
+
+from stereophd.cli.app import app
+
+from .conftest import Outcome, write_config
+from .test_import import write_calibration
+
+Call = Callable[..., Outcome]
+
+# Options of all commands that act in every use: where outputs go, what is printed, what goes into the configuration.
+ALWAYS = {"--out", "--json", "--quiet", "--verbose", "--debug", "--set", "--seed", "--force", "--force-size", "--help"}
+
+# Command -> its further options that act in every use.
+ACTING = {
+    "calibrate": {"--cameras", "--jobs", "--resume", "--plots", "--require", "--strict"},
+    "check": {"--cameras", "--strict"},
+    "compile": {"--jobs"},
+    "config check": {"--cameras", "--for"},
+    "config show": {"--cameras"},
+    "evaluate": {"--true-cameras", "--fail-above", "--fail-below"},
+    "experiment": {"--jobs", "--dask", "--resume"},
+    "import": {"--cameras"},
+    "init": {"--log", "--cameras", "--length-unit", "--kind"},
+    "report": {"--log", "--truth", "--title"},
+    "simulate": {"--cameras", "--runs"},
+    "track": {"--cameras", "--pieces", "--resume", "--smooth", "--associations", "--plots", "--strict"},
+}  # fmt: skip
+
+# The filter of one object.
+SINGLE = {"kind": "single", "prior": {"depth_range": [50, 200], "velocity_std": 1.0}}
+
+# Options that act in some uses: the words of another use, and the sentence that the command ends with.
+REFUSED = [
+    (["calibrate", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs, or --pieces S"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--overlap", "3"], "--overlap: expected --pieces S too"),
+    (["simulate", "CONFIG", "--out", "c"], ["--jobs", "2"], "--jobs: expected only with --runs N, found one run"),
+    (["init", "c"], ["--strict"], "--strict: expected only with --log FILE"),
+    (["evaluate", "a", "b"], ["--dask", "d"], "--dask: expected only for folders of runs"),
+    (["evaluate", "a", "b"], ["--jobs", "2"], "--jobs: expected only for folders of runs"),
+    (["evaluate", "a", "b"], ["--force"], "--force: expected only with --out DIR, found none"),
+    (["evaluate", "a", "b"], ["--plots"], "--plots: expected --out DIR"),
+    (["evaluate", "a", "b"], ["--cameras", "c"], "--cameras: expected only with --log"),
+    (["evaluate", "a", "b", "--out", "o", "--no-plots"], ["--cameras", "c"], "--cameras: expected only with --log"),
+    (["evaluate", "a", "b"], ["--log", "c"], "--seen-by: expected --seen-by, --within and --log together"),
+    (["evaluate", "a", "b"], ["--within", "1"], "--seen-by: expected --seen-by, --within and --log together"),
+    (["evaluate", "a", "b"], ["--seen-by", "1"], "--seen-by: expected --seen-by, --within and --log together"),
+    *(
+        (["evaluate", "a", "b"], words, f"{words[0]}: expected only for the scores of cameras")
+        for words in (["--config", "c"], ["--seed", "1"])
+    ),
+    *(
+        (["evaluate", "--cameras", "a", "--true-cameras", "b"], words, f"{words[0]}: expected only for the scores of")
+        for words in (
+            ["--order", "2"], ["--cutoff", "1"], ["--base", "euclidean"], ["--from", "1"], ["--to", "1"],
+            ["--max-gap", "1"], ["--at", "times"], ["--log", "a"], ["--seen-by", "1"], ["--within", "1"],
+            ["--ospa2-window", "3"], ["--tentative"], ["--align", "rigid"], ["--align-clock"], ["--plots"],
+            ["--jobs", "2"], ["--dask", "d"], ["--match-distance", "1"],
+        )
+    ),
+    (["evaluate", "--cameras", "a", "--true-cameras", "b"], ["--seed", "1"], "--seed: expected only with --config"),
+    (["evaluate", "--cameras", "a", "--true-cameras", "b"], ["--force"], "--force: expected only with --out DIR"),
+    (["import", "csv", "TABLE", "--out", "c"], ["--p-detect", "0.5"], "--p-detect: expected only with --sigma-px"),
+    (["import", "csv", "TABLE", "--out", "c"], ["--clutter", "0.5"], "--clutter: expected only with --sigma-px"),
+    *(
+        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected an option that a")
+        for words in (
+            ["--box-point", "bottom"], ["--length-unit", "cm"], ["--undistorted"], ["--image-size", "9x9"],
+            ["--sigma-px", "1"], ["--time-unit", "ms"], ["--least-score", "0.5"],
+        )
+    ),
+    *(
+        (["import", "opencv", "CAMERAS", "--out", "OUT"], words, f"{words[0]}: expected an option that a source of")
+        for words in (
+            ["--column", "u_px=x"], ["--fps", "9"], ["--offset", "1"], ["--frames", "0:9"],
+            ["--pixel-origin", "corner"], ["--rows-from", "bottom"],
+        )
+    ),
+    *(
+        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected one of the cameras")
+        for words in (["--fps", "lft=9"], ["--offset", "lft=1"], ["--frames", "lft=0:9"])
+    ),
+    (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], ["--rename", "a=b"], "--rename: expected a camera a"),
+    (["import", "csv", "TIMED", "--out", "OUT"], ["--fps", "9"], "--fps: expected frame numbers of camera left"),
+    (["import", "csv", "TIMED", "--out", "OUT"], ["--frames", "0:9"], "--frames: expected frame numbers of camera"),
+    (
+        ["import", "csv", "TABLE", "--fps", "10", "--no-fill", "--out", "OUT"], ["--frames", "0:9"],
+        "--frames: expected --fill, which adds",
+    ),
+    (["import", "opencv", "CAMERAS", "--out", "OUT"], ["--no-fill"], "--fill: expected an option that a source of"),
+    *(
+        (["export", "opencv", "NATIVE", "--out", "OUT"], words, f"{words[0]}: expected only for tracks, found cameras")
+        for words in (["--track", "1"], ["--rate", "9"], ["--tentative"])
+    ),
+    (["export", "csv", "TRACKS", "--out", "OUT"], ["--rate", "9"], "--rate: expected an option that a file of format"),
+]  # fmt: skip
+
+# The same for options that the contract of the command line accepts in every use: a warning, and the same outputs.
+REPORTED = [
+    (["track", "CONFIG", "b", "--out", "c"], ["--jobs", "2"], "--jobs does nothing here: it acts only with several"),
+    (["track", "SINGLE", "b", "--out", "c"], ["--threads", "2"], "--threads does nothing here: it acts only with"),
+    (["track", "CONFIG", "b", "c", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
+    (["calibrate", "CONFIG", "b", "c", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
+    (["experiment", "CONFIG", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
+]
+
+
+@pytest.fixture
+def words_of(call: Call, config: Path, tmp_path: Path) -> Callable[[Sequence[str]], list[str]]:
+    """Return a function that puts files in the place of words in capitals; a word in small letters is no file."""
+
+    def file(name: str) -> Path:
+        if name == "TABLE":
+            table = tmp_path / "points.csv"
+            table.write_text("camera,frame,u_px,v_px\nleft,0,10,20\nleft,1,12,20\n")
+            return table
+        if name == "TIMED":
+            timed = tmp_path / "timed.csv"
+            timed.write_text("camera,time_s,u_px,v_px\nleft,0.0,10,20\nleft,0.1,12,20\n")
+            return timed
+        if name == "CAMERAS":
+            return write_calibration(tmp_path / "calibration.json")
+        if name == "SINGLE":
+            return write_config(tmp_path / "single.yaml", filter=SINGLE)
+        scene, tracked = tmp_path / "scene", tmp_path / "tracked"
+        assert call("simulate", config, "--out", scene, "-q").code == 0
+        if name == "NATIVE":
+            return scene / "cameras.yaml"
+        assert call("track", config, scene / "detections.parquet", "--out", tracked, "-q").code == 0
+        return tracked / "tracks.parquet"
+
+    def function(words: Sequence[str]) -> list[str]:
+        known = {"CONFIG": config, "OUT": tmp_path / "out"}
+        return [str(known.get(word) or file(word)) if word.isupper() else word for word in words]
+
+    return function
+
+
+@pytest.mark.parametrize(("use", "stated", "sentence"), REFUSED)
+def test_an_option_that_would_do_nothing_is_refused(
+    call: Call, words_of: Callable[..., list[str]], tmp_path: Path, use: list[str], stated: list[str], sentence: str
+) -> None:
+    outcome = call(*words_of(use), *stated)
+    assert outcome.code == 2
+    assert outcome.sentence.startswith(f"error: {sentence}")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("use", "stated", "sentence"), REPORTED)
+def test_an_option_that_every_use_accepts_is_reported_where_it_does_nothing(
+    call: Call, words_of: Callable[..., list[str]], use: list[str], stated: list[str], sentence: str
+) -> None:
+    words = words_of(use)
+    assert f"WARNING: {sentence}" in call(*words, *stated).err
+    assert sentence not in call(*words).err
+
+
+def test_a_log_has_the_same_tracks_with_jobs(call: Call, config: Path, log: Path, tmp_path: Path) -> None:
+    for name, words in (("one", []), ("two", ["--jobs", "2"])):
+        outcome = call("track", config, log, "--out", tmp_path / name, "-q", *words)
+        assert (outcome.code, outcome.err) == (0, "")
+    first, second = ((tmp_path / name / "tracks.parquet").read_bytes() for name in ("one", "two"))
+    assert first == second
+
+
+def test_every_option_is_in_a_table() -> None:
+    """An option acts in every use of its command, or a use in which it would not act is tried above."""
+    commands = {}
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        parts = getattr(command, "commands", None)
+        commands |= {name: command} if parts is None else {f"{name} {part}": one for part, one in parts.items()}
+    tried = {(use[0], words[0].replace("--no-", "--")) for use, words, _ in (*REFUSED, *REPORTED)}
+    for name, command in commands.items():
+        options = {parameter.opts[0] for parameter in command.params if parameter.opts[0].startswith("-")}
+        acting = ALWAYS | ACTING.get(name, set())
+        missing = {option for option in options - acting if (name, option) not in tried}
+        assert not missing, f"{name}: {', '.join(sorted(missing))}"
+        assert ACTING.get(name, set()) <= options
