@@ -219,10 +219,10 @@ def adjusted_to(
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
-    What the fit held is held again.
+    What the fit held is held again, and the noise of the motion is that of the fit.
     """
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
-    knots = _knots(task, observations, points, fit.adjustment.values)
+    knots = replace(_knots(task, observations, points, fit.adjustment.values), noise_std=fit.knots.noise_std)
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
@@ -253,17 +253,18 @@ def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
 
 
 def marginal_fit(task: Task, fit: Fit) -> Fit:
-    """Move a fit to the maximum of the marginal posterior, where more than poses is unknown.
+    """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
     Not where values are held, and not where detections share errors: what the trajectories absorb of those is no
     volume of the motion model.
     """
-    if task.parameters.only_moves or fit.held is not None or fit.observations.weights is not None:
+    if fit.held is not None or fit.observations.weights is not None:
         return fit
     found = marginal_optimum(problem_of(task, fit), fit.adjustment)
-    cameras = task.parameters.build(found.values)
+    cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
-    return replace(fit, adjustment=found, observations=observations)
+    knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
+    return replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
 
 
 def _fit(

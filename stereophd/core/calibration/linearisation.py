@@ -29,7 +29,10 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Linearisation of a problem; see the head of `stereophd.core.calibration.adjustment`."""
+    """Linearisation of a problem; see the head of `stereophd.core.calibration.adjustment`.
+
+    `energy` is what the motion model adds to the cost, and `pull` (size,) half of its derivative by the knots.
+    """
 
     cost: float
     bands: Array
@@ -38,6 +41,8 @@ class NormalEquations:
     state_vector: Array
     value_vector: Array
     distances: Array
+    energy: float
+    pull: Array
 
 
 @dataclass(frozen=True)
@@ -79,8 +84,8 @@ class Linearisation:
             row[: len(index)] = index
         return Linearisation(problem, members, path, rates, motion_prior(problem.knots), columns)
 
-    def at(self, values: Array, states: Array) -> NormalEquations:
-        """Return the normal equations at values (m,) and knots (k, 2, 3)."""
+    def at(self, values: Array, states: Array, log_noise: float = 0.0) -> NormalEquations:
+        """Return the normal equations at values (m,) and knots (k, 2, 3), the motion's noise times e^log_noise."""
         problem, parameters = self.problem, self.problem.parameters
         size, count = problem.knots.size, parameters.size
         bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
@@ -96,7 +101,7 @@ class Linearisation:
         )  # fmt: skip
         # motion model, its noise in units of the scene's scale
         logarithm, gradient = log_scale(parameters, problem.reference, values)
-        density = np.exp(-2.0 * logarithm)
+        density = np.exp(-2.0 * (logarithm + log_noise))
         x, motion = states.ravel(), self.motion
         product = density * banded_product(motion.bands, x)
         pull = product - density * motion.pull
@@ -122,7 +127,7 @@ class Linearisation:
             coupling[:, held], value_vector[held] = 0.0, 0.0
             matrix[held], matrix[:, held] = 0.0, 0.0
             matrix[held, held] = parameters.prior_std[held] ** -2
-        return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
+        return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
 
     def residuals(self, values: Array, states: Array) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
         """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values."""

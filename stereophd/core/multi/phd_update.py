@@ -14,7 +14,7 @@ from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.outcomes import allocate_outcomes, fill_missed
 from stereophd.core.multi.reduce import reduce_mixture
 from stereophd.core.numerics.compilation import compiled
-from stereophd.core.numerics.sorting import picked, places, stable_order
+from stereophd.core.numerics.sorting import places, stable_order
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -137,41 +137,45 @@ def label_shares(
     array (n + p + m,)
         The sum over a label stays; newborn and unlabelled components keep their weights.
     """
-    count = len(labels)
+    count, made = len(labels), len(others)
+    order = stable_order(labels)
+    number = np.empty(count, dtype=np.int64)
+    known = 0
+    for i in range(count):
+        if i > 0 and labels[order[i]] != labels[order[i - 1]]:
+            known += 1
+        number[order[i]] = known
+    keys = np.empty(len(joint), dtype=np.int64)
+    for p in range(len(joint)):
+        keys[p] = number[components[p]] * made + detections[p]
     shares = weights.copy()
-    pairs = stable_order(detections)
-    pairs = picked(pairs, stable_order(picked(labels, picked(components, pairs))))
-    odds = np.empty(len(pairs))
+    # of each label: the sum of its weights, and of its odds
+    whole, total = np.zeros(known + 1), np.zeros(known + 1)
+    for k in range(count):
+        whole[number[k]] += weights[k]
+        total[number[k]] += weights[k]
+    pairs = stable_order(keys)
     start = 0
     while start < len(pairs):
-        label, j = labels[components[pairs[start]]], detections[pairs[start]]
         own, end = 0.0, start
-        while end < len(pairs) and labels[components[pairs[end]]] == label and detections[pairs[end]] == j:
+        while end < len(pairs) and keys[pairs[end]] == keys[pairs[start]]:
             own += joint[pairs[end]]
             end += 1
-        kappa = max(others[j] - own, least, LEAST_OTHERS * others[j])
+        at = others[detections[pairs[start]]]
+        kappa = max(at - own, least, LEAST_OTHERS * at)
         for i in range(start, end):
-            odds[pairs[i]] = joint[pairs[i]] / kappa
+            p = pairs[i]
+            shares[count + p] = joint[p] / kappa
+            whole[number[components[p]]] += weights[count + p]
+            total[number[components[p]]] += shares[count + p]
         start = end
-    order = stable_order(labels)
-    start = first = 0
-    while start < count:
-        label, end, last = labels[order[start]], start, first
-        whole = total = 0.0
-        while end < count and labels[order[end]] == label:
-            whole += weights[order[end]]
-            end += 1
-        total = whole
-        while last < len(pairs) and labels[components[pairs[last]]] == label:
-            whole += weights[count + pairs[last]]
-            total += odds[pairs[last]]
-            last += 1
-        if label != UNLABELLED and total > 0.0:
-            for i in range(start, end):
-                shares[order[i]] *= whole / total
-            for i in range(first, last):
-                shares[count + pairs[i]] = odds[pairs[i]] * (whole / total)
-        start, first = end, last
+    for k in range(count + len(pairs)):
+        owner = k if k < count else components[k - count]
+        n = number[owner]
+        if labels[owner] == UNLABELLED or total[n] <= 0.0:
+            shares[k] = weights[k]
+        else:
+            shares[k] *= whole[n] / total[n]
     return shares
 
 
