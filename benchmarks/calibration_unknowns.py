@@ -49,6 +49,25 @@ RATES = (
     "cameras.right.pose.velocity=[0.05, 0.03, -0.05]",
     "cameras.right.pose.rotation_rate_deg_s=[0.02, 0.03, -0.04]",
 )
+# Fast objects that come and go, a camera that moves while its rolling shutter reads: both are unknown.
+ROLLING = (
+    "simulate.duration_s=20",
+    "simulate.frame_rate_hz=10",
+    "simulate.objects.count=12",
+    "simulate.objects.velocity_std=15",
+    "simulate.objects.stay_in_view=any",
+    "simulate.objects.births_per_s=2",
+    "simulate.objects.mean_lifetime_s=6",
+    "motion.max_speed=80",
+    "filter.birth.velocity_std=15",
+    "calibration.priors.right.velocity_std=0.5",
+    "calibration.priors.right.rotation_rate_std_deg_s=0.5",
+    "calibration.priors.right.readout_std_s=0.05",
+    "cameras.right.pose.velocity=[0.3, 0.2, -0.3]",
+    "cameras.right.pose.rotation_rate_deg_s=[0.3, 0.4, -0.5]",
+    "cameras.right.pose.time_s=10",
+    "cameras.right.readout_s=0.1",
+)
 
 
 def objects(count: int) -> str:
@@ -63,6 +82,7 @@ CASES: Mapping[str, tuple[Path, tuple[str, ...], str]] = {
     "rates12": (PAPER, (*RATES, objects(12)), "the same, twelve objects"),
     "clocks": (CLOCKS, (), "three cameras of 10, 7 and 5 Hz, clocks off by 0.5 s and 1e-3, manoeuvring objects"),
     "sixteen": (PAPER, (*LENS, *RATES, objects(20)), "16-D: pose, lens and rates at once; twenty objects"),
+    "rolling": (PAPER, ROLLING, "13-D: pose, rates and readout of a rolling shutter; some twenty fast objects"),
     "static": (STATIC, (), "thirty points that stand still, ten false ones a view"),
 }
 

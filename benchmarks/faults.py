@@ -55,6 +55,10 @@ class Command:
         _, said = process.communicate(timeout=GIVE_UP_S)
         return process.returncode, said
 
+    def resuming(self, out: Path) -> list[str]:
+        """Return the option with which it continues what an unfinished run has kept, if it has."""
+        return ["--resume"] if self.resumes and any(out.glob("partial-*")) else []
+
 
 def files(folder: Path) -> dict[str, bytes]:
     """Return the contents of a folder, without what does not repeat (times)."""
@@ -95,8 +99,7 @@ def disturb(command: Command, whole: dict[str, bytes], length: float, out: Path,
     found = final(files(out))
     if found and found != final(whole):
         wrong.append("partial output")
-    resumed = ["--resume"] if command.resumes and any(out.glob("partial-*")) else []
-    code, said = command.run(out, *(["--force"] if found else resumed))
+    code, said = command.run(out, *(["--force"] if found else command.resuming(out)))
     if code != 0:
         wrong.append(f"the next run ends with {code}: {said[-200:]}")
     elif files(out) != whole:
@@ -115,7 +118,13 @@ def no_room(command: Command, whole: dict[str, bytes], out: Path) -> str:
     _, said = process.communicate(timeout=GIVE_UP_S)
     if process.returncode not in (0, 2):
         return f"exit code {process.returncode}: {said[-200:]}"
-    return "" if files(out) == whole else "the earlier run is damaged"
+    if final(files(out)) != final(whole):
+        return "the earlier run is damaged"
+    # an experiment keeps its finished runs, which the next one takes up
+    code, said = command.run(out, "--force", *command.resuming(out))
+    if code != 0:
+        return f"the next run ends with {code}: {said[-200:]}"
+    return "" if files(out) == whole else "the next run gives other bytes"
 
 
 def twice(command: Command, whole: dict[str, bytes], out: Path) -> str:

@@ -92,6 +92,15 @@ def _matches(relative: Path, names: Iterable[str]) -> bool:
     return False
 
 
+def _leads_to(relative: Path, names: Iterable[str]) -> bool:
+    """Whether an empty folder below an output folder is one in which some of `names` lie."""
+    parts = relative.parts
+    patterns = [Path(name).parts for name in names]
+    return _is_temporary(relative) or any(
+        len(one) > len(parts) and all(map(fnmatchcase, parts, one)) for one in patterns
+    )
+
+
 def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
     """Check that an output folder may be used, and create it if missing.
 
@@ -125,7 +134,9 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
         folder.mkdir(parents=True, exist_ok=True)
         complete(folder)
         for relative in files_below(folder):
-            if not _matches(relative, names):
+            # a run that was killed as it began leaves folders without files
+            is_ours = _leads_to(relative, names) if (folder / relative).is_dir() else _matches(relative, names)
+            if not is_ours:
                 raise InputError(
                     f"output folder {folder} exists and is not of this command, which does not write the {relative} "
                     "in it; choose another folder"

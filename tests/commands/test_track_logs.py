@@ -213,3 +213,15 @@ def run_cli() -> Callable[..., int]:
     from stereophd.cli.app import run
 
     return lambda *words: run([str(word) for word in words])
+
+
+@pytest.mark.parametrize("folder", ["run-0000", "run-0001"])
+def test_a_batch_continues_over_a_folder_that_a_killed_run_only_made(
+    loaded: LoadedConfig, scenes: Path, tmp_path: Path, folder: str
+) -> None:
+    logs = [scenes / name / "detections.parquet" for name in ("run-0000", "run-0002")]
+    track_logs(loaded, logs, tmp_path / "whole")
+    (tmp_path / "out" / folder).mkdir(parents=True)
+    track_logs(loaded, logs, tmp_path / "out", resume=True)
+    for name in ("run-0000/tracks.parquet", "run-0002/report.json", "summary.parquet"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

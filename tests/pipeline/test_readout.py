@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stereophd.commands.check import check
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
@@ -180,6 +181,20 @@ def test_a_trajectory_covers_the_rows_of_the_last_frame(tmp_path: Path) -> None:
         simulate(load_config(config, overrides), tmp_path / "other")
     with pytest.raises(InputError, match=r"camera west, frame 0: .* found 0 s and rows from -0\.03 to 0 s after it"):
         track(load_config(config, overrides), tmp_path / "log" / "detections.parquet", tmp_path / "out")
+
+
+def test_checks_take_rows_for_rows_and_not_for_wrong_clocks(tmp_path: Path) -> None:
+    """By the times of the frames the third camera, which reads the other way, was said to be 13 to 38 ms off."""
+    config = tmp_path / "scene.yaml"
+    config.write_text(SCENE)
+    for seed in (1, 3, 4):
+        simulate(load_config(config, seed=seed), tmp_path / f"log{seed}")
+        report = check(load_config(config, seed=seed), tmp_path / f"log{seed}" / "detections.parquet")
+        rays = [one for one in report["checks"] if one["name"].startswith("geometry")]
+        assert [one["status"] for one in rays] == ["ok"] * 3
+        wrong = [f"cameras.{name}.readout_s=0.0" for name in NAMES]
+        report = check(load_config(config, wrong, seed), tmp_path / f"log{seed}" / "detections.parquet")
+        assert "geometry.cause" in [one["name"] for one in report["checks"]]
 
 
 def test_readout_in_files(tmp_path: Path) -> None:

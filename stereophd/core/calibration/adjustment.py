@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
 # Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
 ROUNDING = 1e-13
+# Knots of less information are held: far from all their detections, the weights of a robust loss underflow.
+LEAST_INFORMATION = 1e-200
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Adjustment:
 def damped_bands(equations: NormalEquations, damping: float) -> Array:
     """Matrix of the knots in lower banded form (12, 6 k), its diagonal damped; unknowns without any weight are held."""
     bands = equations.bands.copy()
-    bands[0] = np.where(bands[0] > 0.0, bands[0] * (1.0 + damping + ROUNDING), 1.0)
+    bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
     return bands
 
 

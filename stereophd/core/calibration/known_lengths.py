@@ -7,11 +7,16 @@ and trajectories together: with N the matrix of the normal equations, G the deri
 and R the covariance of the known lengths,
 
     step = step_0 + N^-1 G^T (R + G N^-1 G^T)^-1 (length - d - G step_0).
+
+A pair that keeps about the known length by chance would pull everything. Which pairs are taken is therefore decided by
+their odds (`stereophd.core.calibration.known_scale`) and by the distances over the whole common time: y = length - d -
+G step_0 has the covariance S = R + G N^-1 G^T of a rigid pair of that length, or S + B B^T, where a distance of chance
+deviates by a constant and a steady change (the columns of B) of up to the tolerance.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +24,9 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, c
 
 from stereophd.core.calibration.adjustment import damped_bands, eliminate
 from stereophd.core.calibration.fits import problem_of
-from stereophd.core.calibration.known_scale import PEAK_WIDTH, RIGID, rigid_pairs
+from stereophd.core.calibration.known_scale import PEAK_WIDTH, PRIOR_REACH, RIGID, known_members, object_pairs
 from stereophd.core.calibration.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.scale import log_scale
 from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.trajectories import interpolation, positions
 
@@ -29,6 +35,8 @@ Integers = NDArray[np.int64]
 
 # Relative deviation of a distance that may be the known length.
 WITHIN = 2.0 * RIGID
+# Relative deviation of the mean distance of a pair that is asked; median of chi-squared of two degrees of freedom.
+ASKED, MEDIAN_OF_TWO = 2.0 * PEAK_WIDTH, 2.0 * float(np.log(2.0))
 # Rounds in which pairs are chosen, steps of each, and damping of the normal equations.
 ROUNDS, STEPS, DAMPING = 3, 5, 1e-9
 # Most distances that are used, and most numbers in their derivatives.
@@ -59,10 +67,13 @@ def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, 
     # the scale is what the lengths measure
     linearisation = Linearisation.of(replace(problem_of(task, fit), scale=None))
     before = linearisation.at(fit.adjustment.values, fit.adjustment.states).cost
+    _, gradient = log_scale(task.parameters, task.reference, fit.adjustment.values)
+    reach = PRIOR_REACH * float(np.sqrt((gradient**2 * task.parameters.prior_std**2).sum()))
     best, count = fit, 0
     for _ in range(ROUNDS):
-        distances, _, pairs = rigid_pairs(best, WITHIN)
-        pairs = pairs[np.abs(np.log(length / distances)) <= 2.0 * PEAK_WIDTH]
+        pairs, odds = _candidates(best, length, reach)
+        if len(pairs) > count:
+            pairs = pairs[_odds_of_lengths(linearisation, best, pairs, length, std) + odds > 0.0]
         if len(pairs) <= count:
             break  # with the lengths of some pairs others keep theirs, too
         found = _updated(linearisation, best, pairs, length, std, before)
@@ -70,6 +81,51 @@ def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, 
             break
         best, count = found, len(pairs)
     return best, count
+
+
+def _candidates(fit: Fit, length: float, reach: float) -> tuple[Integers, Array]:
+    """Pairs (p, 2) that may have the known length, and the logarithms of their odds before their distances are asked.
+
+    A distance of chance is anywhere within the reach of the prior, and seldom within the tolerance.
+    """
+    every = object_pairs(fit)
+    peaks, places = known_members(every, every.rigid(WITHIN), length, 0.0, max(reach, ASKED))
+    near = np.abs(peaks.ratios) <= ASKED
+    rarity = np.log(peaks.range / (2.0 * ASKED))
+    expected = max(float(peaks.members(0.0).sum()), 1.0)
+    return every.members[places[near]], np.log(expected * peaks.odds[near]) + rarity
+
+
+def _odds_of_lengths(linearisation: Linearisation, fit: Fit, pairs: Integers, length: float, std: float) -> Array:
+    """Logarithms of the odds (p,) that pairs (p, 2) have the length at all common times, rather than by chance.
+
+    Errors of lenses and others that no covariance knows are as large as they are in the better half of the pairs.
+    """
+    states = fit.adjustment.states
+    pair, times = _sampled(fit, pairs, states.size)
+    found, slopes = _distances(fit, states, pairs[pair], times)
+    equations = linearisation.at(fit.adjustment.values, states)
+    try:
+        gains = _Gains.of(equations, slopes)
+    except LinAlgError:
+        return np.zeros(len(pairs))
+    missing = length - found - slopes @ gains.state_step
+    count = len(times) // len(pairs)
+    steady = np.linspace(-np.sqrt(3.0), np.sqrt(3.0), count)
+    basis = ASKED * length * np.column_stack([np.ones(count), steady])
+    products = []
+    for number in range(len(pairs)):
+        rows = slice(number * count, (number + 1) * count)
+        spread = std**2 * (np.eye(count) + 1.0) + slopes[rows] @ gains.of_states[:, rows]
+        solved = np.linalg.solve(spread, np.column_stack([basis, missing[rows]]))
+        products.append(basis.T @ solved)
+    information, along = np.stack(products)[:, :, :2], np.stack(products)[:, :, 2]
+    squared = np.einsum("pi,pi->p", along, np.linalg.solve(information, along[:, :, None])[:, :, 0])
+    typical = float(np.sort(squared)[(len(squared) - 1) // 2])
+    factor = max(typical / MEDIAN_OF_TWO, 1.0)
+    whole = np.eye(2) + information / factor
+    pulled = np.einsum("pi,pi->p", along, np.linalg.solve(whole, along[:, :, None])[:, :, 0]) / factor**2
+    return np.asarray(0.5 * np.linalg.slogdet(whole)[1] - 0.5 * pulled)
 
 
 def _updated(
@@ -122,18 +178,38 @@ def _distances(fit: Fit, states: Array, pairs: Integers, times: Array) -> tuple[
     return distances, slopes
 
 
+@dataclass(frozen=True)
+class _Gains:
+    """Steps without the lengths, and N^-1 G^T by values (m, k) and knots (size, k)."""
+
+    value_step: Array
+    state_step: Array
+    of_values: Array
+    of_states: Array
+    covariance: Array
+
+    @staticmethod
+    def of(equations: NormalEquations, slopes: Array) -> _Gains:
+        factor = (cholesky_banded(damped_bands(equations, DAMPING), lower=True), True)
+        eliminated, schur = eliminate(equations, DAMPING)
+        schur_factor = cho_factor(schur)
+        value_step = cho_solve(schur_factor, equations.value_vector - equations.coupling.T @ eliminated[:, -1])
+        state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
+        across = cho_solve_banded(factor, slopes.T)
+        of_values = -cho_solve(schur_factor, equations.coupling.T @ across)
+        of_states = across - eliminated[:, :-1] @ of_values
+        return _Gains(value_step, state_step, of_values, of_states, cho_solve(schur_factor, np.eye(len(schur))))
+
+
 def _step(equations: NormalEquations, slopes: Array, missing: Array, std: float) -> tuple[Array, Array, Array]:
     """Steps of values (m,) and knots (size,) with distances that miss the length by `missing` (k,); covariance."""
-    factor = (cholesky_banded(damped_bands(equations, DAMPING), lower=True), True)
-    eliminated, schur = eliminate(equations, DAMPING)
-    schur_factor = cho_factor(schur)
-    value_step = cho_solve(schur_factor, equations.value_vector - equations.coupling.T @ eliminated[:, -1])
-    state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
-    across = cho_solve_banded(factor, slopes.T)
-    of_values = -cho_solve(schur_factor, equations.coupling.T @ across)
-    of_states = across - eliminated[:, :-1] @ of_values
-    spread = std**2 * (np.eye(len(missing)) + 1.0) + slopes @ of_states
-    weights = np.linalg.solve(spread, np.column_stack([missing - slopes @ state_step, of_values.T]))
-    covariance = cho_solve(schur_factor, np.eye(len(schur))) - of_values @ weights[:, 1:]
+    gains = _Gains.of(equations, slopes)
+    spread = std**2 * (np.eye(len(missing)) + 1.0) + slopes @ gains.of_states
+    weights = np.linalg.solve(spread, np.column_stack([missing - slopes @ gains.state_step, gains.of_values.T]))
+    covariance = gains.covariance - gains.of_values @ weights[:, 1:]
     covariance = 0.5 * (covariance + covariance.T)
-    return value_step + of_values @ weights[:, 0], state_step + of_states @ weights[:, 0], covariance
+    return (
+        gains.value_step + gains.of_values @ weights[:, 0],
+        gains.state_step + gains.of_states @ weights[:, 0],
+        covariance,
+    )

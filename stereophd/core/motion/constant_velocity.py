@@ -27,12 +27,19 @@ POSITION_WITH_VELOCITY = 0.5
 POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
 
-@lru_cache(maxsize=64)
+# Constants of the last 64 numbers of intervals are kept, up to this number: 5 MB in all. Those of 100,000 components
+# take 7 MB each.
+MOST_KEPT = 1024
+
+
 def _constants(count: int) -> tuple[Array, Array, Array, Array]:
-    """Fields of `MotionArrays` that are the same for all intervals: `keep`, `drift`, `with_velocity`, `alone`. Read
-    only."""
+    """Fields of `MotionArrays` that are the same for all intervals: `keep`, `drift`, `with_velocity`, `alone`."""
     flags = np.ones(count)
     return flags, np.zeros((count, 6)), POSITION_WITH_VELOCITY * flags, POSITION_ALONE * flags
+
+
+# Read only.
+_kept_constants = lru_cache(maxsize=64)(_constants)
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,8 @@ class ConstantVelocity(Motion):
     def arrays(self, dt: Array) -> MotionArrays:
         """Return what compiled code reads for intervals (n,): `Motion.arrays`, in a third of its time."""
         std = np.sqrt(abs(dt))
-        keep, drift, with_velocity, alone = _constants(len(dt))
+        count = len(dt)
+        keep, drift, with_velocity, alone = _kept_constants(count) if count <= MOST_KEPT else _constants(count)
         return MotionArrays(
             dt, keep, std * dt, std, with_velocity, alone, drift, self._noise_std, self.speed_limit
         )  # fmt: skip

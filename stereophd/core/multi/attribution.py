@@ -103,7 +103,8 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
                     shares[j] = 0.0
             count += 1
         start = end
-    return found[:count], made[:count]
+    # copies: filters keep them for many events, and slices would keep the arrays of all outcomes
+    return found[:count].copy(), made[:count].copy()
 
 
 @compiled

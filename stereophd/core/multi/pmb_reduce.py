@@ -223,13 +223,27 @@ def _seniors(heads: GaussianMixture, distance: float) -> Integers:
 
 @compiled
 def _may_agree(means: Array, covariances: Array, a: int, b: int, distance: float) -> bool:
-    """Whether each coordinate of two Gaussians is within a squared distance in the variances of both."""
+    """Whether coordinates and pixels of two Gaussians are within a squared distance in the covariances of both.
+
+    The squared Mahalanobis distance is at least that of each part.
+    """
     for i in range(means.shape[1]):
-        # a squared Mahalanobis distance is at least that of each coordinate alone
         apart = means[a, i] - means[b, i]
         if apart * apart > distance * min(covariances[a, i, i], covariances[b, i, i]):
             return False
-    return True
+    # thousands of tracks of unknown depth are ellipses, long and thin, that cross one another
+    return _pixels_may_agree(means, covariances[a], a, b, distance) and _pixels_may_agree(
+        means, covariances[b], a, b, distance
+    )
+
+
+@compiled
+def _pixels_may_agree(means: Array, covariance: Array, a: int, b: int, distance: float) -> bool:
+    """Whether the pixels of two means may be within a squared distance in a covariance (d, d)."""
+    du, dv = means[a, 0] - means[b, 0], means[a, 1] - means[b, 1]
+    s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    # the factor: some more for rounding
+    return bool(s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv <= 1.0001 * distance * (s00 * s11 - s01 * s01))
 
 
 @compiled

@@ -170,10 +170,14 @@ def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: d
     measured: ScaleMeasurement | None = None
     if isinstance(scale, SpeedScale):
         measured = measured_scale(task, fit, "speed", scale.speed, scale.std)
+        if measured is None:
+            details["scale_warning"] = "the objects do not agree on one speed: the known speed was not used"
     elif isinstance(scale, LengthScale):
         measured = measured_scale(task, fit, "length", scale.length, scale.std)
         if measured is None:
-            details["scale_warning"] = "no two objects keep their distance: the known length was not used"
+            details["scale_warning"] = (
+                "no two objects keep their distance, or chance may have it: the known length was not used"
+            )
     if measured is None:
         return task, fit
     return replace(task, scale=measured), rescaled(task, fit, measured)

@@ -132,7 +132,8 @@ def candidates(
     if len(usable) < 10 or high <= low:
         return None
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
-    at, length = times[chosen], high - low
+    delays = first.camera.row_delays(first.pixels[chosen, 1])
+    at, length = times[chosen] if delays is None else times[chosen] + delays, high - low
     shifted = [at] + [low + (at - low + length * (k + 1) / (shifts + 1)) % length for k in range(shifts)]
     there = np.stack([pixels_at(second, times) for times in shifted])
     most_there = max(1, int(np.isfinite(there[..., 0]).sum(axis=2).max()))
@@ -142,13 +143,18 @@ def candidates(
 def pixels_at(sample: CameraSample, times: Array) -> Array:
     """Return the detections (n, k, 2) of a camera at times (n,), s: between frames, along the one-camera tracks.
 
-    A detection without a track counts for the nearer of the two frames. NaN where a time has fewer than k.
+    A detection without a track counts for the nearer of the two frames. NaN where a time has fewer than k. On a rolling
+    shutter a track is where it is read at these times, not where the frames have it.
     """
     start, end, now, later = sample.between
     interval = (np.searchsorted(sample.times, times, side="right") - 1).clip(0, len(sample.times) - 2)
     span = sample.times[interval + 1] - sample.times[interval]
     weights = np.clip((times - sample.times[interval]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[:, None, None]
     moved = (1.0 - weights) * start[interval] + weights * end[interval]
+    delays = sample.camera.row_delays(moved[:, :, 1])
+    if delays is not None:
+        velocities = (end - start)[interval] / np.where(span > 0.0, span, np.inf)[:, None, None]
+        moved = moved - delays[:, :, None] * velocities
     width = max(now.shape[1], later.shape[1])
     alone = np.where(weights <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
     return np.concatenate([moved, alone], axis=1)[:, :MOST_CANDIDATES]

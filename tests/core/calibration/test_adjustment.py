@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.calibration import normal_equations
-from stereophd.core.calibration.adjustment import Adjustment, adjust
-from stereophd.core.calibration.linearisation import Linearisation
+from stereophd.core.calibration.adjustment import Adjustment, adjust, posterior_covariance
+from stereophd.core.calibration.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.posterior import DETERMINED, UNDETERMINED, observability, pose_spread
 from stereophd.core.calibration.problem import SQUARED, Loss, Problem
 from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
@@ -202,3 +202,11 @@ def test_motion_precision_has_no_say_on_straight_lines() -> None:
     line[:, 1] = [0.1, -0.2, 0.3]
     np.testing.assert_allclose(dense @ line.ravel(), 0.0, atol=1e-8 * np.abs(dense).max())
     assert (np.linalg.eigvalsh(dense) > -1e-9 * np.abs(dense).max()).all()
+
+
+def test_knots_without_information_are_held() -> None:
+    """The weights of detections far off a robust loss underflow: what is left of them is no matrix to factorise."""
+    bands = np.zeros((12, 12))
+    bands[0, :6], bands[0, 6:], bands[1, 6:11] = 1.0, 5e-324, 5e-324
+    equations = NormalEquations(0.0, bands, np.zeros((12, 2)), 4.0 * np.eye(2), np.zeros(12), np.zeros(2), np.empty(0))
+    np.testing.assert_allclose(posterior_covariance(equations, np.ones(2)), 0.25 * np.eye(2))

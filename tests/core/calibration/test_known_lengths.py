@@ -4,10 +4,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
-from stereophd.core.calibration.known_lengths import _distances, _sampled, _step
+from stereophd.core.calibration.known_lengths import _distances, _odds_of_lengths, _sampled, _step
 from stereophd.core.calibration.linearisation import NormalEquations
-from stereophd.core.calibration.trajectories import place_knots
+from stereophd.core.calibration.trajectories import fit_states, interpolation, place_knots
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 
 STD = 0.3
@@ -63,3 +64,40 @@ def test_derivatives_of_distances_are_the_numerical_ones() -> None:
         moved[k] += 1e-6
         after, _ = _distances(fit, moved.reshape(states.shape), pairs[pair[rows]], times[rows])
         np.testing.assert_allclose((after - distances) / 1e-6, slopes[:, k], atol=2e-5)
+
+
+@pytest.mark.parametrize("noise", [0.02, 2.0])
+def test_a_pair_of_about_the_length_is_told_from_one_of_the_length_where_the_tracks_are_precise(noise: float) -> None:
+    """Two rods of 10, known to 0.01, a pair of 10.3, and one that goes from 9.8 to 10.2."""
+    times = np.arange(0.0, 8.0, 0.1)
+    shift = np.array([3.0, 1.0, 2.0])
+    paths = []
+    rod = np.full(len(times), 10.0)
+    for number, distance in enumerate((rod, rod, rod + 0.3, np.linspace(9.8, 10.2, len(times)))):
+        one = number * np.array([0.0, 30.0, 0.0]) + times[:, None] * shift
+        paths += [one, one + distance[:, None] * [0.6, 0.0, 0.8]]
+    knots = place_knots([(times[0], times[-1])] * 8, 1.0, ConstantVelocity(0.5))
+    numbers, every = np.repeat(np.arange(8), len(times)), np.tile(times, 8)
+    at = interpolation(knots, numbers, every)
+    states = fit_states(knots, *at, np.concatenate(paths), np.full(len(every), 1e8))
+    # every position is a measurement of this noise on each axis
+    size = states.size
+    rows = np.zeros((3 * len(every), size))
+    for axis in range(3):
+        for weight in range(4):
+            column = 6 * at.knot + 3 * weight + axis
+            rows[np.arange(len(every)) * 3 + axis, np.minimum(column, size - 1)] += at.weights[:, weight]
+    whole = rows.T @ rows / noise**2
+    bands = np.zeros((12, size))
+    for k in range(12):
+        bands[k, : size - k] = np.diagonal(whole, -k)
+    nothing = np.zeros((size, 1))
+    equations = NormalEquations(0.0, bands, nothing, np.eye(1), np.zeros(size), np.zeros(1), np.empty(0))
+    linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
+    fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
+    odds = _odds_of_lengths(linearisation, fit, np.arange(8).reshape(4, 2), 10.0, 0.01)
+    if noise < 1.0:
+        assert (odds[:2] > 3.0).all()
+        assert (odds[2:] < -10.0).all()
+    else:
+        assert np.abs(odds).max() < 2.0

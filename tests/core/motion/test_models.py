@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -102,3 +104,15 @@ def test_models_compare_by_value() -> None:
 def test_bad_motion_is_refused(arguments: tuple[object, ...]) -> None:
     with pytest.raises(ValueError, match="motion"):
         ConstantVelocity(*arguments)  # type: ignore[arg-type]
+
+
+def test_arrays_of_many_intervals_are_not_kept() -> None:
+    """Thousands of objects have another number of components at each event."""
+    motion = ConstantVelocity(0.1)
+    tracemalloc.start()
+    for count in range(50_000, 50_040):
+        assert len(motion.arrays(np.full(count, 0.1)).keep) == count
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # those of one number are 3.6 MB
+    assert kept < 10e6

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -35,6 +38,23 @@ def test_an_undecided_label_has_no_detection() -> None:
     found, by = detected_labels(labels, weights, 1, np.array([5, 6]))
     assert found.tolist() == [3, 4]
     assert by.tolist() == [UNDECIDED, 0]
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads the memory as Linux states it")
+def test_what_is_kept_does_not_keep_all_outcomes() -> None:
+    """Filters keep the labels of dozens of events: slices of arrays of all outcomes would fill the memory."""
+    count = 200_000
+    labels, weights = np.arange(count) % 5, np.ones(count)
+    before = resident_bytes()
+    kept = [detected_labels(labels, weights, 0, np.zeros(count - 10, dtype=np.int64)) for _ in range(60)]
+    assert all(found.tolist() == list(range(5)) for found, _ in kept)
+    # two arrays of all labels for each event would be 192 MB
+    assert resident_bytes() - before < 50e6
+
+
+def resident_bytes() -> int:
+    """Memory of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
 def test_no_components() -> None:
