@@ -128,6 +128,8 @@ def at_most_one(sure: Sequence[Associated], further: Sequence[Associated]) -> li
     further : sequence of Associated
         Of each detection these share what the others leave; the negligible ones are left out.
     """
+    if not further:
+        return []
     taken, wanted = _totals(sure), _totals(further)
     out = []
     for one in further:

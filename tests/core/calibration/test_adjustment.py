@@ -208,5 +208,7 @@ def test_knots_without_information_are_held() -> None:
     """The weights of detections far off a robust loss underflow: what is left of them is no matrix to factorise."""
     bands = np.zeros((12, 12))
     bands[0, :6], bands[0, 6:], bands[1, 6:11] = 1.0, 5e-324, 5e-324
-    equations = NormalEquations(0.0, bands, np.zeros((12, 2)), 4.0 * np.eye(2), np.zeros(12), np.zeros(2), np.empty(0))
+    equations = NormalEquations(
+        0.0, bands, np.zeros((12, 2)), 4.0 * np.eye(2), np.zeros(12), np.zeros(2), np.empty(0), 0.0, np.zeros(12)
+    )
     np.testing.assert_allclose(posterior_covariance(equations, np.ones(2)), 0.25 * np.eye(2))

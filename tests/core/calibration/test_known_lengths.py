@@ -92,7 +92,9 @@ def test_a_pair_of_about_the_length_is_told_from_one_of_the_length_where_the_tra
     for k in range(12):
         bands[k, : size - k] = np.diagonal(whole, -k)
     nothing = np.zeros((size, 1))
-    equations = NormalEquations(0.0, bands, nothing, np.eye(1), np.zeros(size), np.zeros(1), np.empty(0))
+    equations = NormalEquations(
+        0.0, bands, nothing, np.eye(1), np.zeros(size), np.zeros(1), np.empty(0), 0.0, np.zeros(size)
+    )
     linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
     fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
     odds = _odds_of_lengths(linearisation, fit, np.arange(8).reshape(4, 2), 10.0, 0.01)
