@@ -252,19 +252,27 @@ def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
     return replace(again, adjustment=replace(again.adjustment, covariance=covariance))
 
 
-def marginal_fit(task: Task, fit: Fit) -> Fit:
+def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
     Not where values are held, and not where detections share errors: what the trajectories absorb of those is no
-    volume of the motion model.
+    volume of the motion model. Not where that noise is not believed (`MarginalOptimum.believed`), unless `any_noise`.
+
+    Returns
+    -------
+    fit : Fit
+    noise_factor : float
+        Noise of the motion that the log shows over what is stated; 1 where it was not estimated.
     """
     if fit.held is not None or fit.observations.weights is not None:
-        return fit
+        return fit, 1.0
     found = marginal_optimum(problem_of(task, fit), fit.adjustment)
+    if not (found.believed or any_noise):
+        return fit, found.noise_factor
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
-    return replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
+    return replace(fit, adjustment=found.adjustment, knots=knots, observations=observations), found.noise_factor
 
 
 def _fit(

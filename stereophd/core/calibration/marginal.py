@@ -62,8 +62,8 @@ DIFFERENCE, SETTLED, LONGEST_STEP, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 40
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
 # Most steps of the knots at given values, and the fall of the cost that is left.
 KNOT_STEPS, KNOTS_SETTLED = 8, 1e-4
-# Longest move of a value in prior standard deviations that is believed.
-LONGEST_MOVE = 5.0
+# Longest move of a value, and of the logarithm of the noise, in prior standard deviations that is believed.
+LONGEST_MOVE, LONGEST_MOVE_OF_NOISE = 5.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,15 @@ class MarginalOptimum:
         Values, the knots that belong to them, and the covariance of the values.
     noise_factor : float
         Noise of the motion, in units of the scene's scale, over what is stated.
+    believed : bool
+        Whether that is within `LONGEST_MOVE_OF_NOISE` prior standard deviations of 1. Objects that move together, as
+        the corners of a board, count as independent; where their motion is smoother than stated as well, the
+        posterior is far too sure of itself.
     """
 
     adjustment: Adjustment
     noise_factor: float
+    believed: bool
 
 
 def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
@@ -105,15 +110,17 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
         at = _minimised(posterior, posterior.at(start, found.states))
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
-        return MarginalOptimum(found, 1.0)
+        return MarginalOptimum(found, 1.0, True)
     values = at.unknowns[:size]
     if not (np.abs(values - found.values) / problem.parameters.prior_std < LONGEST_MOVE).all():
-        return MarginalOptimum(found, 1.0)
+        return MarginalOptimum(found, 1.0, True)
     moved = replace(
         found, values=values, states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances,
     )  # fmt: skip
-    return MarginalOptimum(moved, float(np.exp(at.unknowns[size:].sum())))
+    log_noise = float(at.unknowns[size:].sum())
+    believed = abs(log_noise) <= LONGEST_MOVE_OF_NOISE * float(posterior.prior_std[-1])
+    return MarginalOptimum(moved, float(np.exp(log_noise)), believed)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,18 @@ def annealed_outcome(
         return Outcome(nothing[0], nothing, np.empty((0, size)), np.empty(0), (), why, "", None, details)
     doubt = doubt_of_starts(section, task, starts, best)
     task, fit = _at_known_scale(section, task, best.fit, details)
-    fit = marginal_fit(task, selected(section, task, fit, details))
+    joint = selected(section, task, fit, details)
+    # known lengths hold what objects that move together would make too sure
+    with_known_lengths = isinstance(section.scale, LengthScale) and task.scale is not None
+    fit, noise = marginal_fit(task, joint, with_known_lengths)
+    if fit is joint and noise != 1.0:
+        LOGGER.warning(
+            "the motion of the objects shows %.2g times the noise that the configuration states: the trajectories are "
+            "not integrated out. motion.acceleration_std is wrong, or objects move together (corners of a board: state "
+            "their known distance, calibration.scale.kind: length)",
+            noise,
+        )
+    details["motion_noise_factor"] = noise
     without_lengths = fit
     if isinstance(section.scale, LengthScale) and task.scale is not None:
         fit, details["known_lengths"] = with_lengths(task, fit, section.scale.length, section.scale.std)

@@ -228,13 +228,27 @@ def test_trajectories_are_integrated_out_for_poses_alone_too_but_not_with_held_v
     joint = adjust(problem, drawn, states)
     task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
     fit = Fit(joint, problem.knots, problem.observations, np.arange(len(problem.observations)))
-    found = marginal_fit(task, fit)
+    found, factor = marginal_fit(task, fit)
     posterior = MarginalPosterior(Linearisation.of(problem))
     log_noise = np.log(found.knots.noise_std[0] / problem.knots.noise_std[0])
+    assert log_noise == pytest.approx(np.log(factor))
     reached = posterior.at(np.append(found.adjustment.values, log_noise), states).objective
     assert reached < posterior.at(np.append(joint.values, 0.0), states).objective - 1.0
     held = replace(fit, held=np.arange(problem.parameters.size) == 0)
-    assert marginal_fit(task, held) is held
+    assert marginal_fit(task, held) == (held, 1.0)
+
+
+def test_a_noise_of_the_motion_far_from_what_is_stated_is_not_believed() -> None:
+    problem, states, drawn = some_problem(("center", "rotation"))
+    stated = replace(problem, knots=replace(problem.knots, noise_std=20.0 * problem.knots.noise_std))
+    fit = Fit(adjust(stated, drawn, states), stated.knots, stated.observations, np.arange(len(stated.observations)))
+    task: Any = SimpleNamespace(parameters=stated.parameters, reference=stated.reference, scale=stated.scale)
+    kept, factor = marginal_fit(task, fit)
+    assert kept is fit
+    assert factor < 0.2
+    moved, same = marginal_fit(task, fit, any_noise=True)
+    assert same == factor
+    np.testing.assert_allclose(moved.knots.noise_std, factor * stated.knots.noise_std)
 
 
 def test_steps_to_the_marginal_optimum_that_are_too_long_are_shortened(monkeypatch: pytest.MonkeyPatch) -> None:
