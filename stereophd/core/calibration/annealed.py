@@ -27,6 +27,7 @@ from stereophd.core.calibration.fits import (
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Scans
+from stereophd.core.calibration.scale import collapse
 from stereophd.core.calibration.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.tracking_scale import KEPT_WITHIN, depth_ratio, enlarged
 
@@ -160,7 +161,8 @@ def disagreement(task: Task, fit: Fit) -> str | None:
     residual = float(np.minimum(fit.adjustment.distances, normal_equations.BEHIND).mean()) / 2.0
     if residual > MOST_RESIDUAL:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
-    return task.parameters.prior_disagreement(fit.adjustment.values)
+    values = fit.adjustment.values
+    return task.parameters.prior_disagreement(values) or collapse(task.parameters, task.reference, values)
 
 
 def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
