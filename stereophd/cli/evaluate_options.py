@@ -89,8 +89,8 @@ MatchDistance = Annotated[
     option(
         "--match-distance",
         "D",
-        "Match tracks and objects nearer than this (RMSE, NEES, identity switches, purity, IDF1), in the unit of "
-        "length; default: the cutoff. Choose it below the distance between objects.",
+        "Match tracks and objects nearer than this, for all figures but OSPA, GOSPA and HOTA, in the unit of length; "
+        "default: the cutoff. Choose it below the distance between objects.",
     ),
 ]
 Cameras = Annotated[

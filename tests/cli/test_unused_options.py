@@ -88,7 +88,10 @@ REFUSED = [
         (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected one of the cameras")
         for words in (["--fps", "lft=9"], ["--offset", "lft=1"], ["--frames", "lft=0:9"])
     ),
-    (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], ["--rename", "a=b"], "--rename: expected a camera a"),
+    *(
+        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, "--rename: expected one of the cameras left")
+        for words in (["--rename", "a=b"], ["--rename", "typo=left"])
+    ),
     (["import", "csv", "TIMED", "--out", "OUT"], ["--fps", "9"], "--fps: expected frame numbers of camera left"),
     (["import", "csv", "TIMED", "--out", "OUT"], ["--frames", "0:9"], "--frames: expected frame numbers of camera"),
     (
@@ -161,6 +164,18 @@ def test_an_option_that_every_use_accepts_is_reported_where_it_does_nothing(
     words = words_of(use)
     assert f"WARNING: {sentence}" in call(*words, *stated).err
     assert sentence not in call(*words).err
+
+
+@pytest.mark.parametrize("new", ["left", "right"])
+def test_a_camera_that_the_source_does_not_have_is_not_renamed(
+    call: Call, words_of: Callable[..., list[str]], tmp_path: Path, new: str
+) -> None:
+    words = words_of(["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"])
+    outcome = call(*words, "--rename", f"typo={new}")
+    assert outcome.code == 2
+    expected = f"--rename: expected one of the cameras left of {tmp_path / 'points.csv'}, found typo"
+    assert outcome.sentence.startswith(f"error: {expected}")
+    assert call(*words, "--rename", f"left={new}").code == 0
 
 
 def test_a_log_has_the_same_tracks_with_jobs(call: Call, config: Path, log: Path, tmp_path: Path) -> None:

@@ -3,12 +3,13 @@
 The optimal assignment of each scan on its own changes the tracks of two objects that are closer than their errors back
 and forth, although both are followed without fault. Identity switches, purity, RMSE and NEES therefore use the
 assignment of Bernardin and Stiefelhagen. At each scan the objects first keep the tracks that they were last matched to,
-if these are still nearer than a distance (the cutoff, unless a smaller one is stated). Only the remaining points are
-then assigned, at the least sum of ``min(distance, cutoff)**order``. Where two objects were last matched to one track,
-the later of them has it.
+if these are still nearer than the match distance (the cutoff, unless another one is stated). Only the remaining points
+are then assigned, at the least sum of ``min(distance, match distance)**order``. Where two objects were last matched to
+one track, the later of them has it.
 
-The distance is the threshold T of the authors. Where it is larger than that between objects, an assignment may be
-wrong from the first scan on and yet be kept: a track 10 cm beside the object that it follows within 1 mm, say.
+The match distance is the threshold T of the authors. Where it is larger than the distance between objects, an
+assignment may be wrong from the first scan on and yet be kept: an object stays assigned to a track 10 cm away, although
+that track follows another object within 1 mm.
 
 References
 ----------
@@ -107,10 +108,9 @@ def match_within(
 
 
 def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, matchable: NearPairs) -> int:
-    """Return the number of pairs of objects and tracks that most often are beside another object.
+    """Return the number of matches whose track is more than `BESIDE` times nearer to another object than to its own.
 
-    A pair is beside another object if its estimate is more than `BESIDE` times nearer to that. What errors of the track
-    cause now and then does not count.
+    They count where that is so in most matches of the same object and track: errors of the track cause it now and then.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, m
     named = np.stack([truth.label[own.truth], estimates.label[own.estimate]])
     couple = np.unique(named, axis=1, return_inverse=True)[1].ravel()
     pairs, wrong = np.bincount(couple), np.bincount(couple, weights=beside)
-    return int(pairs[2 * wrong > pairs].sum())
+    return int(wrong[2 * wrong > pairs].sum())
 
 
 def follow(estimates: PointSets, truth: PointSets, scores: ScanScores, near: NearPairs, order: float) -> ScanScores:

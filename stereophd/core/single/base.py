@@ -130,7 +130,15 @@ def only_detection(event: Event) -> int | None:
 
 
 def detection_time(event: Event) -> float:
-    """Time of the event's only detection, s: a rolling shutter reads its row later than the first."""
+    """Time of the event's only detection, s: a rolling shutter reads its row later than the first.
+
+    Raises
+    ------
+    ValueError
+        The camera moves while its shutter reads: points of such events refer to the pose of the frame.
+    """
+    if event.travels is not None:
+        raise ValueError("expected a camera at rest where a rolling shutter sees a single object, found a moving one")
     return event.time_s if event.delays is None else event.time_s + float(event.delays[0])
 
 

@@ -98,10 +98,15 @@ def annealed_outcome(
     if (against := task.parameters.prior_disagreement(mean)) is not None:
         doubt = f"with the known {section.scale.kind} {against}"
     details["fit"] = _fit_report(problem, best, fit)
-    history = tuple(
-        HistoryRow(time_s, until.adjustment.values, until.adjustment.covariance)
-        for time_s in np.linspace(problem.recording.times[0], problem.recording.times[-1], HISTORY_TIMES + 1)[1:]
-        if (until := fit_until(task, without_lengths, float(time_s))) is not None
+    # integrating the trajectories out each time takes too long: the last row is the result, the others joint optima
+    times = np.linspace(problem.recording.times[0], problem.recording.times[-1], HISTORY_TIMES + 1)[1:]
+    history = (
+        *(
+            HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
+            for time_s in times[:-1]
+            if (until := fit_until(task, without_lengths, float(time_s))) is not None
+        ),
+        HistoryRow(float(times[-1]), mean, covariance),
     )
     if section.posterior == "smc":
         found = distinct(starts)

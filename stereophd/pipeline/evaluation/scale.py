@@ -89,7 +89,7 @@ def warn_of_wrong_matches(tracks_path: Path, beside: int, matched: int, distance
     tracks_path : Path
         For the message.
     beside, matched : int
-        Number of matches of objects with tracks that follow other objects, and of all.
+        Number of matches whose track follows another object, and of all.
     distance : float
         Distance below which tracks and objects may be matched.
     """

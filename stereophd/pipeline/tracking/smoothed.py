@@ -16,7 +16,7 @@ from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
-from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated, at_most_one
+from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated, reduced_to_what_is_left
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.reassociated import choose_again
 
@@ -114,7 +114,7 @@ def _continued_associations(
             reached[number].append(
                 Associated(record.time_s, record.camera, record.frame, event.pixels[rows], ids, shares[rows])
             )
-    return [(*sure, *at_most_one(sure, further)) for sure, further in zip(claimed, reached, strict=True)]
+    return [(*sure, *reduced_to_what_is_left(sure, further)) for sure, further in zip(claimed, reached, strict=True)]
 
 
 def _reach_back(

@@ -110,7 +110,7 @@ def test_a_match_that_is_wrong_from_the_first_scan_on_is_kept_within_the_distanc
     optimal = score_scans(estimates, truth, 2.0, 20.0)
     wide, pairs = match_within(estimates, truth, optimal, 2.0, 20.0, 20.0)
     assert wide.pair_estimate.tolist() == followed(estimates, truth, 2.0, 20.0).pair_estimate.tolist()
-    assert beside_another(estimates, truth, wide, pairs) == 99
+    assert beside_another(estimates, truth, wide, pairs) == 98
     narrow, pairs = match_within(estimates, truth, optimal, 2.0, 20.0, 5.0)
     assert beside_another(estimates, truth, narrow, pairs) == 0
     assert narrow.n_matched.tolist() == [1] + [2] * 49
