@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.fits import adjusted_to
-from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
+from stereophd.core.calibration.scale import ScaleMeasurement, log_scale, scale_is_free
 from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.trajectories import interpolation, positions
 
@@ -94,7 +94,7 @@ class ObjectPairs:
 
 
 def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) -> ScaleMeasurement | None:
-    """Measure the scale by the known speed of all objects, or by the known distance of two.
+    """Measure the scale by the known speed of most objects, or by a known distance that pairs of objects keep.
 
     Speeds and distances in units of the scene's scale do not depend on it, so each of them measures its logarithm as
     log s + log(known / found). The speeds of k objects are independent measurements.
@@ -103,15 +103,18 @@ def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) ->
     ----------
     task, fit : Task, Fit
     kind : str
-        ``speed`` (mean speed of every object) or ``length`` (distance that two or more keep).
+        ``speed`` (mean speed of most objects) or ``length`` (the most probable distance that two or more keep).
     value, std : float
         What is known.
 
     Returns
     -------
     ScaleMeasurement or None
-        None if no two objects keep their distance, or if neither distances nor speeds agree on a scale.
+        None if no two objects keep their distance, if neither distances nor speeds agree on a scale, or if the centres
+        of two cameras are known, which fix the scale.
     """
+    if not scale_is_free(task.parameters):
+        return None
     logarithm, gradient = log_scale(task.parameters, task.reference, fit.adjustment.values)
     if kind == "speed":
         found = known_speed(mean_speeds(fit), value, std)
@@ -233,8 +236,11 @@ class Peaks:
         """Log-likelihoods (n,) of centers (n,), up to a constant."""
         return np.asarray(np.log(1.0 + self.densities(center)).sum(axis=1))
 
-    def members(self, center: float) -> Array:
-        """Probabilities (k,) that the pairs have the length of a center, their expected number found as well."""
+    def probabilities(self, center: float) -> Array:
+        """Probabilities (k,) that the pairs have the known length, if the logarithm of its ratio is `center`.
+
+        The expected number of pairs of that length, which the odds need, is found by iteration.
+        """
         density, known = self.densities(np.array([center]))[0], 1.0
         shares = density
         for _ in range(ROUNDS):
@@ -247,10 +253,26 @@ def _normal(errors: Array, std: Array | float) -> Array:
     return np.asarray(np.exp(-0.5 * (errors / std) ** 2) / (np.sqrt(2.0 * np.pi) * std))
 
 
-def known_members(
+def candidate_pairs(
     pairs: ObjectPairs, rigid: Integers, length: float, center: float, reach: float
 ) -> tuple[Peaks, Integers]:
-    """Rigid pairs beside their chances, for lengths whose logarithm is within a reach of a center; their places."""
+    """Pairs that may have the known length: the rigid ones whose logarithm of the ratio is within `reach` of `center`.
+
+    Parameters
+    ----------
+    pairs : ObjectPairs
+    rigid : array (r,) of int
+        Places of the rigid pairs.
+    length : float
+        The known length.
+    center, reach : float
+        Of log(length / distance).
+
+    Returns
+    -------
+    Peaks, array (k,) of int
+        The candidates and their odds, and their places in `pairs`.
+    """
     every = np.log(length / pairs.distances)
     near = np.abs(every - center) <= reach
     rigid = rigid[near[rigid]]
@@ -276,12 +298,13 @@ def known_distance(pairs: ObjectPairs, length: float, expected: float, prior_std
     Returns
     -------
     (float, float) or None
-        None if no pair is rigid, or if several distances are as probable, or chance.
+        None if no pair is rigid, if several distances are about as probable or chance may have made them, and where
+        the prior leaves nothing free.
     """
     rigid = pairs.rigid()
-    if not len(rigid):
+    if not len(rigid) or prior_std <= 0.0:
         return None
-    peaks, places = known_members(pairs, rigid, length, expected, PRIOR_REACH * prior_std)
+    peaks, places = candidate_pairs(pairs, rigid, length, expected, PRIOR_REACH * prior_std)
     if not len(places):
         best = rigid[pairs.spreads[rigid].argmin()]
         chances = pairs.by_chance(pairs.moving)[best]
@@ -294,7 +317,7 @@ def known_distance(pairs: ObjectPairs, length: float, expected: float, prior_std
     here = np.abs(centers - centers[logarithms.argmax()]) <= 2.0 * PEAK_WIDTH
     if probabilities[here].sum() < LEAST_SHARE * probabilities.sum():
         return None
-    weights = peaks.members(float(centers[logarithms.argmax()]))
+    weights = peaks.probabilities(float(centers[logarithms.argmax()]))
     mean = float(np.average(peaks.ratios, weights=weights))
     scatter = float(np.average((peaks.ratios - mean) ** 2, weights=weights))
     least = float((pairs.spreads[places][weights > 0.5] ** 2).min(initial=PEAK_WIDTH**2))

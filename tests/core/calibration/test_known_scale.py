@@ -6,7 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.known_scale import ObjectPairs, known_distance, known_speed, object_pairs
+from stereophd.core.calibration.known_scale import (
+    ObjectPairs,
+    known_distance,
+    known_speed,
+    measured_scale,
+    object_pairs,
+)
 from stereophd.core.calibration.trajectories import fit_states, interpolation, place_knots
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 
@@ -142,6 +148,35 @@ def test_chance_makes_as_many_rigid_pairs_as_expected() -> None:
             expected = np.sort(pairs.by_chance(pairs.moving)[pairs.moving])
             ratios.append(expected[:30] / np.arange(1.0, 31.0))
         assert 0.6 < np.median(ratios) < 1.5
+
+
+def body_pairs(seed: int, points: int) -> tuple[ObjectPairs, float, float]:
+    """All pairs of the points of a rigid body, the distance of the first two, and the logarithm of the scene's size."""
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-1.0, 1.0, (points, 3))
+    members = np.array([(j, i) for i in range(points) for j in range(i)])
+    distances = np.linalg.norm(corners[members[:, 0]] - corners[members[:, 1]], axis=1)
+    size, count = float(rng.normal(0.0, 0.3)), len(members)
+    spreads = rng.uniform(1e-3, 3e-3, count)
+    pairs = ObjectPairs(distances * np.exp(size), spreads, np.full(count, 10.0), np.full(count, 20.0), members)
+    return pairs, float(distances[0]), size
+
+
+def test_where_the_prior_leaves_no_scale_free_no_distance_is_looked_for() -> None:
+    pairs, length, _ = body_pairs(0, 4)
+    assert known_distance(pairs, length, 0.0, 0.0) is None
+
+
+def test_where_two_centres_are_known_neither_speeds_nor_lengths_measure_the_scale() -> None:
+    cameras = tuple(
+        SimpleNamespace(name=name, pose=SimpleNamespace(center=np.array([x, 0.0, 0.0])))
+        for name, x in (("a", 0.0), ("b", 1.0))
+    )
+    parameters = SimpleNamespace(cameras=cameras, index=lambda _name, _quantity: np.full(3, -1))
+    task: Any = SimpleNamespace(parameters=parameters, reference=0)
+    fit = fit_of(board_paths(1))
+    assert measured_scale(task, fit, "length", 0.06, 0.001) is None
+    assert measured_scale(task, fit, "speed", 0.1, 0.001) is None
 
 
 def test_objects_of_another_speed_do_not_move_the_scale() -> None:
