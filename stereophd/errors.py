@@ -52,10 +52,14 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return close or (f"; expected one of {', '.join(names)}" if names else "")
 
 
-def unknown_camera(name: object, known: Iterable[str]) -> str:
-    """Return the part of a message that refuses the name of a camera: those known, the name found, one near to it."""
+def unknown_camera(name: object, known: Iterable[str], source: str = "") -> str:
+    """Return the part of a message that refuses the name of a camera: those known, the name found, one near to it.
+
+    `source`, if given, names the files that the known cameras are of.
+    """
     names = list(known)
-    return f"expected one of the cameras {', '.join(names)}, found {name}{_near(str(name), names)}"
+    of = f" of {source}" if source else ""
+    return f"expected one of the cameras {', '.join(names)}{of}, found {name}{_near(str(name), names)}"
 
 
 def _near(name: str, names: list[str]) -> str:

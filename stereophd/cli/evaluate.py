@@ -14,7 +14,7 @@ from stereophd.cli import options
 from stereophd.cli.batch import finish_batch
 from stereophd.cli.options import Session
 from stereophd.cli.terminal import begin, load, print_report, progress_bar, quiet_pipe
-from stereophd.cli.unused_options import refuse, report_jobs_beside_dask
+from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
 from stereophd.errors import GateError, InputError
 
 Report = dict[str, Any]
@@ -24,7 +24,7 @@ OF_TRACKS = (
     "order", "cutoff", "base", "from_s", "to_s", "max_gap", "at", "log", "seen_by", "within", "ospa2_window",
     "tentative", "align", "align_clock", "match_distance", "plots", "jobs", "dask",
 )  # fmt: skip
-OF_CAMERAS = ("config", "seed")
+OF_CAMERAS = ("config",)
 # Options that only folders of runs have.
 OF_FOLDERS = ("jobs", "dask")
 
@@ -77,8 +77,8 @@ def evaluate_command(
             raise InputError("--true-cameras: expected --cameras FILE to score, and neither TRACKS nor TRUTH")
         refuse(context, OF_TRACKS, "for the scores of tracks; not used with --true-cameras")
         if config is None:
-            refuse(context, ("seed",), "with --config CONFIG, found none")
-        _refuse_without_out(context, out)
+            report(context, ("seed",), "with --config CONFIG")
+        _report_without_out(context, out)
         from stereophd.commands.evaluate_cameras import evaluate_calibration
 
         loaded = None if config is None else load(config, None, seed, true_cameras)
@@ -88,7 +88,8 @@ def evaluate_command(
     if tracks is None or truth is None:
         raise InputError("expected TRACKS and TRUTH, or --cameras and --true-cameras")
     refuse(context, OF_CAMERAS, "for the scores of cameras; not used with TRACKS and TRUTH")
-    _refuse_without_out(context, out)
+    report(context, ("seed",), "for the scores of cameras, with --config CONFIG")
+    _report_without_out(context, out)
     if log is None and (out is None or plots is False):
         refuse(context, ("cameras",), "with --log, whose clocks they have, or with plots (--out DIR), found neither")
     if plots and out is None:
@@ -131,10 +132,10 @@ def _score_runs(
     finish_batch(session, found)
 
 
-def _refuse_without_out(context: typer.Context, out: Path | None) -> None:
-    """Refuse what concerns files where none is written."""
+def _report_without_out(context: typer.Context, out: Path | None) -> None:
+    """Warn of what concerns files where none is written."""
     if out is None:
-        refuse(context, ("force",), "with --out DIR, found none")
+        report(context, ("force",), "with --out DIR")
 
 
 def _run(score: Callable[[], Report], show: Callable[[Mapping[str, Any]], None]) -> None:

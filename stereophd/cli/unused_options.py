@@ -1,7 +1,10 @@
 """Options that would do nothing in the use that is made of a command: refused, or only reported.
 
-What the contract of the command line demands that a command accepts in every use, such as ``track --jobs`` for one log,
-is reported: the outputs do not depend on it. Everything else is refused.
+What the contract of the command line demands that a command accepts in every use is reported, such as ``--force``,
+``--seed`` or ``track --jobs`` for one log: the outputs do not depend on it. Everything else is refused.
+
+These warnings are about the command line. They are no findings about the data, so that ``--strict`` does not act on
+them.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 from stereophd.io.interchange.camera_files import read_camera_file
-from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread
+from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread, with_source_names
 from stereophd.io.interchange.reading import read_foreign
 from stereophd.io.interchange.registry import find
 from stereophd.io.json_text import write_json
@@ -81,7 +81,8 @@ def import_recording(
         if not path.exists():
             raise InputError(f"{path}: there is no such file or folder")
     with OutputFolder(out_dir, FILES, force) as out:
-        noted, read = consulted(options)
+        naming, in_source = with_source_names(options)
+        noted, read = consulted(naming)
         recording = _read(read_foreign(form, paths, noted), noted, cameras_path)
         inputs = {f"source.{index}": path for index, path in enumerate(recording.files)}
         config = {"format": form, **options.plain()}
@@ -91,7 +92,8 @@ def import_recording(
             log = out.path(DETECTIONS_FILE)
             summaries = write_native_log(recording, noted, log, log.parent, to_metadata(record))
         refuse_unread(options, read, f"a source of format {form}")
-        refuse_other_cameras(options, [*recording.cameras, *summaries])
+        stated = paths if cameras_path is None else [*paths, Path(cameras_path)]
+        refuse_other_cameras(options, [*recording.cameras, *summaries], in_source, stated)
         cameras = _with_rates(recording.cameras, summaries)
         if cameras:
             assert recording.length_unit is not None

@@ -83,7 +83,7 @@ class SpeedScale(Model):
     """The objects' speed is known."""
 
     kind: Literal["speed"] = parameter("what fixes the scale")
-    speed: PositiveLength = parameter("mean speed of every object", unit="length/s")
+    speed: PositiveLength = parameter("mean speed of most objects", unit="length/s")
     std: PositiveLength = parameter("standard deviation of the speed from object to object", unit="length/s")
 
 
@@ -92,7 +92,7 @@ class LengthScale(Model):
 
     kind: Literal["length"] = parameter("what fixes the scale")
     length: PositiveLength = parameter(
-        "distance of two objects; among many pairs the most frequent distance that the priors allow", unit="length"
+        "distance of two objects; among many pairs the most probable distance that the priors allow", unit="length"
     )
     std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 

@@ -106,7 +106,10 @@ class SimulateConfig(Model):
     @classmethod
     def _something_moves(cls, value: Any, info: ValidationInfo) -> Any:
         """Refuse a motion that moves no object: bodies have paths of their own. It is asked of stated keys only."""
-        others = info.data.get("objects") is not None or info.data.get("given")
+        if "objects" not in info.data or "given" not in info.data:
+            # one of them is refused itself, and pydantic leaves out what it refused
+            return value
+        others = info.data["objects"] is not None or info.data["given"]
         states = value is not None if info.field_name == "motion" else np.any(value)
         if states and info.data.get("bodies") and not others:
             raise ValueError(

@@ -92,15 +92,6 @@ def _matches(relative: Path, names: Iterable[str]) -> bool:
     return False
 
 
-def _leads_to(relative: Path, names: Iterable[str]) -> bool:
-    """Whether an empty folder below an output folder is one in which some of `names` lie."""
-    parts = relative.parts
-    patterns = [Path(name).parts for name in names]
-    return _is_temporary(relative) or any(
-        len(one) > len(parts) and all(map(fnmatchcase, parts, one)) for one in patterns
-    )
-
-
 def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
     """Check that an output folder may be used, and create it if missing.
 
@@ -117,13 +108,13 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
     Returns
     -------
     list of Path
-        The files of an earlier run that are there now, relative to the folder.
+        The files of an earlier run that are there now, relative to the folder. Empty folders do not count.
 
     Raises
     ------
     InputError
-        It is not a folder, holds files that are not ours, holds an earlier run and `force` is not
-        given, or cannot be made or written to.
+        It is not a folder, holds files that are not ours, has a folder in the place of a file, holds an earlier run
+        and `force` is not given, or cannot be made or written to.
     """
     folder = Path(path)
     names = list(names)
@@ -134,9 +125,12 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
         folder.mkdir(parents=True, exist_ok=True)
         complete(folder)
         for relative in files_below(folder):
-            # a run that was killed as it began leaves folders without files
-            is_ours = _leads_to(relative, names) if (folder / relative).is_dir() else _matches(relative, names)
-            if not is_ours:
+            if (folder / relative).is_dir():
+                # A run that was killed as it began leaves empty folders, which cannot be told from those of the user.
+                if _matches(relative, names) and not _is_temporary(relative):
+                    raise InputError(f"output folder {folder}: {relative}: expected a file or nothing, found a folder")
+                continue
+            if not _matches(relative, names):
                 raise InputError(
                     f"output folder {folder} exists and is not of this command, which does not write the {relative} "
                     "in it; choose another folder"

@@ -118,7 +118,7 @@ def commit_files(staged: Path, folder: Path, stale: Iterable[Path]) -> None:
     folder
         The output folder, locked.
     stale
-        Files and empty folders of an earlier run, relative to `folder`.
+        Files of an earlier run, relative to `folder`.
 
     Raises
     ------
@@ -137,8 +137,6 @@ def commit_files(staged: Path, folder: Path, stale: Iterable[Path]) -> None:
     try:
         sync(folder)
         for relative in old:
-            if (folder / relative).is_dir():
-                continue
             _move(folder / relative, journal / OLD / relative, moved)
         for relative in new:
             _move(journal / NEW / relative, folder / relative, moved)

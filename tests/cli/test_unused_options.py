@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,18 +16,19 @@ from .test_import import write_calibration
 
 Call = Callable[..., Outcome]
 
-# Options of all commands that act in every use: where outputs go, what is printed, what goes into the configuration.
+# Options that every use of a command accepts: where outputs go, what is printed, what goes into the configuration. They
+# act, or are REPORTED.
 ALWAYS = {"--out", "--json", "--quiet", "--verbose", "--debug", "--set", "--seed", "--force", "--force-size", "--help"}
 
 # Command -> its further options that act in every use.
 ACTING = {
-    "calibrate": {"--cameras", "--jobs", "--resume", "--plots", "--require", "--strict"},
+    "calibrate": {"--cameras", "--resume", "--plots", "--require", "--strict"},
     "check": {"--cameras", "--strict"},
     "compile": {"--jobs"},
     "config check": {"--cameras", "--for"},
     "config show": {"--cameras"},
     "evaluate": {"--true-cameras", "--fail-above", "--fail-below"},
-    "experiment": {"--jobs", "--dask", "--resume"},
+    "experiment": {"--dask", "--resume"},
     "import": {"--cameras"},
     "init": {"--log", "--cameras", "--length-unit", "--kind"},
     "report": {"--log", "--truth", "--title"},
@@ -46,17 +48,13 @@ REFUSED = [
     (["init", "c"], ["--strict"], "--strict: expected only with --log FILE"),
     (["evaluate", "a", "b"], ["--dask", "d"], "--dask: expected only for folders of runs"),
     (["evaluate", "a", "b"], ["--jobs", "2"], "--jobs: expected only for folders of runs"),
-    (["evaluate", "a", "b"], ["--force"], "--force: expected only with --out DIR, found none"),
     (["evaluate", "a", "b"], ["--plots"], "--plots: expected --out DIR"),
     (["evaluate", "a", "b"], ["--cameras", "c"], "--cameras: expected only with --log"),
     (["evaluate", "a", "b", "--out", "o", "--no-plots"], ["--cameras", "c"], "--cameras: expected only with --log"),
     (["evaluate", "a", "b"], ["--log", "c"], "--seen-by: expected --seen-by, --within and --log together"),
     (["evaluate", "a", "b"], ["--within", "1"], "--seen-by: expected --seen-by, --within and --log together"),
     (["evaluate", "a", "b"], ["--seen-by", "1"], "--seen-by: expected --seen-by, --within and --log together"),
-    *(
-        (["evaluate", "a", "b"], words, f"{words[0]}: expected only for the scores of cameras")
-        for words in (["--config", "c"], ["--seed", "1"])
-    ),
+    (["evaluate", "a", "b"], ["--config", "c"], "--config: expected only for the scores of cameras"),
     *(
         (["evaluate", "--cameras", "a", "--true-cameras", "b"], words, f"{words[0]}: expected only for the scores of")
         for words in (
@@ -66,8 +64,6 @@ REFUSED = [
             ["--jobs", "2"], ["--dask", "d"], ["--match-distance", "1"],
         )
     ),
-    (["evaluate", "--cameras", "a", "--true-cameras", "b"], ["--seed", "1"], "--seed: expected only with --config"),
-    (["evaluate", "--cameras", "a", "--true-cameras", "b"], ["--force"], "--force: expected only with --out DIR"),
     (["import", "csv", "TABLE", "--out", "c"], ["--p-detect", "0.5"], "--p-detect: expected only with --sigma-px"),
     (["import", "csv", "TABLE", "--out", "c"], ["--clutter", "0.5"], "--clutter: expected only with --sigma-px"),
     *(
@@ -88,7 +84,10 @@ REFUSED = [
         (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected one of the cameras")
         for words in (["--fps", "lft=9"], ["--offset", "lft=1"], ["--frames", "lft=0:9"])
     ),
-    (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], ["--rename", "a=b"], "--rename: expected a camera a"),
+    *(
+        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, "--rename: expected one of the cameras left")
+        for words in (["--rename", "a=b"], ["--rename", "typo=left"])
+    ),
     (["import", "csv", "TIMED", "--out", "OUT"], ["--fps", "9"], "--fps: expected frame numbers of camera left"),
     (["import", "csv", "TIMED", "--out", "OUT"], ["--frames", "0:9"], "--frames: expected frame numbers of camera"),
     (
@@ -103,6 +102,12 @@ REFUSED = [
     (["export", "csv", "TRACKS", "--out", "OUT"], ["--rate", "9"], "--rate: expected an option that a file of format"),
 ]  # fmt: skip
 
+# The two uses of evaluate.
+SCORES = (
+    ["evaluate", "TRACKS", "TRUTH", "--cutoff", "20"],
+    ["evaluate", "--cameras", "NATIVE", "--true-cameras", "NATIVE"],
+)
+
 # The same for options that the contract of the command line accepts in every use: a warning, and the same outputs.
 REPORTED = [
     (["track", "CONFIG", "b", "--out", "c"], ["--jobs", "2"], "--jobs does nothing here: it acts only with several"),
@@ -110,6 +115,9 @@ REPORTED = [
     (["track", "CONFIG", "b", "c", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
     (["calibrate", "CONFIG", "b", "c", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
     (["experiment", "CONFIG", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
+    *((use, ["--force"], "--force does nothing here: it acts only with --out DIR") for use in SCORES),
+    (SCORES[0], ["--seed", "1"], "--seed does nothing here: it acts only for the scores of cameras, with --config"),
+    (SCORES[1], ["--seed", "1"], "--seed does nothing here: it acts only with --config CONFIG"),
 ]
 
 
@@ -131,9 +139,11 @@ def words_of(call: Call, config: Path, tmp_path: Path) -> Callable[[Sequence[str
         if name == "SINGLE":
             return write_config(tmp_path / "single.yaml", filter=SINGLE)
         scene, tracked = tmp_path / "scene", tmp_path / "tracked"
-        assert call("simulate", config, "--out", scene, "-q").code == 0
-        if name == "NATIVE":
-            return scene / "cameras.yaml"
+        if not scene.exists():
+            assert call("simulate", config, "--out", scene, "-q").code == 0
+        files = {"NATIVE": "cameras.yaml", "LOG": "detections.parquet", "TRUTH": "truth.parquet"}
+        if name in files:
+            return scene / files[name]
         assert call("track", config, scene / "detections.parquet", "--out", tracked, "-q").code == 0
         return tracked / "tracks.parquet"
 
@@ -163,12 +173,55 @@ def test_an_option_that_every_use_accepts_is_reported_where_it_does_nothing(
     assert sentence not in call(*words).err
 
 
+@pytest.mark.parametrize("new", ["left", "right"])
+def test_a_camera_that_the_source_does_not_have_is_not_renamed(
+    call: Call, words_of: Callable[..., list[str]], tmp_path: Path, new: str
+) -> None:
+    words = words_of(["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"])
+    outcome = call(*words, "--rename", f"typo={new}")
+    assert outcome.code == 2
+    expected = f"--rename: expected one of the cameras left of {tmp_path / 'points.csv'}, found typo"
+    assert outcome.sentence.startswith(f"error: {expected}")
+    assert call(*words, "--rename", f"left={new}").code == 0
+
+
 def test_a_log_has_the_same_tracks_with_jobs(call: Call, config: Path, log: Path, tmp_path: Path) -> None:
     for name, words in (("one", []), ("two", ["--jobs", "2"])):
         outcome = call("track", config, log, "--out", tmp_path / name, "-q", *words)
         assert (outcome.code, outcome.err) == (0, "")
     first, second = ((tmp_path / name / "tracks.parquet").read_bytes() for name in ("one", "two"))
     assert first == second
+
+
+@pytest.mark.parametrize("use", SCORES)
+def test_scores_are_the_same_with_options_that_are_reported(
+    call: Call, words_of: Callable[..., list[str]], use: list[str]
+) -> None:
+    words = words_of(use)
+    plain, stated = call(*words, "--json"), call(*words, "--json", "--force", "--seed", "1")
+    assert (plain.code, stated.code) == (0, 0)
+    for one in (plain, stated):
+        json.loads(one.out)
+    assert stated.err.count("does nothing here") == 2
+
+
+def test_a_warning_about_the_command_line_is_no_finding(call: Call, words_of: Callable[..., list[str]]) -> None:
+    words = words_of(["track", "CONFIG", "LOG", "--out", "OUT"])
+    plain = call(*words, "--strict")
+    stated = call(*words, "--force", "--strict", "--jobs", "2")
+    assert "--jobs does nothing here" in stated.err
+    assert stated.code == plain.code == 0
+
+
+def test_no_option_is_said_to_act_and_refused() -> None:
+    """An option of every use is in no use refused; one that acts in every use is in no use reported either."""
+    refused, reported = (
+        {(use[0], words[0].replace("--no-", "--")) for use, words, _ in table} for table in (REFUSED, REPORTED)
+    )
+    assert not {(name, option) for name, option in refused if option in ALWAYS}
+    acting = {(name, option) for name, options in ACTING.items() for option in options}
+    assert not acting & (refused | reported)
+    assert not refused & reported
 
 
 def test_every_option_is_in_a_table() -> None:

@@ -225,3 +225,14 @@ def test_a_batch_continues_over_a_folder_that_a_killed_run_only_made(
     track_logs(loaded, logs, tmp_path / "out", resume=True)
     for name in ("run-0000/tracks.parquet", "run-0002/report.json", "summary.parquet"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_an_empty_folder_of_the_user_is_no_run(
+    loaded: LoadedConfig, scenes: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    photos = tmp_path / "out" / "photos"
+    photos.mkdir(parents=True)
+    logs = [scenes / name / "detections.parquet" for name in ("run-0000", "run-0002")]
+    track_logs(loaded, logs, tmp_path / "out")
+    assert photos.is_dir()
+    assert "photos" not in caplog.text

@@ -121,22 +121,23 @@ def test_a_folder_that_is_not_ours_is_refused_even_with_force(tmp_path: Path, fo
     assert contents(tmp_path) == {name: "precious"}
 
 
-@pytest.mark.parametrize(
-    ("folder", "ours"),
-    [("run-1", True), ("run-1/partial-ab", True), ("run-2/photos", False), ("photos", False), ("run-1/a/b", False)],
-)
-def test_an_empty_folder_is_ours_where_files_of_the_command_lie(tmp_path: Path, folder: str, ours: bool) -> None:
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("folder", ["run-1", "run-1/partial-ab", "run-2/photos", "photos", "run-1/a/b"])
+def test_an_empty_folder_is_neither_foreign_nor_a_run(tmp_path: Path, folder: str, force: bool) -> None:
     """A run that is killed as it begins has made folders, and no file."""
     (tmp_path / folder).mkdir(parents=True)
     names = ["summary.json", "run-*/tracks.parquet", "run-*/partial-*/*.npz"]
-    if ours:
-        with OutputFolder(tmp_path, names, force=True) as out:
-            out.path("summary.json").write_text("{}")
-        assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
-        return
-    with pytest.raises(InputError, match="is not of this command"), OutputFolder(tmp_path, names, force=True):
-        pass
+    assert output_folder(tmp_path, force, names) == []
+    with OutputFolder(tmp_path, names, force) as out:
+        out.path("summary.json").write_text("{}")
+    assert contents(tmp_path) == {"summary.json": "{}"}
     assert (tmp_path / folder).is_dir()
+
+
+def test_an_empty_folder_in_the_place_of_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "tracks.parquet").mkdir()
+    with pytest.raises(InputError, match=r"tracks.parquet: expected a file or nothing, found a folder"):
+        output_folder(tmp_path, True, NAMES)
 
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:

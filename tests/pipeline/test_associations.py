@@ -21,7 +21,12 @@ from stereophd.core.geometry.pose import Pose
 from stereophd.core.multi.attribution import Claims, claims_of
 from stereophd.core.multi.estimates import Estimates, Info
 from stereophd.pipeline.files import read_cameras
-from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated, Associations, at_most_one
+from stereophd.pipeline.tracking.associations import (
+    LEAST_PROBABILITY,
+    Associated,
+    Associations,
+    reduced_to_what_is_left,
+)
 from stereophd.pipeline.tracking.explained import residuals_px
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
@@ -106,7 +111,7 @@ def test_rows_of_a_detection_add_up_to_one(
 
     found = [
         (int(one.track_ids[0]), PIXELS.tolist().index(one.pixels[0].tolist()), float(one.probabilities[0]))
-        for one in at_most_one(rows(sure), rows(further))
+        for one in reduced_to_what_is_left(rows(sure), rows(further))
     ]
     assert [row[:2] for row in found] == [row[:2] for row in expected]
     assert [row[2] for row in found] == pytest.approx([row[2] for row in expected])

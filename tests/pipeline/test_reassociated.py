@@ -12,6 +12,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
+from stereophd.pipeline.tracking import smoothed
 from stereophd.pipeline.tracking.run import build_tracking
 
 CONFIG = "configs/board_calibration.yaml"
@@ -80,6 +81,31 @@ def test_probabilities_of_a_detection_add_up_to_at_most_one(
         assert chosen.any() == anew
         assert not found[chosen].duplicated([*KEY, "frame"]).any()
         assert (sums[chosen] == 1.0).all()
+
+
+def test_what_a_track_that_is_not_written_was_given_keeps_the_rows_of_others(
+    runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filtered, chosen = (runs[anew][1][1] for anew in (False, True))
+    given = chosen[chosen.probability == 1.0]
+    key = [*KEY, "frame"]
+    others = filtered.merge(given[[*key, "track_id"]], on=key, suffixes=("", "_given"))
+    others = others[others.track_id != others.track_id_given]
+    left_out = int(others.track_id_given.mode()[0])
+    is_written = smoothed._is_written
+    monkeypatch.setattr(smoothed, "_is_written", lambda one, *rest: one.track_id != left_out and is_written(one, *rest))
+    config = load_config(CONFIG, [*SHORT, "seed=1", "report.smooth={reassociate: true}"])
+    simulate(config, tmp_path / "scene")
+    track(config, tmp_path / "scene" / "detections.parquet", tmp_path / "tracks")
+    found = pd.read_parquet(tmp_path / "tracks" / "associations.parquet")
+    assert left_out not in set(found.track_id)
+    # all that the others had before, and claims of others to what the track was given
+    kept = chosen[chosen.track_id != left_out]
+    assert len(kept.merge(found, on=[*key, "track_id", "probability"])) == len(kept)
+    further = found.merge(given[given.track_id == left_out][key], on=key)
+    assert len(further) > 0
+    assert len(found) == len(kept) + len(further)
+    assert found.groupby(key).probability.sum().max() < 1.0 + 1e-9
 
 
 @pytest.mark.parametrize(

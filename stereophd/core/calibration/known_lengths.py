@@ -24,7 +24,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, c
 
 from stereophd.core.calibration.adjustment import damped_bands, eliminate
 from stereophd.core.calibration.fits import problem_of
-from stereophd.core.calibration.known_scale import PEAK_WIDTH, PRIOR_REACH, RIGID, known_members, object_pairs
+from stereophd.core.calibration.known_scale import PEAK_WIDTH, PRIOR_REACH, RIGID, candidate_pairs, object_pairs
 from stereophd.core.calibration.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.scale import log_scale
 from stereophd.core.calibration.task import Fit, Task
@@ -35,12 +35,15 @@ Integers = NDArray[np.int64]
 
 # Relative deviation of a distance that may be the known length.
 WITHIN = 2.0 * RIGID
-# Relative deviation of the mean distance of a pair that is asked; median of chi-squared of two degrees of freedom.
-ASKED, MEDIAN_OF_TWO = 2.0 * PEAK_WIDTH, 2.0 * float(np.log(2.0))
+# Largest relative deviation of a pair's mean distance from the known length with which the pair is considered.
+LARGEST_MEAN_DEVIATION = 2.0 * PEAK_WIDTH
+# Median of chi-squared of two degrees of freedom.
+MEDIAN_OF_TWO = 2.0 * float(np.log(2.0))
 # Rounds in which pairs are chosen, steps of each, and damping of the normal equations.
 ROUNDS, STEPS, DAMPING = 3, 5, 1e-9
-# Most distances that are used, and most numbers in their derivatives.
-MOST_DISTANCES, MOST_NUMBERS = 400, 20_000_000
+# Most distances that are used, and most numbers in their derivatives. The odds of a pair need three times at least: a
+# constant and a steady change take two.
+MOST_DISTANCES, MOST_NUMBERS, LEAST_TIMES_FOR_ODDS = 400, 20_000_000, 3
 # The known lengths are taken as long as they cost less than this a distance, in squared standard deviations.
 MOST_COST = 2.0
 
@@ -84,48 +87,58 @@ def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, 
 
 
 def _candidates(fit: Fit, length: float, reach: float) -> tuple[Integers, Array]:
-    """Pairs (p, 2) that may have the known length, and the logarithms of their odds before their distances are asked.
+    """Pairs (p, 2) that may have the known length, and the logarithms of their odds by their mean distances alone.
 
-    A distance of chance is anywhere within the reach of the prior, and seldom within the tolerance.
+    A distance of chance is anywhere within the reach of the prior, and seldom within `LARGEST_MEAN_DEVIATION`.
     """
     every = object_pairs(fit)
-    peaks, places = known_members(every, every.rigid(WITHIN), length, 0.0, max(reach, ASKED))
-    near = np.abs(peaks.ratios) <= ASKED
-    rarity = np.log(peaks.range / (2.0 * ASKED))
-    expected = max(float(peaks.members(0.0).sum()), 1.0)
+    peaks, places = candidate_pairs(every, every.rigid(WITHIN), length, 0.0, max(reach, LARGEST_MEAN_DEVIATION))
+    near = np.abs(peaks.ratios) <= LARGEST_MEAN_DEVIATION
+    rarity = np.log(peaks.range / (2.0 * LARGEST_MEAN_DEVIATION))
+    expected = max(float(peaks.probabilities(0.0).sum()), 1.0)
     return every.members[places[near]], np.log(expected * peaks.odds[near]) + rarity
 
 
 def _odds_of_lengths(linearisation: Linearisation, fit: Fit, pairs: Integers, length: float, std: float) -> Array:
     """Logarithms of the odds (p,) that pairs (p, 2) have the length at all common times, rather than by chance.
 
-    Errors of lenses and others that no covariance knows are as large as they are in the better half of the pairs.
+    Errors that no covariance contains, such as those of lenses, are taken as large as the better half of the pairs
+    shows them. Zeros where the equations have no solution: the distances then say nothing.
     """
-    states = fit.adjustment.states
-    pair, times = _sampled(fit, pairs, states.size)
-    found, slopes = _distances(fit, states, pairs[pair], times)
-    equations = linearisation.at(fit.adjustment.values, states)
     try:
-        gains = _Gains.of(equations, slopes)
+        information, along = _deviations(linearisation, fit, pairs, length, std)
+        squared = np.einsum("pi,pi->p", along, np.linalg.solve(information, along[:, :, None])[:, :, 0])
     except LinAlgError:
         return np.zeros(len(pairs))
-    missing = length - found - slopes @ gains.state_step
-    count = len(times) // len(pairs)
-    steady = np.linspace(-np.sqrt(3.0), np.sqrt(3.0), count)
-    basis = ASKED * length * np.column_stack([np.ones(count), steady])
-    products = []
-    for number in range(len(pairs)):
-        rows = slice(number * count, (number + 1) * count)
-        spread = std**2 * (np.eye(count) + 1.0) + slopes[rows] @ gains.of_states[:, rows]
-        solved = np.linalg.solve(spread, np.column_stack([basis, missing[rows]]))
-        products.append(basis.T @ solved)
-    information, along = np.stack(products)[:, :, :2], np.stack(products)[:, :, 2]
-    squared = np.einsum("pi,pi->p", along, np.linalg.solve(information, along[:, :, None])[:, :, 0])
     typical = float(np.sort(squared)[(len(squared) - 1) // 2])
     factor = max(typical / MEDIAN_OF_TWO, 1.0)
     whole = np.eye(2) + information / factor
     pulled = np.einsum("pi,pi->p", along, np.linalg.solve(whole, along[:, :, None])[:, :, 0]) / factor**2
     return np.asarray(0.5 * np.linalg.slogdet(whole)[1] - 0.5 * pulled)
+
+
+def _deviations(
+    linearisation: Linearisation, fit: Fit, pairs: Integers, length: float, std: float
+) -> tuple[Array, Array]:
+    """Constant and steady deviation of each pair: information (p, 2, 2), and information times estimate (p, 2).
+
+    In units of the tolerance. The pairs are solved one by one, which bounds the memory.
+    """
+    states = fit.adjustment.states
+    pair, times = _sampled(fit, pairs, states.size, LEAST_TIMES_FOR_ODDS)
+    factors = _Factors.of(linearisation.at(fit.adjustment.values, states))
+    count = len(times) // len(pairs)
+    steady = np.linspace(-np.sqrt(3.0), np.sqrt(3.0), count)
+    basis = LARGEST_MEAN_DEVIATION * length * np.column_stack([np.ones(count), steady])
+    information, along = np.empty((len(pairs), 2, 2)), np.empty((len(pairs), 2))
+    for number in range(len(pairs)):
+        rows = slice(number * count, (number + 1) * count)
+        found, slopes = _distances(fit, states, pairs[pair[rows]], times[rows])
+        missing = length - found - slopes @ factors.state_step
+        spread = std**2 * (np.eye(count) + 1.0) + slopes @ factors.gains(slopes)[1]
+        solved = basis.T @ np.linalg.solve(spread, np.column_stack([basis, missing]))
+        information[number], along[number] = solved[:, :2], solved[:, 2]
+    return information, along
 
 
 def _updated(
@@ -152,9 +165,12 @@ def _updated(
     return replace(fit, adjustment=adjustment)
 
 
-def _sampled(fit: Fit, pairs: Integers, size: int) -> tuple[Integers, Array]:
-    """Pair (k,) and time (k,) of every distance: evenly over the time in which both objects are seen."""
-    count = max(min(MOST_DISTANCES, MOST_NUMBERS // max(size, 1)) // len(pairs), 1)
+def _sampled(fit: Fit, pairs: Integers, size: int, least: int = 1) -> tuple[Integers, Array]:
+    """Pair (k,) and time (k,) of every distance: evenly over the time in which both objects are seen.
+
+    Every pair has the same number of times, and `least` at least.
+    """
+    count = max(min(MOST_DISTANCES, MOST_NUMBERS // max(size, 1)) // len(pairs), least)
     spans = fit.knots.spans[pairs]
     since, until = spans[:, :, 0].max(axis=1), spans[:, :, 1].min(axis=1)
     part = (np.arange(count) + 0.5) / count
@@ -179,37 +195,40 @@ def _distances(fit: Fit, states: Array, pairs: Integers, times: Array) -> tuple[
 
 
 @dataclass(frozen=True)
-class _Gains:
-    """Steps without the lengths, and N^-1 G^T by values (m, k) and knots (size, k)."""
+class _Factors:
+    """Factored normal equations: steps of values (m,) and knots (size,) without the lengths, and covariance (m, m)."""
 
     value_step: Array
     state_step: Array
-    of_values: Array
-    of_states: Array
     covariance: Array
+    coupling: Array
+    eliminated: Array
+    of_knots: tuple[Array, bool]
+    of_schur: tuple[Array, bool]
 
     @staticmethod
-    def of(equations: NormalEquations, slopes: Array) -> _Gains:
-        factor = (cholesky_banded(damped_bands(equations, DAMPING), lower=True), True)
+    def of(equations: NormalEquations) -> _Factors:
+        of_knots = (cholesky_banded(damped_bands(equations, DAMPING), lower=True), True)
         eliminated, schur = eliminate(equations, DAMPING)
-        schur_factor = cho_factor(schur)
-        value_step = cho_solve(schur_factor, equations.value_vector - equations.coupling.T @ eliminated[:, -1])
+        of_schur = cho_factor(schur)
+        value_step = cho_solve(of_schur, equations.value_vector - equations.coupling.T @ eliminated[:, -1])
         state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
-        across = cho_solve_banded(factor, slopes.T)
-        of_values = -cho_solve(schur_factor, equations.coupling.T @ across)
-        of_states = across - eliminated[:, :-1] @ of_values
-        return _Gains(value_step, state_step, of_values, of_states, cho_solve(schur_factor, np.eye(len(schur))))
+        covariance = cho_solve(of_schur, np.eye(len(schur)))
+        return _Factors(value_step, state_step, covariance, equations.coupling, eliminated, of_knots, of_schur)
+
+    def gains(self, slopes: Array) -> tuple[Array, Array]:
+        """N^-1 G^T by values (m, k) and knots (size, k), with G the slopes (k, size)."""
+        across = cho_solve_banded(self.of_knots, slopes.T)
+        of_values = -cho_solve(self.of_schur, self.coupling.T @ across)
+        return of_values, across - self.eliminated[:, :-1] @ of_values
 
 
 def _step(equations: NormalEquations, slopes: Array, missing: Array, std: float) -> tuple[Array, Array, Array]:
     """Steps of values (m,) and knots (size,) with distances that miss the length by `missing` (k,); covariance."""
-    gains = _Gains.of(equations, slopes)
-    spread = std**2 * (np.eye(len(missing)) + 1.0) + slopes @ gains.of_states
-    weights = np.linalg.solve(spread, np.column_stack([missing - slopes @ gains.state_step, gains.of_values.T]))
-    covariance = gains.covariance - gains.of_values @ weights[:, 1:]
+    factors = _Factors.of(equations)
+    of_values, of_states = factors.gains(slopes)
+    spread = std**2 * (np.eye(len(missing)) + 1.0) + slopes @ of_states
+    weights = np.linalg.solve(spread, np.column_stack([missing - slopes @ factors.state_step, of_values.T]))
+    covariance = factors.covariance - of_values @ weights[:, 1:]
     covariance = 0.5 * (covariance + covariance.T)
-    return (
-        gains.value_step + gains.of_values @ weights[:, 0],
-        gains.state_step + gains.of_states @ weights[:, 0],
-        covariance,
-    )
+    return factors.value_step + of_values @ weights[:, 0], factors.state_step + of_states @ weights[:, 0], covariance

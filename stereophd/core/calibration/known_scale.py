@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.calibration.fits import adjusted_to
-from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
+from stereophd.core.calibration.scale import ScaleMeasurement, log_scale, scale_is_free
 from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.trajectories import interpolation, positions
 
@@ -32,11 +32,14 @@ RIGID, LEAST_TIMES, LEAST_TRAVEL = 0.02, 8, 0.5
 PEAK_WIDTH, PRIOR_REACH = 0.02, 3.0
 # Part of the objects that may have any speed, and the range of its logarithm.
 ODD_SPEEDS, SPEED_RANGE = 0.2, float(np.log(1e4))
-# Median of the absolute deviations of a normal distribution in standard deviations, and largest relative width of the
-# speeds of objects of one speed.
-NORMAL_MIDDLE, WIDEST_SPEEDS = 0.6745, 0.3
+# Median of the absolute deviations of a normal distribution in standard deviations, largest relative width of the
+# speeds of objects of one speed, and the part of all objects that must have it.
+NORMAL_MIDDLE, WIDEST_SPEEDS, CLEAR_MAJORITY = 0.6745, 0.3, 0.55
 # A peak counts if it holds this share of the probability; rounds in which the number of its members is found.
 LEAST_SHARE, ROUNDS = 0.9, 20
+# A rigid body has pairs of many lengths. None other may have more pairs than this part of the n pairs of the chosen
+# length, or than n - sqrt(n), if that is more: a board has 17 neighbours and 12 diagonals.
+LARGEST_RIVAL = 0.5
 # Of all pairs, those of the smallest rates from which the rates of chance are extrapolated to zero.
 SLOW_PAIRS = 20
 
@@ -94,7 +97,7 @@ class ObjectPairs:
 
 
 def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) -> ScaleMeasurement | None:
-    """Measure the scale by the known speed of all objects, or by the known distance of two.
+    """Measure the scale by the known speed of most objects, or by a known distance that pairs of objects keep.
 
     Speeds and distances in units of the scene's scale do not depend on it, so each of them measures its logarithm as
     log s + log(known / found). The speeds of k objects are independent measurements.
@@ -103,15 +106,18 @@ def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) ->
     ----------
     task, fit : Task, Fit
     kind : str
-        ``speed`` (mean speed of every object) or ``length`` (distance that two or more keep).
+        ``speed`` (mean speed of most objects) or ``length`` (the most probable distance that two or more keep).
     value, std : float
         What is known.
 
     Returns
     -------
     ScaleMeasurement or None
-        None if no two objects keep their distance, or if neither distances nor speeds agree on a scale.
+        None if no two objects keep their distance, if neither distances nor speeds agree on a scale, or if the centres
+        of two cameras are known, which fix the scale.
     """
+    if not scale_is_free(task.parameters):
+        return None
     logarithm, gradient = log_scale(task.parameters, task.reference, fit.adjustment.values)
     if kind == "speed":
         found = known_speed(mean_speeds(fit), value, std)
@@ -141,7 +147,8 @@ def mean_speeds(fit: Fit) -> Array:
 def known_speed(speeds: Array, speed: float, std: float) -> tuple[float, float] | None:
     """Find log(speed / found) of most objects, and its error; None if the objects do not agree on one.
 
-    The speeds are a normal density on a floor of others (a mixture, fitted by expectation and maximisation).
+    The speeds are a normal density on a floor of others (a mixture, fitted by expectation and maximisation). Its width
+    begins with that of the densest third of the logarithms, so that it does not span several groups.
 
     Parameters
     ----------
@@ -151,9 +158,11 @@ def known_speed(speeds: Array, speed: float, std: float) -> tuple[float, float] 
         The known speed, and its standard deviation from object to object.
     """
     ratios = np.log(speed / np.maximum(speeds, 1e-300))
-    # trajectories have errors of their own, which the middle of the deviations shows
-    middle = float(np.median(np.abs(ratios - np.median(ratios))))
-    width = max(std / speed, min(middle / NORMAL_MIDDLE, WIDEST_SPEEDS))
+    # trajectories have errors of their own, which the shortest interval that holds a third of them shows
+    ordered, least = np.sort(ratios), std / speed
+    count = (len(ordered) + 2) // 3
+    shortest = float((ordered[count - 1 :] - ordered[: len(ordered) - count + 1]).min())
+    width = float(np.clip(0.5 * shortest / NORMAL_MIDDLE, least, max(WIDEST_SPEEDS, least)))
 
     def members(center: Array) -> Array:
         near = (1.0 - ODD_SPEEDS) * _normal(ratios - center, width)
@@ -163,19 +172,23 @@ def known_speed(speeds: Array, speed: float, std: float) -> tuple[float, float] 
         density = (1.0 - ODD_SPEEDS) * _normal(ratios - center, width) + ODD_SPEEDS / SPEED_RANGE
         return np.asarray(np.log(density).sum(axis=1))
 
-    centers = np.sort(ratios)
-    center = float(centers[log_likelihood(centers[:, None]).argmax()])
+    center = float(ordered[log_likelihood(ordered[:, None]).argmax()])
     for _ in range(ROUNDS):
-        center = float(np.average(ratios, weights=members(np.array(center))))
-    apart = np.abs(centers - center) > 4.0 * width
+        weights = members(np.array(center))
+        center = float(np.average(ratios, weights=weights))
+        scatter = float(np.sqrt(np.average((ratios - center) ** 2, weights=weights)))
+        width = float(np.clip(scatter, least, max(WIDEST_SPEEDS, least)))
+    apart = np.abs(ordered - center) > 4.0 * width
     if apart.any():
-        rival = float(log_likelihood(centers[apart, None]).max())
+        rival = float(log_likelihood(ordered[apart, None]).max())
         here = float(log_likelihood(np.array([[center]]))[0])
         if rival > here + np.log(1.0 - LEAST_SHARE):
             return None
     weights = members(np.array(center))
-    scatter = float(np.average((ratios - center) ** 2, weights=weights))
-    return center, float(np.sqrt(max(width**2, scatter) / weights.sum()))
+    if weights.sum() < CLEAR_MAJORITY * len(ratios):
+        return None
+    variance = float(np.average((ratios - center) ** 2, weights=weights))
+    return center, float(np.sqrt(max(width**2, variance) / weights.sum()))
 
 
 def object_pairs(fit: Fit) -> ObjectPairs:
@@ -233,8 +246,11 @@ class Peaks:
         """Log-likelihoods (n,) of centers (n,), up to a constant."""
         return np.asarray(np.log(1.0 + self.densities(center)).sum(axis=1))
 
-    def members(self, center: float) -> Array:
-        """Probabilities (k,) that the pairs have the length of a center, their expected number found as well."""
+    def probabilities(self, center: float) -> Array:
+        """Probabilities (k,) that the pairs have the known length, if the logarithm of its ratio is `center`.
+
+        The expected number of pairs of that length, which the odds need, is found by iteration.
+        """
         density, known = self.densities(np.array([center]))[0], 1.0
         shares = density
         for _ in range(ROUNDS):
@@ -242,15 +258,36 @@ class Peaks:
             known = max(float(shares.sum()), 1.0)
         return np.asarray(shares)
 
+    def largest_rival(self, center: float) -> float:
+        """Return the largest expected number of pairs of another length, `4 PEAK_WIDTH` from a center or more."""
+        apart = np.abs(self.ratios - center) > 4.0 * PEAK_WIDTH
+        return max((float(self.probabilities(float(other)).sum()) for other in self.ratios[apart]), default=0.0)
+
 
 def _normal(errors: Array, std: Array | float) -> Array:
     return np.asarray(np.exp(-0.5 * (errors / std) ** 2) / (np.sqrt(2.0 * np.pi) * std))
 
 
-def known_members(
+def candidate_pairs(
     pairs: ObjectPairs, rigid: Integers, length: float, center: float, reach: float
 ) -> tuple[Peaks, Integers]:
-    """Rigid pairs beside their chances, for lengths whose logarithm is within a reach of a center; their places."""
+    """Pairs that may have the known length: the rigid ones whose logarithm of the ratio is within `reach` of `center`.
+
+    Parameters
+    ----------
+    pairs : ObjectPairs
+    rigid : array (r,) of int
+        Places of the rigid pairs.
+    length : float
+        The known length.
+    center, reach : float
+        Of log(length / distance).
+
+    Returns
+    -------
+    Peaks, array (k,) of int
+        The candidates and their odds, and their places in `pairs`.
+    """
     every = np.log(length / pairs.distances)
     near = np.abs(every - center) <= reach
     rigid = rigid[near[rigid]]
@@ -276,12 +313,13 @@ def known_distance(pairs: ObjectPairs, length: float, expected: float, prior_std
     Returns
     -------
     (float, float) or None
-        None if no pair is rigid, or if several distances are as probable, or chance.
+        None if no pair is rigid, if several distances are about as probable or chance may have made them, if another
+        distance has nearly as many pairs (`LARGEST_RIVAL`), and where the prior leaves nothing free.
     """
     rigid = pairs.rigid()
-    if not len(rigid):
+    if not len(rigid) or prior_std <= 0.0:
         return None
-    peaks, places = known_members(pairs, rigid, length, expected, PRIOR_REACH * prior_std)
+    peaks, places = candidate_pairs(pairs, rigid, length, expected, PRIOR_REACH * prior_std)
     if not len(places):
         best = rigid[pairs.spreads[rigid].argmin()]
         chances = pairs.by_chance(pairs.moving)[best]
@@ -294,8 +332,10 @@ def known_distance(pairs: ObjectPairs, length: float, expected: float, prior_std
     here = np.abs(centers - centers[logarithms.argmax()]) <= 2.0 * PEAK_WIDTH
     if probabilities[here].sum() < LEAST_SHARE * probabilities.sum():
         return None
-    weights = peaks.members(float(centers[logarithms.argmax()]))
-    mean = float(np.average(peaks.ratios, weights=weights))
+    weights = peaks.probabilities(float(centers[logarithms.argmax()]))
+    mean, count = float(np.average(peaks.ratios, weights=weights)), float(weights.sum())
+    if peaks.largest_rival(mean) > max(LARGEST_RIVAL * count, count - np.sqrt(count)):
+        return None
     scatter = float(np.average((peaks.ratios - mean) ** 2, weights=weights))
     least = float((pairs.spreads[places][weights > 0.5] ** 2).min(initial=PEAK_WIDTH**2))
     return mean, float(np.sqrt(max(scatter, least) / max(weights.sum(), 1.0)))

@@ -27,18 +27,19 @@ POSITION_WITH_VELOCITY = 0.5
 POSITION_ALONE = 1.0 / math.sqrt(12.0)
 
 
-# Constants of the last 64 numbers of intervals are kept, up to this number: 5 MB in all. Those of 100,000 components
-# take 7 MB each.
+# Keeps the constants for the 64 latest values of `count` that are at most this.
 MOST_KEPT = 1024
 
 
 def _constants(count: int) -> tuple[Array, Array, Array, Array]:
-    """Fields of `MotionArrays` that are the same for all intervals: `keep`, `drift`, `with_velocity`, `alone`."""
+    """Fields of `MotionArrays` that are the same for all intervals: `keep`, `drift`, `with_velocity`, `alone`.
+
+    Read only.
+    """
     flags = np.ones(count)
     return flags, np.zeros((count, 6)), POSITION_WITH_VELOCITY * flags, POSITION_ALONE * flags
 
 
-# Read only.
 _kept_constants = lru_cache(maxsize=64)(_constants)
 
 

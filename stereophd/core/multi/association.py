@@ -87,16 +87,16 @@ def pair_likelihoods(
     total = 0
     column, row = points[:, 0].copy(), points[:, 1].copy()
     same = _same_noise(noises)
-    # of delays and of changes with the disparity, of which u is observed
-    least, most_read = np.zeros(2), np.zeros(2)
+    # bounds of the delays, and of the change of u with the disparity
+    smallest, greatest = np.zeros(2), np.zeros(2)
     if readings is not None and len(readings) > 0:
         for a in range(2):
-            least[a], most_read[a] = readings[:, a].min(), readings[:, a].max()
+            smallest[a], greatest[a] = readings[:, a].min(), readings[:, a].max()
     for k in range(count):
         if seen[k]:
             from_u, to_u, variance = means[k, 0], means[k, 0], covariances[k, 0, 0]
             if readings is not None:
-                from_u, to_u, variance = _reach_of_u(means[k], covariances[k], least, most_read)
+                from_u, to_u, variance = _reach_of_u(means[k], covariances[k], smallest, greatest)
             reach = sigmas * math.sqrt(variance + largest)
             low[k] = np.searchsorted(column, from_u - reach)
             high[k] = np.searchsorted(column, to_u + reach)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 from stereophd.errors import InputError, unknown_camera
@@ -22,6 +23,20 @@ def consulted(options: Options) -> tuple[Options, set[str]]:
 
     noted: Options = Noted(**vars(options))
     return noted, read
+
+
+def with_source_names(options: ImportOptions) -> tuple[ImportOptions, list[str]]:
+    """Return options that note the cameras that they are asked to name, and their names in the source so far."""
+    asked: list[str] = []
+
+    class Naming(type(options)):  # type: ignore[misc]
+        def name(self, camera: str) -> str:
+            asked.append(camera)
+            named: Callable[[str], str] = super().name
+            return named(camera)
+
+    naming: ImportOptions = Naming(**vars(options))
+    return naming, asked
 
 
 def refuse_unread(options: Options, read: set[str], what: str) -> None:
@@ -46,7 +61,9 @@ def refuse_unread(options: Options, read: set[str], what: str) -> None:
             raise InputError(f"`{name}`: expected an option that {what} has a use for, found one that it has not")
 
 
-def refuse_other_cameras(options: ImportOptions, cameras: Sequence[str]) -> None:
+def refuse_other_cameras(
+    options: ImportOptions, cameras: Sequence[str], in_source: Sequence[str], sources: Sequence[Path]
+) -> None:
     """Refuse statements about cameras that a source does not have.
 
     Parameters
@@ -55,17 +72,24 @@ def refuse_other_cameras(options: ImportOptions, cameras: Sequence[str]) -> None
         As the user stated them.
     cameras
         Native names of the cameras of the source.
+    in_source
+        Their names in the source, from `with_source_names`.
+    sources
+        Files that the user stated.
 
     Raises
     ------
     InputError
         Names the first of them, and the cameras.
     """
-    known = list(dict.fromkeys(cameras))
+    known, files = list(dict.fromkeys(cameras)), str(sources[0])
+    if len(sources) > 1:
+        files += f" and {len(sources) - 1} more"
     for key in ("rates", "offsets", "frames", "image_sizes"):
         for name in getattr(options, key).named:
             if name not in known:
-                raise InputError(f"`{key}`: {unknown_camera(name, known)}")
-    for before, after in options.rename.items():
-        if after not in known:
-            raise InputError(f"`rename`: expected a camera {before} in the source, found {', '.join(known)}")
+                raise InputError(f"`{key}`: {unknown_camera(name, known, files)}")
+    originals = list(dict.fromkeys(in_source))
+    for before in options.rename:
+        if before not in originals:
+            raise InputError(f"`rename`: {unknown_camera(before, originals, files)}")

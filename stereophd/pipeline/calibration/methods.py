@@ -26,7 +26,7 @@ from stereophd.core.calibration.fits import fit_until, marginal_fit, problem_of,
 from stereophd.core.calibration.known_lengths import with_lengths
 from stereophd.core.calibration.known_scale import measured_scale, rescaled
 from stereophd.core.calibration.posterior import laplace_draws
-from stereophd.core.calibration.scale import ScaleMeasurement
+from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.selection import compare
 from stereophd.core.calibration.task import Fit, Start, Task
 from stereophd.core.calibration.unknown_sets import candidates
@@ -184,7 +184,11 @@ def _at_known_scale(section: CalibrationConfig, task: Task, fit: Fit, details: d
     """Adjust again where speeds or a length of the scene are known; the task holds their measurement of the scale."""
     scale = section.scale
     measured: ScaleMeasurement | None = None
-    if isinstance(scale, SpeedScale):
+    if isinstance(scale, SpeedScale | LengthScale) and not scale_is_free(task.parameters):
+        details["scale_warning"] = (
+            f"the centres of two cameras are known, which fixes the scale: the known {scale.kind} was not used"
+        )
+    elif isinstance(scale, SpeedScale):
         measured = measured_scale(task, fit, "speed", scale.speed, scale.std)
         if measured is None:
             details["scale_warning"] = "the objects do not agree on one speed: the known speed was not used"

@@ -118,7 +118,7 @@ class Associations:
         self._pending = {label: found for label, found in self._pending.items() if label in alive}
 
 
-def at_most_one(sure: Sequence[Associated], further: Sequence[Associated]) -> list[Associated]:
+def reduced_to_what_is_left(sure: Sequence[Associated], further: Sequence[Associated]) -> list[Associated]:
     """Return further rows of an event, reduced so that all rows of a detection add up to at most 1.
 
     Parameters

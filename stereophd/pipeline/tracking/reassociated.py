@@ -1,14 +1,15 @@
 """Smoothed tracks of a run that choose their detections anew (`stereophd.core.trajectories.reassociation`).
 
 What they choose is a decision: the likelihood of the whole log made it, and no probability is left to state. Its
-association has probability 1, and the claims that others have to that detection are dropped, as are all claims of a
-track at an event at which its detection changed. All other claims stay those of the filter.
+association has probability 1, and all other claims of a track at an event at which its detection changed are dropped.
+So are the claims of others to that detection (`without_claims_of_others`), if the track is written. All other claims
+stay those of the filter.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,14 +22,17 @@ from stereophd.core.trajectories.reassociation import Reassociated, reassociate
 from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.loop import Record
 
+# Detections, each an event and its pixel, and the track that each was given to.
+Given = dict[tuple[int, tuple[float, ...]], int]
+
 # A track has the detection that it claims with more than this probability.
 PROBABLE = 0.5
 
 
 def choose_again(
     whole: Sequence[Record], extended: Sequence[Extended], cameras: Sequence[Camera], motion: Motion
-) -> tuple[list[Record], list[Extended]]:
-    """Let smoothed tracks choose their detections anew; return the records and the tracks with what changed.
+) -> tuple[list[Record], list[Extended], Given]:
+    """Let smoothed tracks choose their detections anew.
 
     Parameters
     ----------
@@ -38,18 +42,25 @@ def choose_again(
         Its tracks, smoothed.
     cameras : sequence of Camera
     motion : Motion
+
+    Returns
+    -------
+    records : list of Record
+    tracks : list of Extended
+        Both with what changed.
+    given : dict
+        Detections that a track has now and had not before.
     """
     if not motion.moves:
-        return list(whole), list(extended)
-    numbers = {(one.time_s, one.camera, one.frame): number for number, one in enumerate(whole) if one.is_event}
+        return list(whole), list(extended), {}
+    numbers = _numbers(whole)
     own = _detections(whole, extended, numbers)
     events = [record.event for record in whole]
     found = reassociate([one.trajectory for one in extended], own, events, cameras, motion)
     gone = {(track.trajectory.track_id, event) for track in found for event in track.changed}
-    given = _given(found, events)
     records, tracks = list(whole), []
     for number, record in enumerate(records):
-        left = _without(record.associations, gone, given, numbers)
+        left = _without(record.associations, gone, numbers)
         records[number] = replace(record, associations=left, attributed={})
     for before, detections, track in zip(extended, own, found, strict=True):
         kept = [k for k, event in enumerate(before.detected) if event not in track.changed]
@@ -57,7 +68,38 @@ def choose_again(
         tracks.append(Extended(track.trajectory, detected, shares))
         # those that the track reached back to are counted with it
         _enter(records, track, {event for event in detections if event not in track.changed} - set(detected))
-    return records, tracks
+    return records, tracks, _given(found, events)
+
+
+def without_claims_of_others(
+    whole: Sequence[Record], given: Mapping[tuple[int, tuple[float, ...]], int]
+) -> list[Record]:
+    """Return records without what others claim of detections that a track was given.
+
+    Parameters
+    ----------
+    whole : sequence of Record
+    given : mapping
+        From `choose_again`, without those of tracks that are not written: what these were given has the rows of others.
+    """
+    if not given:
+        return list(whole)
+    numbers = _numbers(whole)
+    out = []
+    for record in whole:
+        left = []
+        for one in record.associations:
+            number = numbers[one.time_s, one.camera, one.frame]
+            pairs = zip(one.track_ids.tolist(), one.pixels.tolist(), strict=True)
+            owners = ((track_id, given.get((number, tuple(pixel)), track_id)) for track_id, pixel in pairs)
+            left.append(_kept(one, [track_id == owner for track_id, owner in owners]))
+        out.append(replace(record, associations=tuple(one for one in left if len(one.track_ids))))
+    return out
+
+
+def _numbers(whole: Sequence[Record]) -> dict[tuple[float, str, int], int]:
+    """Return the number of the record of each event."""
+    return {(one.time_s, one.camera, one.frame): number for number, one in enumerate(whole) if one.is_event}
 
 
 def _detections(
@@ -88,34 +130,33 @@ def _detections(
     return out
 
 
-def _given(found: Sequence[Reassociated], events: Sequence[Event | None]) -> set[tuple[int, tuple[float, ...]]]:
-    """Detections (event, pixel) that a track has now and had not before."""
-    given = set()
+def _given(found: Sequence[Reassociated], events: Sequence[Event | None]) -> Given:
+    """Detections that a track has now and had not before."""
+    given = {}
     for track in found:
         for number, (_, after) in track.changed.items():
             event = events[number]
             if after is not None and event is not None and event.pixels is not None:
-                given.add((number, tuple(event.pixels[after].tolist())))
+                given[number, tuple(event.pixels[after].tolist())] = track.trajectory.track_id
     return given
 
 
 def _without(
     associations: tuple[Associated, ...],
     gone: set[tuple[int, int]],
-    given: set[tuple[int, tuple[float, ...]]],
     numbers: dict[tuple[float, str, int], int],
 ) -> tuple[Associated, ...]:
-    """Associations without those of tracks at events (pairs) that changed, and without those of detections `given`."""
+    """Associations without those of tracks at events (pairs) that changed."""
     out = []
     for one in associations:
         number = numbers[one.time_s, one.camera, one.frame]
-        pairs = zip(one.track_ids.tolist(), one.pixels.tolist(), strict=True)
-        kept = np.array(
-            [(track_id, number) not in gone and (number, tuple(pixel)) not in given for track_id, pixel in pairs],
-            dtype=np.bool_,
-        )
-        out.append(one if kept.all() else one.take(kept))
+        out.append(_kept(one, [(track_id, number) not in gone for track_id in one.track_ids.tolist()]))
     return tuple(one for one in out if len(one.track_ids))
+
+
+def _kept(one: Associated, flags: list[bool]) -> Associated:
+    """Return the rows that are kept."""
+    return one if all(flags) else one.take(np.array(flags, dtype=np.bool_))
 
 
 def _enter(records: list[Record], track: Reassociated, kept: set[int]) -> None:

@@ -16,9 +16,9 @@ from stereophd.core.multi.estimates import Estimates
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
-from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated, at_most_one
+from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated, reduced_to_what_is_left
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.reassociated import choose_again
+from stereophd.pipeline.tracking.reassociated import Given, choose_again, without_claims_of_others
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.
@@ -46,8 +46,9 @@ def smoothed_records(
     labels = np.array([record.first_label for record in whole], dtype=np.int64)
     trajectories = [_smooth_back(t, label, times, labels, motion) for t, label in _trajectories(whole, times)]
     extended = _reach_back(trajectories, [record.event for record in whole], times, cameras, motion, max_gap_s)
+    given: Given = {}
     if reassociate:
-        whole, extended = choose_again(whole, extended, cameras, motion)
+        whole, extended, given = choose_again(whole, extended, cameras, motion)
     trajectories = [one.trajectory for one in extended]
     continued = stitch(trajectories, motion, max_gap_s)
 
@@ -70,6 +71,7 @@ def smoothed_records(
             detections[number].setdefault(track_id, Counter())[whole[number].camera] += 1
     reported = np.array([record.reported for record in whole])
     written = {name(one.track_id) for one in trajectories if _is_written(one, reported, max_position_std)}
+    whole = without_claims_of_others(whole, {key: owner for key, owner in given.items() if name(owner) in written})
     associations = _continued_associations(whole, extended, name, written)
     for record, found, attributed, sightings in zip(whole, rows, detections, associations, strict=True):
         found.sort(key=lambda row: row[0])
@@ -114,7 +116,7 @@ def _continued_associations(
             reached[number].append(
                 Associated(record.time_s, record.camera, record.frame, event.pixels[rows], ids, shares[rows])
             )
-    return [(*sure, *at_most_one(sure, further)) for sure, further in zip(claimed, reached, strict=True)]
+    return [(*sure, *reduced_to_what_is_left(sure, further)) for sure, further in zip(claimed, reached, strict=True)]
 
 
 def _reach_back(

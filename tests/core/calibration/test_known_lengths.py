@@ -103,3 +103,44 @@ def test_a_pair_of_about_the_length_is_told_from_one_of_the_length_where_the_tra
         assert (odds[2:] < -10.0).all()
     else:
         assert np.abs(odds).max() < 2.0
+
+
+@pytest.mark.parametrize("count", [2, 201, 300])
+def test_any_number_of_rods_have_odds(count: int) -> None:
+    """Rods of 10, alike but for their places, have the same odds; more than 133 are asked three times each."""
+    times = np.arange(0.0, 2.0, 0.25)
+    shift = np.array([3.0, 1.0, 2.0])
+    paths = []
+    for number in range(count):
+        one = number * np.array([0.0, 30.0, 0.0]) + times[:, None] * shift
+        paths += [one, one + 10.0 * np.array([0.6, 0.0, 0.8])]
+    knots = place_knots([(times[0], times[-1])] * (2 * count), 3.0, ConstantVelocity(0.5))
+    numbers, every = np.repeat(np.arange(2 * count), len(times)), np.tile(times, 2 * count)
+    states = fit_states(knots, *interpolation(knots, numbers, every), np.concatenate(paths), np.full(len(every), 1e8))
+    size = states.size
+    bands = np.zeros((12, size))
+    bands[0] = 1e4
+    equations = NormalEquations(
+        0.0, bands, np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0), 0.0, np.zeros(size)
+    )
+    linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
+    fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
+    odds = _odds_of_lengths(linearisation, fit, np.arange(2 * count).reshape(count, 2), 10.0, 0.01)
+    assert odds.shape == (count,)
+    np.testing.assert_allclose(odds, odds[0], rtol=1e-6)
+    assert odds[0] > 2.0
+    pair, _ = _sampled(fit, np.arange(2 * count).reshape(count, 2), size, 3)
+    assert (np.bincount(pair) == max(400 // count, 3)).all()
+
+
+def test_equations_without_a_solution_leave_the_odds_as_they_are() -> None:
+    knots = place_knots([(0.0, 1.0), (0.0, 1.0)], 0.4, ConstantVelocity(0.5))
+    size = 6 * len(knots.times)
+    equations = NormalEquations(
+        0.0, -np.ones((12, size)), np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0), 0.0,
+        np.zeros(size),
+    )  # fmt: skip
+    linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
+    states = np.arange(float(size)).reshape(-1, 2, 3)
+    fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
+    np.testing.assert_array_equal(_odds_of_lengths(linearisation, fit, np.array([[0, 1]]), 1.0, 0.1), [0.0])

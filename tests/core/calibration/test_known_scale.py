@@ -6,7 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.known_scale import ObjectPairs, known_distance, known_speed, object_pairs
+from stereophd.core.calibration.known_scale import (
+    ObjectPairs,
+    known_distance,
+    known_speed,
+    measured_scale,
+    object_pairs,
+)
 from stereophd.core.calibration.trajectories import fit_states, interpolation, place_knots
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 
@@ -144,6 +150,53 @@ def test_chance_makes_as_many_rigid_pairs_as_expected() -> None:
         assert 0.6 < np.median(ratios) < 1.5
 
 
+def body_pairs(seed: int, points: int) -> tuple[ObjectPairs, float, float]:
+    """All pairs of the points of a rigid body, the distance of the first two, and the logarithm of the scene's size."""
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-1.0, 1.0, (points, 3))
+    members = np.array([(j, i) for i in range(points) for j in range(i)])
+    distances = np.linalg.norm(corners[members[:, 0]] - corners[members[:, 1]], axis=1)
+    size, count = float(rng.normal(0.0, 0.3)), len(members)
+    spreads = rng.uniform(1e-3, 3e-3, count)
+    pairs = ObjectPairs(distances * np.exp(size), spreads, np.full(count, 10.0), np.full(count, 20.0), members)
+    return pairs, float(distances[0]), size
+
+
+def test_a_rigid_body_of_irregular_distances_seldom_gives_a_wrong_scale() -> None:
+    """Four and six points: 23 and 33 of 60 were wrong while the number of pairs of other lengths was not compared."""
+    for points in (4, 6):
+        wrong = 0
+        for seed in range(60):
+            pairs, length, size = body_pairs(seed, points)
+            found = known_distance(pairs, length, 0.0, 0.3)
+            wrong += found is not None and abs(found[0] + size) > 0.02
+        assert wrong < 15
+
+
+@pytest.mark.parametrize("prior_std", [0.1, 0.3])
+def test_a_board_is_measured_where_its_diagonals_are_possible_too(prior_std: float) -> None:
+    found = [known_distance(object_pairs(fit_of(board_paths(seed))), 0.054, 0.0, prior_std) for seed in range(6)]
+    assert sum(one is not None for one in found) >= 5
+    assert all(one is None or abs(one[0] - np.log(0.9)) < 0.005 for one in found)
+
+
+def test_where_the_prior_leaves_no_scale_free_no_distance_is_looked_for() -> None:
+    pairs, length, _ = body_pairs(0, 4)
+    assert known_distance(pairs, length, 0.0, 0.0) is None
+
+
+def test_where_two_centres_are_known_neither_speeds_nor_lengths_measure_the_scale() -> None:
+    cameras = tuple(
+        SimpleNamespace(name=name, pose=SimpleNamespace(center=np.array([x, 0.0, 0.0])))
+        for name, x in (("a", 0.0), ("b", 1.0))
+    )
+    parameters = SimpleNamespace(cameras=cameras, index=lambda _name, _quantity: np.full(3, -1))
+    task: Any = SimpleNamespace(parameters=parameters, reference=0)
+    fit = fit_of(board_paths(1))
+    assert measured_scale(task, fit, "length", 0.06, 0.001) is None
+    assert measured_scale(task, fit, "speed", 0.1, 0.001) is None
+
+
 def test_objects_of_another_speed_do_not_move_the_scale() -> None:
     """Errors over their standard deviations, a quarter of the objects having any speed; the mean would be 20 off."""
     rng = np.random.default_rng(4)
@@ -168,3 +221,38 @@ def test_two_groups_of_speeds_are_no_known_speed() -> None:
     found = known_speed(speeds[:9], 1.0, 0.05)
     assert found is not None
     assert found[0] == pytest.approx(0.0, abs=0.03)
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0, 3.0])
+@pytest.mark.parametrize("half", [3, 6, 20, 100])
+def test_equal_groups_of_speeds_give_no_scale_and_two_to_one_the_larger(factor: float, half: int) -> None:
+    equal, larger = 0, 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        one, other = (speed * np.exp(0.03 * rng.standard_normal(half)) for speed in (10.0, 10.0 * factor))
+        equal += known_speed(np.concatenate([one, other]), 10.0, 0.1) is None
+        found = known_speed(np.concatenate([one, other[: half // 2]]), 10.0, 0.1)
+        larger += found is not None and abs(found[0]) < 0.05
+    assert equal >= 19
+    assert larger >= (10 if half == 3 else 16)
+
+
+def test_three_equal_groups_of_speeds_give_no_scale() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        speeds = np.repeat([10.0, 14.0, 20.0], 20) * np.exp(0.01 * rng.standard_normal(60))
+        assert known_speed(speeds, 10.0, 0.1) is None
+
+
+def test_few_scales_are_wrong_where_a_quarter_of_the_speeds_is_odd() -> None:
+    """At most 24 of 500 draws of 12 speeds are beyond three stated standard deviations."""
+    for std in (0.05, 0.15):
+        rng = np.random.default_rng(4)
+        wrong = 0
+        for _ in range(500):
+            speeds = 3.0 * np.exp(std * rng.standard_normal(12))
+            odd = rng.uniform(size=12) < 0.25
+            speeds[odd] *= np.exp(rng.normal(0.0, 1.5, odd.sum()))
+            found = known_speed(speeds, 3.0, 3.0 * std)
+            wrong += found is not None and abs(found[0]) > 3.0 * found[1]
+        assert wrong <= 24

@@ -116,6 +116,14 @@ def test_keys_of_a_scene_that_would_do_nothing_are_refused(changes: list[str], m
         load_config("configs/board_calibration.yaml", overrides)
 
 
+@pytest.mark.parametrize("other", ["objects={count: -3}", "given=[{velocity: [0, 0, 1]}]"])
+@pytest.mark.parametrize("moves", ["acceleration_std=0.1", "motion={model: damped_velocity, time_constant_s: 2.0}"])
+def test_objects_that_are_refused_themselves_are_not_said_to_be_missing(other: str, moves: str) -> None:
+    with pytest.raises(InputError, match=rf"simulate.{other.partition('=')[0]}") as caught:
+        load_config("configs/board_calibration.yaml", [f"simulate.{other}", f"simulate.{moves}"])
+    assert "bodies only" not in str(caught.value)
+
+
 def test_the_place_of_a_key_that_would_do_nothing_is_named(tmp_path: Path) -> None:
     text = Path("configs/board_calibration.yaml").read_text(encoding="utf-8")
     path = tmp_path / "config.yaml"
