@@ -256,7 +256,9 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
     Not where values are held, and not where detections share errors: what the trajectories absorb of those is no
-    volume of the motion model. Not where that noise is not believed (`MarginalOptimum.believed`), unless `any_noise`.
+    volume of the motion model. Not for objects of one knot each, which stand still: the volume counts a velocity with
+    every knot, and would take the scene for too small. Not where that noise is not believed
+    (`MarginalOptimum.believed`), unless `any_noise`.
 
     Returns
     -------
@@ -264,7 +266,7 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     noise_factor : float
         Noise of the motion that the log shows over what is stated; 1 where it was not estimated.
     """
-    if fit.held is not None or fit.observations.weights is not None:
+    if fit.held is not None or fit.observations.weights is not None or not len(fit.knots.links()):
         return fit, 1.0
     found = marginal_optimum(problem_of(task, fit), fit.adjustment)
     if not (found.believed or any_noise):

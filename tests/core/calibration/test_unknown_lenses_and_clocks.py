@@ -238,6 +238,19 @@ def test_trajectories_are_integrated_out_for_poses_alone_too_but_not_with_held_v
     assert marginal_fit(task, held) == (held, 1.0)
 
 
+def test_still_objects_keep_the_joint_optimum() -> None:
+    """One knot each, without a velocity, as objects that stand still have."""
+    problem, states, drawn = some_problem(("center", "rotation"))
+    begin = problem.knots.first[:-1]
+    knots = replace(problem.knots, times=problem.knots.times[begin], first=np.arange(len(begin) + 1))
+    assert len(knots.links()) == 0
+    fit = Fit(adjust(problem, drawn, states), knots, problem.observations, np.arange(len(problem.observations)))
+    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
+    kept, factor = marginal_fit(task, fit)
+    assert kept is fit
+    assert factor == 1.0
+
+
 def test_a_noise_of_the_motion_far_from_what_is_stated_is_not_believed() -> None:
     problem, states, drawn = some_problem(("center", "rotation"))
     stated = replace(problem, knots=replace(problem.knots, noise_std=20.0 * problem.knots.noise_std))
