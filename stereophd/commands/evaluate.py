@@ -100,8 +100,8 @@ def evaluate(
         Score the tracks after a change of the offset and rate of their clock, estimated with the frame.
     match_distance : float, optional
         Tracks and objects nearer than this, in the unit of c, may be matched: for all figures but OSPA, OSPA(2), GOSPA
-        and HOTA. Default c. Where objects are nearer to each other than this, a match may be wrong
-        from the first time on and yet be kept.
+        and HOTA. Default c. Where objects are nearer to each other than this, a match may be wrong from the first time
+        on and yet be kept.
     fail_above, fail_below : mapping, optional
         Limits of figures, such as ``{"ospa.mean": 0.8}``.
     cameras_path : path, optional

@@ -126,7 +126,7 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
         complete(folder)
         for relative in files_below(folder):
             if (folder / relative).is_dir():
-                # A run that was killed as it began leaves empty folders, which cannot be told from those of the user.
+                # Empty folders may be the user's, or those of a run that was killed as it began: they stay.
                 if _matches(relative, names) and not _is_temporary(relative):
                     raise InputError(f"output folder {folder}: {relative}: expected a file or nothing, found a folder")
                 continue

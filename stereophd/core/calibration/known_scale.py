@@ -221,16 +221,16 @@ def object_pairs(fit: Fit) -> ObjectPairs:
 
 @dataclass(frozen=True)
 class Peaks:
-    """Rigid pairs of about the known length.
+    """Rigid pairs whose distance may be the known length: within the reach of the prior.
 
     Attributes
     ----------
     ratios, widths : arrays (k,)
         Logarithms of the length over the distances, and their uncertainty.
     odds : array (k,)
-        That a pair is rigid rather than by chance, where one rigid pair is expected.
+        Odds that a pair keeps its distance because it is rigid, not by chance, if one rigid pair is expected.
     range : float
-        Width of the interval of the logarithms from which the pairs are.
+        Width of the interval in which the logarithms lie: twice the reach.
     """
 
     ratios: Array
@@ -338,4 +338,4 @@ def known_distance(pairs: ObjectPairs, length: float, expected: float, prior_std
         return None
     scatter = float(np.average((peaks.ratios - mean) ** 2, weights=weights))
     least = float((pairs.spreads[places][weights > 0.5] ** 2).min(initial=PEAK_WIDTH**2))
-    return mean, float(np.sqrt(max(scatter, least) / max(weights.sum(), 1.0)))
+    return mean, float(np.sqrt(max(scatter, least) / max(count, 1.0)))

@@ -95,16 +95,16 @@ class PmbFilter(DisparityFilter):
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
+        detected, prior = self.detections(event)
         reduced, log_likelihood, expected, labels, detections, claims, fewer = _update(
-            prediction.mixture, prediction.moved, *self.detections(event),
+            prediction.mixture, prediction.moved, detected, prior,
             self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):
             claimed = ClaimedDetections(
-                event.camera, event.time_s, labels, detections, event.points, event.covariances,
-                event.readings(self.rig.space(event.camera, event.time_s)),
-            )  # fmt: skip
+                event.camera, event.time_s, labels, detections, event.points, event.covariances, detected.readings
+            )
             history = (history or History()).add(claimed)
             reduced, history = self.crosswise_test.put_right(
                 reduced, history, event.camera, event.time_s, state.n_events

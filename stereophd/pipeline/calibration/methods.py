@@ -81,8 +81,8 @@ def annealed_outcome(
     task, fit = _at_known_scale(section, task, best.fit, details)
     joint = selected(section, task, fit, details)
     # known lengths hold what objects that move together would make too sure
-    with_known_lengths = isinstance(section.scale, LengthScale) and task.scale is not None
-    fit, noise = marginal_fit(task, joint, with_known_lengths)
+    known = section.scale if isinstance(section.scale, LengthScale) and task.scale is not None else None
+    fit, noise = marginal_fit(task, joint, any_noise=known is not None)
     if fit is joint and noise != 1.0:
         LOGGER.warning(
             "the motion of the objects shows %.2g times the noise that the configuration states: the trajectories are "
@@ -92,8 +92,8 @@ def annealed_outcome(
         )
     details["motion_noise_factor"] = noise
     without_lengths = fit
-    if isinstance(section.scale, LengthScale) and task.scale is not None:
-        fit, details["known_lengths"] = with_lengths(task, fit, section.scale.length, section.scale.std)
+    if known is not None:
+        fit, details["known_lengths"] = with_lengths(task, fit, known.length, known.std)
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
     if (against := task.parameters.prior_disagreement(mean)) is not None:
         doubt = f"with the known {section.scale.kind} {against}"

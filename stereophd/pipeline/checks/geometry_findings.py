@@ -71,7 +71,7 @@ def left_out(geometry: Geometry) -> Iterator[Finding]:
         parts.append(f"the rays of {possible - examined} of {possible} pairs of cameras are not compared")
     if clocks:
         parts.append(
-            f"where a clock offset or rate is looked for, {clocks} of {usable} clocks that could be are not "
+            f"where a clock offset or rate is looked for, {clocks} of {usable} usable clocks are not "
             "tried, those of the cameras whose rays meet most"
         )
     remedy = "to check the others, run `check` on a configuration and log of fewer cameras"

@@ -17,7 +17,7 @@ PAPER_CUTOFF, PAPER_UNIT = 20.0, "cm"
 # Share of the scans, and of the truth's period, that the two must have in common.
 LEAST_IN_COMMON = 0.5
 
-# Share of the matches that may be beside another object before a warning says so: newborn tracks have large errors.
+# Largest share of matches beside another object without a warning: newborn tracks have large errors.
 MOST_BESIDE = 0.01
 
 LOGGER = logging.getLogger("stereophd")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stereophd.core.metrics.assignment import IntArray, is_positive_definite
 from stereophd.core.metrics.clear_mot import beside_another, match_within
 from stereophd.core.metrics.confirmation_delay import FirstReports, first_reports, waits
-from stereophd.core.metrics.near_pairs import NearPairs, near_pairs
+from stereophd.core.metrics.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa
 from stereophd.core.metrics.truth_interpolation import (
@@ -96,7 +96,9 @@ def score_tracks(
     )
     beside = beside_another(estimates, points, scores, matchable)
     warn_of_wrong_matches(tracks_path, beside, len(scores.pair_scan), distance)
-    near = matchable if distance == options.cutoff else _near(estimates, points, options)
+    near = matchable
+    if distance != options.cutoff:
+        near = near_pairs(estimates, points, options.cutoff, mahalanobis=mahalanobis)
     ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
     waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
@@ -107,11 +109,6 @@ def score_tracks(
         estimates=estimates,
         registration=found,
     )
-
-
-def _near(estimates: PointSets, truth: PointSets, options: Options) -> NearPairs:
-    """Return all pairs nearer than the cutoff."""
-    return near_pairs(estimates, truth, options.cutoff, mahalanobis=options.base == "mahalanobis")
 
 
 def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> PointSets:
