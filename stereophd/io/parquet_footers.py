@@ -20,7 +20,7 @@ MAGIC = b"PAR1"
 
 # What follows a footer: its length in four bytes, and the mark.
 _LENGTH_BYTES = 4
-TAIL_BYTES = _LENGTH_BYTES + len(MAGIC)
+_TAIL_BYTES = _LENGTH_BYTES + len(MAGIC)
 
 _STOP, _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(13)
 _WIDTHS = {_BYTE: 1, _DOUBLE: 8}
@@ -43,11 +43,11 @@ _ORDINAL = (4, 7)
 _MOST_ORDINAL = 2**15 - 1
 
 
-def split_file(content: memoryview) -> tuple[memoryview, bytes]:
-    """Return the row groups of a Parquet file in memory, without the mark at its beginning, and its footer."""
-    end = len(content) - TAIL_BYTES
+def split_end(content: bytes) -> tuple[bytes, bytes]:
+    """Return what lies before the footer in the end of a Parquet file, and the footer."""
+    end = len(content) - _TAIL_BYTES
     start = end - int.from_bytes(content[end : end + _LENGTH_BYTES], "little")
-    return content[len(MAGIC) : start], bytes(content[start:end])
+    return content[:start], content[start:end]
 
 
 def moved_footer(footer: bytes, distance: int, ordinal: int) -> bytes:

@@ -95,8 +95,8 @@ class GroupWriter(Protocol):
         """Write the footer."""
 
 
-def parquet_writer(sink: BinaryIO | pa.NativeFile, schema: pa.Schema) -> pq.ParquetWriter:
-    """Return the Arrow writer of a table, with the settings of all tables."""
+def parquet_writer(sink: Any, schema: pa.Schema) -> pq.ParquetWriter:
+    """Return the Arrow writer of a table to an open file, with the settings of all tables."""
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
     return pq.ParquetWriter(sink, schema, compression="zstd", use_dictionary=texts or False, version="2.6")
 
@@ -186,16 +186,16 @@ class TableWriter:
                 self._flush()
         self.rows += rows
 
-    def _waiting(self) -> pa.Table:
-        """Return the rows that wait."""
+    def _take(self) -> pa.Table:
+        """Return the rows that wait, and let them wait no longer."""
         arrays = [_array([(piece[field.name], rows) for piece, rows in self._buffer], field) for field in self.schema]
+        self._buffer, self._buffered = [], 0
         return pa.Table.from_arrays(arrays, schema=self.schema)
 
     def _flush(self) -> None:
         if not self._buffered:
             return
-        table = self._waiting()
-        self._buffer, self._buffered = [], 0
+        table = self._take()
         with self._named_errors():
             self._writer.write_table(table, row_group_size=self._row_group_rows)
 

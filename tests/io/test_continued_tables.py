@@ -67,14 +67,21 @@ def test_bytes_are_those_of_one_arrow_writer(
     assert table.path.read_bytes() == whole.path.read_bytes()
 
 
-def test_a_table_that_was_cut_off_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", ["cut off", "changed"])
+def test_a_damaged_table_is_refused(tmp_path: Path, damage: str) -> None:
     table = ContinuedTable(tmp_path / "t.parquet", SCANS)
     table.append(rows_of(SCANS, 20_000, 1))
     written = table.written()
     table.abandon()
     with open(table.path, "r+b") as stream:
-        stream.truncate(written.length - 1)
-    with pytest.raises(InputError, match="cut off"):
+        if damage == "cut off":
+            stream.truncate(written.length - 1)
+        else:
+            stream.seek(written.length // 2)
+            byte = stream.read(1)[0]
+            stream.seek(written.length // 2)
+            stream.write(bytes([byte ^ 1]))
+    with pytest.raises(InputError, match="damaged"):
         ContinuedTable(table.path, SCANS, written=written)
 
 

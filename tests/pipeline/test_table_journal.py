@@ -116,14 +116,14 @@ def test_a_copy_by_hard_links_stays_whole(
     assert files(tmp_path / "copy") == before
 
 
-def test_a_table_that_was_cut_off_is_refused(
+def test_a_damaged_table_is_refused(
     scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
     killed_after(monkeypatch, 20, lambda: track(*scene, out))
     (part,) = out.glob("partial-*/tracks.parquet.part")
     part.write_bytes(part.read_bytes()[:3])
-    with pytest.raises(InputError, match=r"tracks\.parquet\.part: .* cut off"):
+    with pytest.raises(InputError, match=r"tracks\.parquet\.part: .* damaged"):
         track(*scene, out, resume=True)
 
 
