@@ -1,6 +1,6 @@
 """The records of an unfinished run on the disk, with the state from which the run continues.
 
-Runs that are smoothed or leave out short tracks keep their records; all others keep their tables
+Runs that are smoothed keep their records; all others keep their tables
 (`stereophd.pipeline.tracking.table_journal`). A run writes its records in chunks to a folder inside its output folder,
 and about once a minute the state of its estimator. A killed run continues from there. The records of the folder,
 together with those that follow from the state and the rest of the log, equal the records of an undisturbed run, and so
@@ -25,16 +25,21 @@ from stereophd.io.atomic import atomic_write
 from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
 from stereophd.io.columns import pack, pack_counts, unpack, unpack_counts
 from stereophd.pipeline.tracking.associations import Associated, Associations
-from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, run_estimator
+from stereophd.pipeline.tracking.loop import (
+    LEFT_OUT,
+    Attribution,
+    Estimator,
+    Record,
+    ReportTimes,
+    RunState,
+    run_estimator,
+)
 
 STATE_FILE = "state.npz"
 
 # Seconds between two states that are kept; more where keeping one takes more than a hundredth of it.
 KEEP_EVERY_S = 60.0
 MOST_SHARE = 0.01
-
-# Fields that only the loop needs; a checkpoint leaves them out.
-LEFT_OUT = frozenset({"event", "claims", "detected"})
 
 # Largest numbers of records of a chunk, and of estimates in them: some megabytes.
 CHUNK_RECORDS = 20_000

@@ -98,14 +98,15 @@ def reported_records(
         records = smoothed_records(
             records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate, report.max_position_std
         )
-    return lasting(records, report.min_track_length) if report.min_track_length > 0.0 else records
+    if report.min_track_length <= 0.0:
+        return records
+    return (journal.lasting if isinstance(journal, TableJournal) else lasting)(records, report.min_track_length)
 
 
 def open_journal(folder: Path, identity: str, tracking: Tracking) -> RecordJournal | TableJournal:
-    """Return what keeps an unfinished run of a log: its tables, or its records if they are used again at the end."""
-    report = tracking.report
-    again = report.smooth is not None or report.min_track_length > 0.0
-    return (RecordJournal if again else TableJournal)(folder, identity, tracking.estimator)
+    """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end."""
+    kind = TableJournal if tracking.report.smooth is None else RecordJournal
+    return kind(folder, identity, tracking.estimator)
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:

@@ -5,7 +5,7 @@ About once a minute a run keeps the state of its estimator, its running figures,
 unfinished run from the first state on, and a killed run continues them there. At the end they have the bytes of an
 undisturbed run.
 
-A run whose records are used again once they are complete (smoothing, short tracks) keeps its records instead
+A run whose records are used again once they are complete (smoothing) keeps its records instead
 (`stereophd.pipeline.tracking.checkpoint`).
 """
 
@@ -27,8 +27,9 @@ from stereophd.io.atomic import atomic_write
 from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
 from stereophd.io.columns import pack, unpack
 from stereophd.io.continued_tables import ContinuedTable, WrittenTable
-from stereophd.pipeline.tracking.checkpoint import LEFT_OUT, STATE_FILE, Pace, SavedRun, classes_of
-from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes, RunState, run_estimator
+from stereophd.pipeline.tracking.checkpoint import STATE_FILE, Pace, SavedRun, classes_of
+from stereophd.pipeline.tracking.lifetimes import LastingTracks, SavedLasting
+from stereophd.pipeline.tracking.loop import LEFT_OUT, Estimator, Record, ReportTimes, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, SavedWriting
 from stereophd.pipeline.unfinished import UNFINISHED_TABLE
 
@@ -48,15 +49,24 @@ class SavedTables:
     writing : SavedWriting
     tables : dict
         Name of a file -> how far it is written.
+    lasting : SavedLasting, optional
+        Where short tracks are left out.
     """
 
     run: SavedRun
     last: dict[str, Any] | None
     writing: SavedWriting
     tables: dict[str, WrittenTable]
+    lasting: SavedLasting | None = None
 
     @classmethod
-    def of(cls, run: RunState[Any], writer: RecordWriter, tables: Mapping[str, ContinuedTable]) -> SavedTables:
+    def of(
+        cls,
+        run: RunState[Any],
+        writer: RecordWriter,
+        tables: Mapping[str, ContinuedTable],
+        lasting: LastingTracks | None = None,
+    ) -> SavedTables:
         """Return what is to be kept of a run, whose tables are then on the disk as far as that."""
         # The loop needs the diagnostics of the last event, and when it was.
         last = None if run.last is None else replace(run.last, event=None, attributed={}, associations=())
@@ -65,6 +75,7 @@ class SavedTables:
             None if last is None else pack([last], LEFT_OUT),
             writer.saved(),
             {name: table.written() for name, table in tables.items()},
+            None if lasting is None else lasting.saved(),
         )
 
     def run_state(self) -> RunState[Any]:
@@ -95,6 +106,7 @@ class TableJournal:
         # Where the tables belong in the end.
         self._places: dict[str, Path] = {}
         self._writer: RecordWriter | None = None
+        self._lasting: LastingTracks | None = None
         self._saved: SavedTables | None = None
         # Whether the files of the tables lie in the folder.
         self._kept = False
@@ -149,7 +161,7 @@ class TableJournal:
     ) -> Iterator[Record]:
         """Run an estimator as `run_estimator` does, from the state that was loaded.
 
-        A record must be written before the next one is asked for.
+        What `attach` was given must have written a record before the next one is asked for, or it waits in `lasting`.
         """
         run = RunState(estimator.init()) if self._saved is None else self._saved.run_state()
         rest = iter(events)
@@ -159,13 +171,19 @@ class TableJournal:
             yield record
             self.add(record, run)
 
+    def lasting(self, records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
+        """Yield records without short tracks, as `stereophd.pipeline.tracking.lifetimes.lasting` does."""
+        saved = None if self._saved is None else self._saved.lasting
+        self._lasting = LastingTracks(min_length_s, saved)
+        yield from self._lasting.records(records)
+
     def add(self, record: Record, run: RunState[Any]) -> None:
         """Note that a record is written, of which `run` is the state; keep it if the last time was a while ago."""
         self._pace.keep(lambda: self._keep(run))
 
     def _keep(self, run: RunState[Any]) -> None:
         assert self._writer is not None
-        saved = SavedTables.of(run, self._writer, self._tables)
+        saved = SavedTables.of(run, self._writer, self._tables, self._lasting)
         self.folder.mkdir(parents=True, exist_ok=True)
         with atomic_write(self.folder / STATE_FILE) as temporary:
             write_checkpoint(temporary, self.identity, {"run": saved})
