@@ -111,6 +111,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     part = explained(task, fit)
     why = disagreement(task, fit)
     if why is not None and task.parameters.prior_disagreement(values) is not None:
+        # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
         fit = at_marginal_optimum(task, fit)
         values = fit.adjustment.values
         history.append(values)

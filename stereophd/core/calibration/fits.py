@@ -278,6 +278,7 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
 
 
 def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
+    """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
     found, _ = marginal_fit(task, fit)
     return replace(found, knots=fit.knots)
 
