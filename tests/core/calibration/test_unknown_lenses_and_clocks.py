@@ -166,9 +166,7 @@ def test_errors_are_those_of_the_bound(names: tuple[str, ...]) -> None:
     assert np.mean(squares) < 5.0
 
 
-def some_problem(
-    names: tuple[str, ...], seed: int = 0, loss: Loss = SQUARED
-) -> tuple[Problem, np.ndarray, np.ndarray]:
+def some_problem(names: tuple[str, ...], seed: int = 0, loss: Loss = SQUARED) -> tuple[Problem, np.ndarray, np.ndarray]:
     """A problem of three objects, its knots begun at the truth, and the true values."""
     true = unknowns(rig(), names)
     drawn = true.sample(np.random.default_rng(100 + seed), 1)[0]
