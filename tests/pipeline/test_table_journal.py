@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.io import continued_tables
+from stereophd.io.checkpoints import MARK, write_checkpoint
 from stereophd.pipeline.tracking import table_journal
+from stereophd.pipeline.tracking.checkpoint import SavedRun
 from stereophd.pipeline.tracking.table_journal import TableJournal
 
 from .test_track_checkpoint import Killed, files, killed_after, often, scene
@@ -124,6 +128,19 @@ def test_a_damaged_table_is_refused(
     (part,) = out.glob("partial-*/tracks.parquet.part")
     part.write_bytes(part.read_bytes()[:3])
     with pytest.raises(InputError, match=r"tracks\.parquet\.part: .* damaged"):
+        track(*scene, out, resume=True)
+
+
+def test_the_state_of_another_version_is_refused(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    killed_after(monkeypatch, 20, lambda: track(*scene, out))
+    (state,) = out.glob("partial-*/state.npz")
+    with np.load(state) as archive:
+        identity = json.loads(bytes(archive[MARK]))["identity"]
+    write_checkpoint(state, identity, {"run": SavedRun(None, 0, 0.0, {}, np.zeros((0, 2)), np.zeros((0, 3)), [], [])})
+    with pytest.raises(InputError, match="expected the state of a run, found something else"):
         track(*scene, out, resume=True)
 
 
