@@ -171,7 +171,9 @@ def one_run(seed: int, misstated: bool, folder: Path) -> dict[str, Any]:
     try:
         simulate(load_config(folder / "simulated.yaml"), scene)
     except InputError:  # no object stays in all views: it may leave some
-        simulate(load_config(folder / "simulated.yaml", ["simulate.objects.stay_in_view=any"]), scene)
+        tree["simulate"]["objects"]["stay_in_view"] = "any"
+        (folder / "simulated.yaml").write_text(yaml.safe_dump(tree))
+        simulate(load_config(folder / "simulated.yaml"), scene)
         row["leave"] = True
     guess = yaml.safe_load((scene / "guess.yaml").read_text())
     if misstated:
