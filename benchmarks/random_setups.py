@@ -169,11 +169,11 @@ def one_run(seed: int, misstated: bool, folder: Path) -> dict[str, Any]:
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
     scene, out = folder / "scene", folder / "calibrated"
     try:
-        simulate(load_config(folder / "simulated.yaml"), scene)
+        simulate(load_config(folder / "simulated.yaml"), scene, force=True)
     except InputError:  # no object stays in all views: it may leave some
         tree["simulate"]["objects"]["stay_in_view"] = "any"
         (folder / "simulated.yaml").write_text(yaml.safe_dump(tree))
-        simulate(load_config(folder / "simulated.yaml"), scene)
+        simulate(load_config(folder / "simulated.yaml"), scene, force=True)
         row["leave"] = True
     guess = yaml.safe_load((scene / "guess.yaml").read_text())
     if misstated:
@@ -182,7 +182,7 @@ def one_run(seed: int, misstated: bool, folder: Path) -> dict[str, Any]:
         (scene / "guess.yaml").write_text(yaml.safe_dump(guess))
     loaded = load_config(folder / "stated.yaml", (), seed, scene / "guess.yaml")
     since = time.process_time()
-    report = calibrate(loaded, scene / "detections.parquet", out, jobs=1, plots=False)
+    report = calibrate(loaded, scene / "detections.parquet", out, jobs=1, plots=False, force=True)
     row |= {"status": report["status"], "reason": report["reason"], "seconds": round(time.process_time() - since, 1)}
     row["warnings"] = len(report.get("warnings", []))
     if not (out / "cameras.yaml").exists():
