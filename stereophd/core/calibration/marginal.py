@@ -180,10 +180,11 @@ class MarginalPosterior:
             value_vector=np.append(found.value_vector, found.energy - log_noise / std**2),
         )
 
-    def volume(self, unknowns: Array, equations: NormalEquations) -> float:
-        """Half of the terms that integrating out the knots adds."""
-        factor = cholesky_banded(damped_bands(equations, 0.0), lower=True, check_finite=False)
-        return self._volume(unknowns, factor)
+    def volume(self, unknowns: Array, states: Array) -> float:
+        """Half of the terms that integrating out the knots (k, 2, 3) adds."""
+        count = self.linearisation.problem.parameters.size
+        bands = self.linearisation.bands(unknowns[:count], states, float(unknowns[count:].sum()))
+        return self._volume(unknowns, cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False))
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem = self.linearisation.problem
@@ -204,7 +205,7 @@ class MarginalPosterior:
             equations = self.equations(unknowns, states)
             if not np.isfinite(equations.cost):
                 raise LinAlgError("the cost is not finite")
-            factor = cholesky_banded(damped_bands(equations, 0.0), lower=True, check_finite=False)
+            factor = cholesky_banded(damped_bands(equations.bands, 0.0), lower=True, check_finite=False)
             step = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
             if float(equations.state_vector @ step) <= KNOTS_SETTLED:
                 break
@@ -219,7 +220,7 @@ class MarginalPosterior:
 
         def moved(k: int, step: float) -> float:
             unknowns = at.unknowns + step * root[:, k]
-            return self.volume(unknowns, self.equations(unknowns, at.states - step * following[k]))
+            return self.volume(unknowns, at.states - step * following[k])
 
         volumes = [moved(k, DIFFERENCE) - moved(k, -DIFFERENCE) for k in range(self.size)]
         by_volume = solve_triangular(root, np.array(volumes) / (2.0 * DIFFERENCE), trans="T", lower=True)

@@ -125,6 +125,7 @@ def test_vectors_are_the_gradient_of_the_cost(loss: Loss, moving: bool) -> None:
     rng = np.random.default_rng(2)
     values = 0.02 * true.prior_std * rng.standard_normal(true.size)
     equations = linearisation.at(values, states)
+    np.testing.assert_array_equal(linearisation.bands(values, states), equations.bands)
     for _ in range(4):
         dv = 1e-5 * true.prior_std * rng.standard_normal(true.size)
         dx = 1e-7 * rng.standard_normal(states.shape)
@@ -199,7 +200,7 @@ def test_the_marginal_posterior_does_not_tell_the_scale(factor: float) -> None:
         unknowns_there = np.append(values, 0.2)
         equations = posterior.equations(unknowns_there, knots)
         cost = equations.cost - (((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum()
-        return 0.5 * cost + posterior.volume(unknowns_there, equations)
+        return 0.5 * cost + posterior.volume(unknowns_there, knots)
 
     stretched = drawn.copy()
     for camera in parameters.build(drawn)[1:]:
