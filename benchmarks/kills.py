@@ -37,8 +37,12 @@ QUICKSTART = CONFIGS / "quickstart.yaml"
 # Most kills in a row before a run may come to its end.
 MOST_KILLS = 3
 
-# Seconds between two checkpoints.
+# Seconds between two checkpoints; a whole run of `track` takes some tenths of a second.
 OFTEN_S = 0.25
+TRACK_OFTEN_S = 0.02
+
+# Rows of a group of a table: few, so that tables of seconds have several.
+ROW_GROUP_ROWS = 200
 
 # Where the shared memory of worker processes lies.
 SHARED_MEMORY = Path("/dev/shm")
@@ -121,8 +125,15 @@ def check_killed(case: Case, expected: dict[str, bytes], out: Path) -> str:
     return ""
 
 
-def killed_and_resumed(case: Case, expected: dict[str, bytes], length_s: float, out: Path) -> tuple[int, str]:
-    """Kill work at random moments and resume it; return the number of kills, and what was wrong."""
+def killed_and_resumed(case: Case, expected: dict[str, bytes], length_s: float, out: Path) -> tuple[int, int, str]:
+    """Kill work at random moments and resume it.
+
+    Returns
+    -------
+    tuple (int, int, str)
+        Number of kills, of those that left a checkpoint, and what was wrong.
+    """
+    kept = 0
     shutil.rmtree(out.parent, ignore_errors=True)
     out.parent.mkdir(parents=True)
     for kills in range(MOST_KILLS + 1):
@@ -131,13 +142,14 @@ def killed_and_resumed(case: Case, expected: dict[str, bytes], length_s: float, 
         if ended:
             break
         wrong = wrong or check_killed(case, expected, out)
+        kept += any(out.parent.glob("**/*.npz")) or any(out.parent.glob("*.checkpoint"))
         if wrong:
-            return kills + 1, wrong
+            return kills + 1, kept, wrong
     if files(out) != expected:
-        return kills, "the resumed run gives other files"
+        return kills, kept, "the resumed run gives other files"
     # the lock file of the folder stays beside nothing: it lies in the folder, and is removed with the run
     left = sorted(path.name for path in out.parent.iterdir() if path != out)
-    return kills, f"left behind: {', '.join(left)}" if left else ""
+    return kills, kept, f"left behind: {', '.join(left)}" if left else ""
 
 
 def cases(folder: Path) -> dict[str, Case]:
@@ -148,15 +160,18 @@ def cases(folder: Path) -> dict[str, Case]:
     from stereophd.commands.track import track
     from stereophd.commands.track_logs import track_logs
     from stereophd.config.loading import load_config
+    from stereophd.io import table_writing
     from stereophd.pipeline.calibration import checkpoint as calibration_checkpoint
     from stereophd.pipeline.tracking import checkpoint
 
-    checkpoint.KEEP_EVERY_S, checkpoint.MOST_SHARE = OFTEN_S, 1e9
+    table_writing.ROW_GROUP_ROWS = ROW_GROUP_ROWS
+    checkpoint.KEEP_EVERY_S, checkpoint.MOST_SHARE = TRACK_OFTEN_S, 1e9
     calibration_checkpoint.CHECKPOINT_EVERY_S, calibration_checkpoint.MOST_SHARE = OFTEN_S, 1e9
     loaded = load_config(QUICKSTART, ["simulate.duration_s=5"])
     simulate(loaded, folder / "scenes", runs=3)
     logs = sorted((folder / "scenes").glob("*/detections.parquet"))
     smooth = load_config(QUICKSTART, ["report.smooth={}", "report.associations=true"])
+    three = load_config(QUICKSTART, ["report.associations=true"])
     cut = {"pieces_s": 2.0, "overlap_s": 0.5}
     scene = [
         "simulate.duration_s=20", "calibration.annealed.starts=2",
@@ -169,6 +184,7 @@ def cases(folder: Path) -> dict[str, Case]:
     many = load_config(QUICKSTART, ["simulate.duration_s=10"])
     return {
         "track": Case(lambda out, again: track(loaded, logs[0], out, resume=again)),
+        "track --associations": Case(lambda out, again: track(three, logs[0], out, resume=again)),
         "track --smooth --associations": Case(lambda out, again: track(smooth, logs[0], out, resume=again)),
         "track --pieces": Case(lambda out, again: track(loaded, logs[0], out, resume=again, **cut)),
         "track --pieces --jobs 2": Case(
@@ -200,7 +216,8 @@ def main() -> int:
     faults = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        print("| case | kills | runs with them | held | whole run, s |\n|---|---|---|---|---|", flush=True)
+        title = "| case | kills | of them with a checkpoint | runs with them | held | whole run, s |"
+        print(f"{title}\n|---|---|---|---|---|---|", flush=True)
         for title, case in cases(folder / "inputs").items():
             if options.only not in title:
                 continue
@@ -210,13 +227,13 @@ def main() -> int:
             forked(lambda: case.work(whole, False), None)  # noqa: B023
             length_s = time.monotonic() - start
             expected = files(whole)
-            tried = held = killed = 0
+            tried = held = killed = kept = 0
             while killed < options.kills:
-                kills, wrong = killed_and_resumed(case, expected, length_s, folder / "runs" / "out")
-                tried, held, killed = tried + 1, held + (not wrong), killed + kills
+                kills, resumed, wrong = killed_and_resumed(case, expected, length_s, folder / "runs" / "out")
+                tried, held, killed, kept = tried + 1, held + (not wrong), killed + kills, kept + resumed
                 print(f"  {title}: {killed} kills: {wrong or 'held'}", file=sys.stderr, flush=True)
             faults += tried - held
-            print(f"| `{title}` | {killed} | {tried} | {held} | {length_s:.1f} |", flush=True)
+            print(f"| `{title}` | {killed} | {kept} | {tried} | {held} | {length_s:.1f} |", flush=True)
     return int(faults > 0)
 
 

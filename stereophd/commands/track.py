@@ -41,11 +41,13 @@ from stereophd.pipeline.tracking.run import (
     TRACKS_FILE,
     Tracking,
     build_tracking,
+    open_journal,
     with_detectors,
     with_estimated_detectors,
     write_tracks,
 )
 from stereophd.pipeline.tracking.single import SingleTracker
+from stereophd.pipeline.tracking.table_journal import TableJournal
 from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.report.installed import whether_to_draw
 
@@ -139,8 +141,8 @@ def track(
             stream = stream.with_cameras(tracking.cameras)
             run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
             if pieces_s is None:
-                journal = RecordJournal(unfinished.folder, unfinished.identity, tracking.estimator)
-                report = run.write(tracking.records(stream, journal), findings, out)
+                journal = open_journal(unfinished.folder, unfinished.identity, tracking)
+                report = run.write(tracking.records(stream, journal), findings, out, journal=journal)
             else:
                 joined = run.in_pieces(pieces_s, overlap_of(pieces_s, overlap_s), threads, jobs, dask, progress)
                 report = run.write(run.lasting(joined.records()), findings, out, joined)
@@ -181,14 +183,16 @@ class _Run:
 
     def write(
         self, records: Iterator[Record], findings: tuple[Finding, ...], out: OutputFolder,
-        joined: JoinedPieces | None = None,
+        joined: JoinedPieces | None = None, journal: RecordJournal | TableJournal | None = None,
     ) -> dict[str, Any]:  # fmt: skip
         """Write all files of the output folder; return the report."""
         loaded, tracking = self.loaded, self.tracking
         if tracking.detectors is not None:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
-        summary = write_tracks(records, out, to_metadata(self.record), tracking.cameras, loaded.config.report)
+        tables = journal if isinstance(journal, TableJournal) else None
+        metadata = to_metadata(self.record)
+        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, tables)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

@@ -262,7 +262,9 @@ class OutputFolder:
         """Whether an error of the block comes from a write here (a bare ENOSPC names no file)."""
         if error.filename is None:
             return True
-        return self._staged is not None and self._staged in Path(os.fsdecode(error.filename)).parents
+        # Tables of an unfinished run lie beside the staged folder.
+        parents = Path(os.fsdecode(error.filename)).parents
+        return self.folder in parents or self._staged in parents
 
     def _explain(self, error: OSError) -> InputError:
         """Name the final file, not the temporary one."""

@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -85,6 +85,22 @@ def _has_rows(value: Any) -> bool:
     return not isinstance(value, (str, float, int)) and np.ndim(value) > 0
 
 
+class GroupWriter(Protocol):
+    """What writes the row groups of a file, such as `pyarrow.parquet.ParquetWriter`."""
+
+    def write_table(self, table: pa.Table, row_group_size: int) -> None:
+        """Write a row group."""
+
+    def close(self) -> None:
+        """Write the footer."""
+
+
+def parquet_writer(sink: Any, schema: pa.Schema) -> pq.ParquetWriter:
+    """Return the Arrow writer of a table to an open file, with the settings of all tables."""
+    texts = [field.name for field in schema if pa.types.is_string(field.type)]
+    return pq.ParquetWriter(sink, schema, compression="zstd", use_dictionary=texts or False, version="2.6")
+
+
 class TableWriter:
     """Write a Parquet table piece by piece, in row groups of a fixed number of rows.
 
@@ -97,7 +113,7 @@ class TableWriter:
     metadata
         Key-value metadata, as `stereophd.io.provenance.to_metadata` returns them.
     row_group_rows
-        Rows held in memory before they are written.
+        Rows held in memory before they are written; `ROW_GROUP_ROWS` by default.
 
     Raises
     ------
@@ -110,22 +126,28 @@ class TableWriter:
         path: Path | str,
         schema: pa.Schema,
         metadata: Mapping[Any, Any] | None = None,
-        row_group_rows: int = ROW_GROUP_ROWS,
+        row_group_rows: int | None = None,
     ) -> None:
         self.path = Path(path)
         self.schema = schema.with_metadata(dict(metadata)) if metadata else schema
         self.rows = 0
-        self._row_group_rows = row_group_rows
+        self._row_group_rows = row_group_rows or ROW_GROUP_ROWS
         self._buffer: list[tuple[dict[str, Any], int]] = []
         self._buffered = 0
         try:
-            self._stream: BinaryIO | None = open(self.path, "wb")  # noqa: SIM115 (closed in close)
+            self._stream: BinaryIO | None = self._opened()
         except OSError as error:
             raise write_error(error, self.path) from error
-        texts = [field.name for field in schema if pa.types.is_string(field.type)]
-        self._writer = pq.ParquetWriter(
-            self._stream, self.schema, compression="zstd", use_dictionary=texts or False, version="2.6"
-        )
+        self._writer = self._writer_to(self._stream)
+
+    def _opened(self) -> BinaryIO:
+        """Open the file."""
+        return open(self.path, "wb")
+
+    def _writer_to(self, stream: BinaryIO) -> GroupWriter:
+        """Return what writes row groups to the file."""
+        writer: GroupWriter = parquet_writer(stream, self.schema)
+        return writer
 
     def append(self, columns: Mapping[str, Any]) -> None:
         """Add rows.
@@ -164,12 +186,16 @@ class TableWriter:
                 self._flush()
         self.rows += rows
 
+    def _take(self) -> pa.Table:
+        """Return the rows that wait, and let them wait no longer."""
+        arrays = [_array([(piece[field.name], rows) for piece, rows in self._buffer], field) for field in self.schema]
+        self._buffer, self._buffered = [], 0
+        return pa.Table.from_arrays(arrays, schema=self.schema)
+
     def _flush(self) -> None:
         if not self._buffered:
             return
-        arrays = [_array([(piece[field.name], rows) for piece, rows in self._buffer], field) for field in self.schema]
-        self._buffer, self._buffered = [], 0
-        table = pa.Table.from_arrays(arrays, schema=self.schema)
+        table = self._take()
         with self._named_errors():
             self._writer.write_table(table, row_group_size=self._row_group_rows)
 

@@ -14,8 +14,11 @@ _PREFIX = "partial-"
 # Characters of the hash in the name of a folder.
 _LENGTH = 16
 
+# Tables that an unfinished run has begun: Parquet files that have no end yet. They count only beside a checkpoint.
+UNFINISHED_TABLE = "*.part"
+
 # Files of an unfinished run, as `stereophd.io.atomic.OutputFolder` takes them.
-UNFINISHED_FILES = (f"{_PREFIX}*/*.npz", f"{_PREFIX}*/*/*.npz")
+UNFINISHED_FILES = (f"{_PREFIX}*/*.npz", f"{_PREFIX}*/*/*.npz", f"{_PREFIX}*/{UNFINISHED_TABLE}")
 
 
 def can_resume(out: Path | str) -> bool:
@@ -24,7 +27,7 @@ def can_resume(out: Path | str) -> bool:
 
 
 class UnfinishedRun:
-    """The folder of an unfinished run: checkpoints without code (`stereophd.io.checkpoints`).
+    """The folder of an unfinished run: checkpoints without code (`stereophd.io.checkpoints`), and tables.
 
     Parameters
     ----------
@@ -57,7 +60,7 @@ class UnfinishedRun:
         """
         folders = sorted(path for path in self.out.glob(f"{_PREFIX}*") if path.is_dir())
         for path in (path for folder in folders for path in folder.rglob("*")):
-            if path.is_file() and not (path.name.startswith(TEMPORARY_PREFIX) or is_checkpoint(path)):
+            if path.is_file() and not _is_ours(path):
                 raise InputError(
                     f"output folder {self.out} holds {path.relative_to(self.out)}, which is no part of an unfinished "
                     "run; move it away, or choose another folder"
@@ -74,7 +77,7 @@ class UnfinishedRun:
                 f"({others[0].name}): nothing to resume; use `force=True` to remove it"
             )
         for folder in [*others, *([] if resume else [self.folder])]:
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove(folder)
 
     @property
     def exists(self) -> bool:
@@ -83,4 +86,18 @@ class UnfinishedRun:
 
     def remove(self) -> None:
         """Remove the folder: the run is done."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        _remove(self.folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of an unfinished run, the checkpoints last: tables without one are not known as ours."""
+    for path in folder.glob(UNFINISHED_TABLE):
+        path.unlink(missing_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file in such a folder is part of an unfinished run."""
+    if path.match(UNFINISHED_TABLE):
+        return any(map(is_checkpoint, path.parent.glob("*.npz")))
+    return path.name.startswith(TEMPORARY_PREFIX) or is_checkpoint(path)

@@ -18,7 +18,7 @@ from stereophd.errors import InputError
 from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.io.columns import pack, unpack
 from stereophd.io.provenance import sha256_of
-from stereophd.pipeline.tracking import checkpoint
+from stereophd.pipeline.tracking import checkpoint, table_journal
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.loop import RunState
 from stereophd.pipeline.unfinished import UnfinishedRun
@@ -55,25 +55,37 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[], Any]) -> None:
     """Run until so many records were kept."""
-    add = checkpoint.RecordJournal.add
     count = 0
 
-    def counted(self: checkpoint.RecordJournal, record: Any, state: Any) -> None:
-        nonlocal count
-        if count == records:
-            raise Killed
-        count += 1
-        add(self, record, state)
+    def counted(add: Callable[..., None]) -> Callable[..., None]:
+        def one_more(*arguments: Any) -> None:
+            nonlocal count
+            if count == records:
+                raise Killed
+            count += 1
+            add(*arguments)
+
+        return one_more
 
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint.RecordJournal, "add", counted)
+        for kind in (checkpoint.RecordJournal, table_journal.TableJournal):
+            patch.setattr(kind, "add", counted(kind.add))
         with pytest.raises(Killed):
             run()
 
 
 @pytest.mark.usefixtures("often")
 @pytest.mark.parametrize(
-    "changes", [["report.associations=true"], ["report.smooth={}"], ["report.times=grid 0.35"]], ids=str
+    "changes",
+    [
+        ["report.associations=true"],
+        ["report.smooth={}"],
+        ["report.min_track_length=1.0"],
+        ["report.times=grid 0.35"],
+        ["report.times=camera right"],
+        ["report.max_position_std=1.0", "report.std_columns=true"],
+    ],
+    ids=str,
 )
 def test_resume_gives_the_bytes_of_an_undisturbed_run(
     scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: list[str]
@@ -82,7 +94,7 @@ def test_resume_gives_the_bytes_of_an_undisturbed_run(
     track(loaded, log, tmp_path / "whole")
     whole = files(tmp_path / "whole")
     out = tmp_path / "out"
-    for records in (3, 8, 1):
+    for records in (3, 8, 1, 20):
         killed_after(monkeypatch, records, lambda: track(loaded, log, out, resume=True))
         assert list(out.glob("partial-*/state.npz"))
         assert not list(out.glob("*.parquet"))

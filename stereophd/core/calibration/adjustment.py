@@ -64,9 +64,9 @@ class Adjustment:
     converged: bool
 
 
-def damped_bands(equations: NormalEquations, damping: float) -> Array:
+def damped_bands(bands: Array, damping: float) -> Array:
     """Matrix of the knots in lower banded form (12, 6 k), its diagonal damped; unknowns without any weight are held."""
-    bands = equations.bands.copy()
+    bands = bands.copy()
     bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
     return bands
 
@@ -79,7 +79,7 @@ def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]
     numpy.linalg.LinAlgError
         The damped matrix of the knots is not positive definite.
     """
-    factor = (cholesky_banded(damped_bands(equations, damping), lower=True, check_finite=False), True)
+    factor = (cholesky_banded(damped_bands(equations.bands, damping), lower=True, check_finite=False), True)
     both = np.column_stack([equations.coupling, equations.state_vector])
     eliminated = cho_solve_banded(factor, both, check_finite=False)
     return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]

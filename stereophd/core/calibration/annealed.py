@@ -19,6 +19,7 @@ from stereophd.core.calibration.association import track_detections, with_camera
 from stereophd.core.calibration.fits import (
     FIRST_WEIGHTED,
     FITTED_PASSES,
+    at_marginal_optimum,
     paired_fit,
     pairings_of,
     refitted,
@@ -109,6 +110,12 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     values = fit.adjustment.values
     part = explained(task, fit)
     why = disagreement(task, fit)
+    if why is not None and task.parameters.prior_disagreement(values) is not None:
+        # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
+        fit = at_marginal_optimum(task, fit)
+        values = fit.adjustment.values
+        history.append(values)
+        why = disagreement(task, fit)
     if why is not None:
         return failed(why, fit, part)
     prior = float(task.parameters.log_prior(values))

@@ -277,6 +277,12 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     return replace(fit, adjustment=found.adjustment, knots=knots, observations=observations), found.noise_factor
 
 
+def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
+    """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
+    found, _ = marginal_fit(task, fit)
+    return replace(found, knots=fit.knots)
+
+
 def _fit(
     task: Task,
     problem: Problem,

@@ -208,7 +208,7 @@ class _Factors:
 
     @staticmethod
     def of(equations: NormalEquations) -> _Factors:
-        of_knots = (cholesky_banded(damped_bands(equations, DAMPING), lower=True), True)
+        of_knots = (cholesky_banded(damped_bands(equations.bands, DAMPING), lower=True), True)
         eliminated, schur = eliminate(equations, DAMPING)
         of_schur = cho_factor(schur)
         value_step = cho_solve(of_schur, equations.value_vector - equations.coupling.T @ eliminated[:, -1])

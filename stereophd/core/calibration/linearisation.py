@@ -129,19 +129,41 @@ class Linearisation:
             matrix[held, held] = parameters.prior_std[held] ** -2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
 
-    def residuals(self, values: Array, states: Array) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
-        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values."""
+    def bands(self, values: Array, states: Array, log_noise: float = 0.0) -> Array:
+        """Matrix (12, size) of the knots alone, as `at` has it, without what the derivatives by the values cost."""
+        observations, problem, size = self.problem.observations, self.problem, self.problem.knots.size
+        bands, count = np.zeros((12, size)), len(observations)
+        path, errors, visible, by_point, by_value = self.residuals(values, states, by_values=False)
+        counted = np.ones(count) if observations.weights is None else observations.weights
+        normal_equations.accumulate(
+            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
+            path.weights, self.columns[:, :0], problem.loss.kind, problem.loss.scale,
+            bands, np.zeros((size, 0)), np.zeros((0, 0)), np.zeros(size), np.zeros(0), np.empty(count),
+        )  # fmt: skip
+        logarithm, _ = log_scale(problem.parameters, problem.reference, values)
+        bands += np.exp(-2.0 * (logarithm + log_noise)) * self.motion.bands
+        return bands
+
+    def residuals(
+        self, values: Array, states: Array, by_values: bool = True
+    ) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
+        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
+
+        Without `by_values` the latter are empty, (n, 2, 0).
+        """
         observations, parameters = self.problem.observations, self.problem.parameters
         cameras = parameters.build(values)
         times, path, rates = observations.times, self.path, self.rates
         if any(quantity.affects == TIMES for quantity in parameters.quantities):
             times = true_times(cameras, observations)
             path = interpolation(self.problem.knots, observations.trajectories, times)
-            rates = slopes(self.problem.knots, observations.trajectories, times)
-        world, velocities = positions(states, *path), positions(states, *rates)
+            if by_values:
+                rates = slopes(self.problem.knots, observations.trajectories, times)
+        world = positions(states, *path)
+        velocities = positions(states, *rates) if by_values else np.zeros_like(world)
         count = len(observations)
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
-        by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1]))
+        by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
         for camera, here in zip(cameras, self.members, strict=True):
             view = look(
                 camera, world[here], velocities[here], times[here], observations.log_times[here],
@@ -149,6 +171,8 @@ class Linearisation:
             )  # fmt: skip
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
             by_point[here] = view.by_world
+            if not by_values:
+                continue
             column = 0
             for quantity, index in parameters.unknown(camera.name):
                 by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))

@@ -57,13 +57,13 @@ Array = NDArray[np.float64]
 NOISE_STD = 0.5
 # Steps of the differences, length at which the steps settle, and longest step, all in posterior standard deviations;
 # most steps, and how many of them the quasi-Newton steps remember.
-DIFFERENCE, SETTLED, LONGEST_STEP, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 40, 6
+DIFFERENCE, SETTLED, LONGEST_STEP, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 100, 6
 # A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
 # Most steps of the knots at given values, and the fall of the cost that is left.
 KNOT_STEPS, KNOTS_SETTLED = 8, 1e-4
-# Longest move of a value, and of the logarithm of the noise, in prior standard deviations that is believed.
-LONGEST_MOVE, LONGEST_MOVE_OF_NOISE = 5.0, 3.0
+# Longest move of the logarithm of the noise, in prior standard deviations, that is believed.
+LONGEST_MOVE_OF_NOISE = 3.0
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,7 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
     Returns
     -------
     MarginalOptimum
-        The adjustment given, at the noise stated, where the normal equations are singular or the move is longer than
-        `LONGEST_MOVE` prior standard deviations of a value.
+        The adjustment given, at the noise stated, where the normal equations are singular.
     """
     posterior = MarginalPosterior(Linearisation.of(problem))
     size = problem.parameters.size
@@ -111,11 +110,8 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
         return MarginalOptimum(found, 1.0, True)
-    values = at.unknowns[:size]
-    if not (np.abs(values - found.values) / problem.parameters.prior_std < LONGEST_MOVE).all():
-        return MarginalOptimum(found, 1.0, True)
     moved = replace(
-        found, values=values, states=at.states, covariance=covariance, cost=at.equations.cost,
+        found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances,
     )  # fmt: skip
     log_noise = float(at.unknowns[size:].sum())
@@ -184,10 +180,11 @@ class MarginalPosterior:
             value_vector=np.append(found.value_vector, found.energy - log_noise / std**2),
         )
 
-    def volume(self, unknowns: Array, equations: NormalEquations) -> float:
-        """Half of the terms that integrating out the knots adds."""
-        factor = cholesky_banded(damped_bands(equations, 0.0), lower=True, check_finite=False)
-        return self._volume(unknowns, factor)
+    def volume(self, unknowns: Array, states: Array) -> float:
+        """Half of the terms that integrating out the knots (k, 2, 3) adds."""
+        count = self.linearisation.problem.parameters.size
+        bands = self.linearisation.bands(unknowns[:count], states, float(unknowns[count:].sum()))
+        return self._volume(unknowns, cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False))
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem = self.linearisation.problem
@@ -208,7 +205,7 @@ class MarginalPosterior:
             equations = self.equations(unknowns, states)
             if not np.isfinite(equations.cost):
                 raise LinAlgError("the cost is not finite")
-            factor = cholesky_banded(damped_bands(equations, 0.0), lower=True, check_finite=False)
+            factor = cholesky_banded(damped_bands(equations.bands, 0.0), lower=True, check_finite=False)
             step = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
             if float(equations.state_vector @ step) <= KNOTS_SETTLED:
                 break
@@ -223,7 +220,7 @@ class MarginalPosterior:
 
         def moved(k: int, step: float) -> float:
             unknowns = at.unknowns + step * root[:, k]
-            return self.volume(unknowns, self.equations(unknowns, at.states - step * following[k]))
+            return self.volume(unknowns, at.states - step * following[k])
 
         volumes = [moved(k, DIFFERENCE) - moved(k, -DIFFERENCE) for k in range(self.size)]
         by_volume = solve_triangular(root, np.array(volumes) / (2.0 * DIFFERENCE), trans="T", lower=True)
@@ -261,11 +258,17 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> Point:
 
 
 def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
-    """Points after a step and shorter and shorter shares of it, where the normal equations are regular."""
+    """Points after a step and shorter and shorter shares of it, where the normal equations are regular.
+
+    The knots begin where they follow the step to first order. From where they were, the residuals may be so large that
+    the loss leaves the detections out.
+    """
+    eliminated, _ = eliminate(at.equations, 0.0)
+    following = (eliminated[:, :-1] @ step).reshape(at.states.shape)
     share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            yield share, posterior.at(at.unknowns + share * step, at.states)
+            yield share, posterior.at(at.unknowns + share * step, at.states - share * following)
         share *= 0.5
 
 

@@ -1,16 +1,17 @@
 """The records of an unfinished run on the disk, with the state from which the run continues.
 
-A run writes its records in chunks to a folder inside its output folder, and about once a minute the state of its
-estimator. A killed run continues from there. The records of the folder, together with those that follow from the state
-and the rest of the log, equal the records of an undisturbed run, and so do the files written from them. What the folder
-holds is data, never code (`stereophd.io.checkpoints`).
+Runs that are smoothed keep their records; all others keep their tables
+(`stereophd.pipeline.tracking.table_journal`). A run writes its records in chunks to a folder inside its output folder,
+and about once a minute the state of its estimator. A killed run continues from there. The records of the folder,
+together with those that follow from the state and the rest of the log, equal the records of an undisturbed run, and so
+do the files written from them. What the folder holds is data, never code (`stereophd.io.checkpoints`).
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,16 +25,21 @@ from stereophd.io.atomic import atomic_write
 from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
 from stereophd.io.columns import pack, pack_counts, unpack, unpack_counts
 from stereophd.pipeline.tracking.associations import Associated, Associations
-from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, run_estimator
+from stereophd.pipeline.tracking.loop import (
+    LEFT_OUT,
+    Attribution,
+    Estimator,
+    Record,
+    ReportTimes,
+    RunState,
+    run_estimator,
+)
 
 STATE_FILE = "state.npz"
 
 # Seconds between two states that are kept; more where keeping one takes more than a hundredth of it.
 KEEP_EVERY_S = 60.0
 MOST_SHARE = 0.01
-
-# Fields that only the loop needs; a checkpoint leaves them out.
-LEFT_OUT = frozenset({"event", "claims", "detected"})
 
 # Largest numbers of records of a chunk, and of estimates in them: some megabytes.
 CHUNK_RECORDS = 20_000
@@ -106,6 +112,22 @@ class SavedRun:
             Attribution(unpack_counts(self.attribution)),
             Associations(dict(self.tracks.tolist()), pending),
         )
+
+
+class Pace:
+    """Says when a state is to be kept."""
+
+    def __init__(self) -> None:
+        self._next_s = time.monotonic() + KEEP_EVERY_S
+
+    def keep(self, write: Callable[[], None]) -> None:
+        """Write the state if the last time was a while ago."""
+        start = time.monotonic()
+        if start < self._next_s:
+            return
+        write()
+        now = time.monotonic()
+        self._next_s = now + max(KEEP_EVERY_S, (now - start) / MOST_SHARE)
 
 
 class RecordChunks:
@@ -196,8 +218,8 @@ class RecordJournal:
 
     def __init__(self, folder: Path, identity: str, estimator: Estimator[Any]) -> None:
         self.chunks = RecordChunks(folder, identity)
-        self._classes = [SavedRun, Record, *_classes_of(estimator.init())]
-        self._next_s = time.monotonic() + KEEP_EVERY_S
+        self._classes = [SavedRun, Record, *classes_of(estimator.init())]
+        self._pace = Pace()
 
     def load(self) -> SavedRun | None:
         """Return the last state that was kept, or None; records after it are forgotten.
@@ -219,54 +241,45 @@ class RecordJournal:
     def add(self, record: Record, run: RunState[Any]) -> None:
         """Keep a record, of which `run` is the state; the state too, if the last time was a while ago."""
         self.chunks.add(record)
-        start = time.monotonic()
-        if start < self._next_s:
-            return
+        self._pace.keep(lambda: self._keep(run))
+
+    def _keep(self, run: RunState[Any]) -> None:
         self.chunks.flush()
         self.chunks.write(STATE_FILE, {"run": SavedRun.of(run, self.chunks.spans)})
-        now = time.monotonic()
-        self._next_s = now + max(KEEP_EVERY_S, (now - start) / MOST_SHARE)
+
+    def records(
+        self, estimator: Estimator[Any], events: Iterable[Event], times: ReportTimes, keep_events: bool
+    ) -> Iterator[Record]:
+        """Run an estimator as `run_estimator` does, from where the journal ends, and keep what it gives there.
+
+        Parameters
+        ----------
+        estimator, events, times, keep_events
+            The same as in `stereophd.pipeline.tracking.loop.run_estimator`; all events of the log.
+
+        Yields
+        ------
+        Record
+            Those of the journal, then those that follow.
+        """
+        run: RunState[Any] = RunState(estimator.init())
+        saved = self.load()
+        rest = iter(events)
+        if saved is not None:
+            last = None
+            for record in self.chunks.read():
+                event = next(rest) if record.is_event else None
+                last = record if record.is_event else last
+                yield replace(record, event=event if keep_events else None)
+            run = saved.run_state(last)
+        for record in run_estimator(estimator, rest, times, keep_events, run):
+            self.add(record, run)
+            yield record
 
 
-def journaled_records(
-    estimator: Estimator[Any],
-    events: Iterable[Event],
-    times: ReportTimes,
-    keep_events: bool,
-    journal: RecordJournal,
-) -> Iterator[Record]:
-    """Run an estimator as `run_estimator` does, from where the journal ends, and keep what it gives there.
-
-    Parameters
-    ----------
-    estimator, events, times, keep_events
-        The same as in `stereophd.pipeline.tracking.loop.run_estimator`; all events of the log.
-    journal : RecordJournal
-        Loaded.
-
-    Yields
-    ------
-    Record
-        Those of the journal, then those that follow.
-    """
-    run: RunState[Any] = RunState(estimator.init())
-    saved = journal.load()
-    rest = iter(events)
-    if saved is not None:
-        last = None
-        for record in journal.chunks.read():
-            event = next(rest) if record.is_event else None
-            last = record if record.is_event else last
-            yield replace(record, event=event if keep_events else None)
-        run = saved.run_state(last)
-    for record in run_estimator(estimator, rest, times, keep_events, run):
-        journal.add(record, run)
-        yield record
-
-
-def _classes_of(value: Any) -> list[type]:
+def classes_of(value: Any) -> list[type]:
     """Return the dataclasses of an object and of what it holds."""
     if not is_dataclass(value) or isinstance(value, type):
         return []
-    inner = [kind for field in fields(value) for kind in _classes_of(getattr(value, field.name))]
+    inner = [kind for field in fields(value) for kind in classes_of(getattr(value, field.name))]
     return [type(value), *inner]

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.estimates import Estimates
-from stereophd.pipeline.tracking.explained import Explained
+from stereophd.io.columns import pack_counts, unpack_counts
+from stereophd.pipeline.tracking.explained import CameraSums, Explained
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.losses import Losses
 
@@ -29,6 +31,35 @@ class _Identity:
     position_std: float = 0.0
 
 
+@dataclass(frozen=True)
+class SavedFigures:
+    """`RunFigures` for a checkpoint.
+
+    Attributes
+    ----------
+    events, confirmed, log_likelihood, first_s, last_s
+        Of the whole run.
+    losses : Losses
+    explained : dict
+        Camera -> sums.
+    track_ids, identities : array (n,), array (n, 6)
+        Running figures of each track.
+    detections : mapping
+        Track -> camera -> detections, as `stereophd.io.columns.pack_counts` returns them.
+    """
+
+    events: int
+    confirmed: int
+    log_likelihood: float
+    first_s: float
+    last_s: float
+    losses: Losses
+    explained: dict[str, CameraSums]
+    track_ids: NDArray[np.int64]
+    identities: NDArray[np.float64]
+    detections: dict[str, Any]
+
+
 class RunFigures:
     """Figures of a run for ``report.json``, counted as its records come.
 
@@ -36,15 +67,40 @@ class RunFigures:
     ----------
     cameras : sequence of Camera
         In order, for the figures of each camera.
+    saved : SavedFigures, optional
+        Where the figures begin.
     """
 
-    def __init__(self, cameras: Sequence[Camera]) -> None:
+    def __init__(self, cameras: Sequence[Camera], saved: SavedFigures | None = None) -> None:
         self._cameras = cameras
         self._explained, self._losses = Explained(cameras), Losses()
         self._identities: dict[int, _Identity] = {}
         self._detections: dict[int, Counter[str]] = {}
         self._events, self._confirmed, self._log_likelihood = 0, 0, 0.0
         self._first_s, self._last_s = math.nan, math.nan
+        if saved is not None:
+            self._begin_at(saved)
+
+    def _begin_at(self, saved: SavedFigures) -> None:
+        self._explained, self._losses = Explained(self._cameras, saved.explained), saved.losses
+        for track_id, row in zip(saved.track_ids.tolist(), saved.identities.tolist(), strict=True):
+            first_s, last_s, count, *sums = row
+            self._identities[track_id] = _Identity(first_s, last_s, int(count), *sums)
+        self._detections = {track: Counter(counts) for track, counts in unpack_counts(saved.detections).items()}
+        self._events, self._confirmed, self._log_likelihood = saved.events, saved.confirmed, saved.log_likelihood
+        self._first_s, self._last_s = saved.first_s, saved.last_s
+
+    def saved(self) -> SavedFigures:
+        """Return the figures for a checkpoint."""
+        identities = [
+            (one.first_s, one.last_s, one.n_estimates, one.existence, one.speed, one.position_std)
+            for one in self._identities.values()
+        ]
+        return SavedFigures(
+            self._events, self._confirmed, self._log_likelihood, self._first_s, self._last_s, self._losses,
+            self._explained.saved(), np.array(list(self._identities), dtype=np.int64),
+            np.array(identities, dtype=np.float64).reshape(-1, 6), pack_counts(self._detections),
+        )  # fmt: skip
 
     def add(self, record: Record) -> None:
         """Count a record, reported or not."""

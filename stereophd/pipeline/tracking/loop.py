@@ -34,6 +34,9 @@ SUPPORT = 2
 MOST_FORECASTS = 1_000_000
 MOST_EMPTY_FORECASTS = 10_000
 
+# Fields of a record and its diagnostics that only the loop needs; checkpoints leave them out.
+LEFT_OUT = frozenset({"event", "claims", "detected"})
+
 LOGGER = logging.getLogger("stereophd")
 
 

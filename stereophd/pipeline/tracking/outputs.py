@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.estimates import Estimates
 from stereophd.io.table_schemas import CONFIRMED, STD, TENTATIVE
 from stereophd.io.table_writing import TableWriter
-from stereophd.pipeline.tracking.figures import RunFigures
+from stereophd.pipeline.tracking.figures import RunFigures, SavedFigures
 from stereophd.pipeline.tracking.loop import Record
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
@@ -28,53 +28,83 @@ class Tables:
     associations: TableWriter | None = None
 
 
-def write_records(
-    records: Iterable[Record], tables: Tables, cameras: Sequence[Camera], report: ReportConfig
-) -> dict[str, Any]:
-    """Write what is to be reported as it comes; return the figures of the run for ``report.json``.
+@dataclass(frozen=True)
+class SavedWriting:
+    """`RecordWriter` for a checkpoint, without its tables.
+
+    Attributes
+    ----------
+    figures : SavedFigures
+    new_detections, new_log_likelihood : int, float
+        Since the last row of the table of events.
+    """
+
+    figures: SavedFigures
+    new_detections: int
+    new_log_likelihood: float
+
+
+class RecordWriter:
+    """Writes what is to be reported as it comes, and counts the figures of the run.
 
     Parameters
     ----------
-    records : iterable of Record
     tables : Tables
     cameras : sequence of Camera
         In order, for the figures of each camera.
     report : ReportConfig
         Which estimates are written, and which columns.
+    saved : SavedWriting, optional
+        Where the figures begin.
     """
-    tracks, scans = tables.tracks, tables.scans
-    figures = RunFigures(cameras)
-    # since the last row: what happened between two reports belongs to the second
-    new_detections, new_log_likelihood = 0, 0.0
-    for record in records:
-        figures.add(record)
-        new_detections += record.n_detections
-        new_log_likelihood += record.info.log_likelihood
+
+    def __init__(
+        self, tables: Tables, cameras: Sequence[Camera], report: ReportConfig, saved: SavedWriting | None = None
+    ) -> None:
+        self._tables, self._report = tables, report
+        self._figures = RunFigures(cameras, None if saved is None else saved.figures)
+        # since the last row: what happened between two reports belongs to the second
+        self._new_detections = 0 if saved is None else saved.new_detections
+        self._new_log_likelihood = 0.0 if saved is None else saved.new_log_likelihood
+
+    def add(self, record: Record) -> None:
+        """Write a record."""
+        tables, report = self._tables, self._report
+        self._figures.add(record)
+        self._new_detections += record.n_detections
+        self._new_log_likelihood += record.info.log_likelihood
         if tables.associations is not None:
             for sightings in record.associations:
                 tables.associations.append(sightings.columns())
         if not record.reported:
-            continue
+            return
         estimates = record.estimates
         if report.max_position_std is not None:
             estimates = estimates.certain(report.max_position_std)
         key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
-        scans.append(
+        tables.scans.append(
             {
                 **key,
-                "n_detections": np.array([new_detections]),
+                "n_detections": np.array([self._new_detections]),
                 "cardinality_mean": record.info.cardinality_mean,
                 "cardinality_estimate": len(estimates.track_ids),
-                "log_likelihood": new_log_likelihood,
+                "log_likelihood": self._new_log_likelihood,
                 "n_components": record.info.n_components,
             }
         )
-        new_detections, new_log_likelihood = 0, 0.0
+        self._new_detections, self._new_log_likelihood = 0, 0.0
         for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
             if level is not None and len(level.track_ids):
-                tracks.append({**key, **_columns(level, report.std_columns), "status": status})
-        figures.add_estimates(estimates, record.time_s)
-    return figures.report(scans.rows, tracks.rows)
+                tables.tracks.append({**key, **_columns(level, report.std_columns), "status": status})
+        self._figures.add_estimates(estimates, record.time_s)
+
+    def saved(self) -> SavedWriting:
+        """Return the figures for a checkpoint."""
+        return SavedWriting(self._figures.saved(), self._new_detections, self._new_log_likelihood)
+
+    def report(self) -> dict[str, Any]:
+        """Return the figures of the run for ``report.json``."""
+        return self._figures.report(self._tables.scans.rows, self._tables.tracks.rows)
 
 
 def _columns(estimates: Estimates, std_columns: bool) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.cameras import CameraConfig, DetectorConfig
@@ -21,14 +22,17 @@ from stereophd.io.table_writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.checkpoint import RecordJournal, journaled_records
+from stereophd.pipeline.tracking.checkpoint import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
-from stereophd.pipeline.tracking.outputs import Tables, write_records
+from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
+from stereophd.pipeline.tracking.table_journal import TableJournal
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from stereophd.config.loading import LoadedConfig
 
 TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", "associations.parquet"
@@ -59,7 +63,10 @@ class Tracking:
     detectors: dict[str, Any] | None = None
 
     def records(
-        self, stream: EventStream, journal: RecordJournal | None = None, run: RunState[Any] | None = None
+        self,
+        stream: EventStream,
+        journal: RecordJournal | TableJournal | None = None,
+        run: RunState[Any] | None = None,
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
@@ -73,7 +80,7 @@ def reported_records(
     events: Iterable[Event],
     report: ReportConfig,
     keep_events: bool = False,
-    journal: RecordJournal | None = None,
+    journal: RecordJournal | TableJournal | None = None,
     run: RunState[Any] | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
@@ -86,12 +93,20 @@ def reported_records(
     if journal is None:
         records = run_estimator(estimator, events, times, keep_events, run)
     else:
-        records = journaled_records(estimator, events, times, keep_events, journal)
+        records = journal.records(estimator, events, times, keep_events)
     if smooth is not None:
         records = smoothed_records(
             records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate, report.max_position_std
         )
-    return lasting(records, report.min_track_length) if report.min_track_length > 0.0 else records
+    if report.min_track_length <= 0.0:
+        return records
+    return (journal.lasting if isinstance(journal, TableJournal) else lasting)(records, report.min_track_length)
+
+
+def open_journal(folder: Path, identity: str, tracking: Tracking) -> RecordJournal | TableJournal:
+    """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end."""
+    kind = TableJournal if tracking.report.smooth is None else RecordJournal
+    return kind(folder, identity, tracking.estimator)
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
@@ -175,8 +190,11 @@ def write_tracks(
     metadata: Mapping[bytes, bytes],
     cameras: Sequence[Camera],
     report: ReportConfig,
+    journal: TableJournal | None = None,
 ) -> dict[str, Any]:
     """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
+
+    With a `journal`, which gives the `records`, the tables continue those of a killed run.
 
     Returns
     -------
@@ -184,10 +202,21 @@ def write_tracks(
         The figures of the run for ``report.json``.
     """
     schema = functools.reduce(lambda schema, column: schema.append(column), STD if report.std_columns else (), TRACKS)
+    saved = None if journal is None else journal.load()
     with contextlib.ExitStack() as files:
-        tracks = files.enter_context(TableWriter(out.path(TRACKS_FILE), schema, metadata))
-        scans = files.enter_context(TableWriter(out.path(SCANS_FILE), SCANS, metadata))
-        third = TableWriter(out.path(ASSOCIATIONS_FILE), ASSOCIATIONS, metadata) if report.associations else None
-        if third is not None:
-            files.enter_context(third)
-        return write_records(records, Tables(tracks, scans, third), cameras, report)
+
+        def table(name: str, schema: pa.Schema) -> TableWriter:
+            make = TableWriter if journal is None else journal.table
+            return files.enter_context(make(out.path(name), schema, metadata))
+
+        third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
+        writer = RecordWriter(
+            Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third), cameras, report, saved
+        )
+        if journal is not None:
+            journal.attach(writer)
+        for record in records:
+            writer.add(record)
+    if journal is not None:
+        journal.place()
+    return writer.report()

@@ -10,7 +10,7 @@ import pytest
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.calibration import marginal, normal_equations
 from stereophd.core.calibration.adjustment import adjust
-from stereophd.core.calibration.fits import marginal_fit
+from stereophd.core.calibration.fits import FITTED_LOSS, marginal_fit
 from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.marginal import MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
@@ -125,6 +125,7 @@ def test_vectors_are_the_gradient_of_the_cost(loss: Loss, moving: bool) -> None:
     rng = np.random.default_rng(2)
     values = 0.02 * true.prior_std * rng.standard_normal(true.size)
     equations = linearisation.at(values, states)
+    np.testing.assert_array_equal(linearisation.bands(values, states), equations.bands)
     for _ in range(4):
         dv = 1e-5 * true.prior_std * rng.standard_normal(true.size)
         dx = 1e-7 * rng.standard_normal(states.shape)
@@ -166,12 +167,12 @@ def test_errors_are_those_of_the_bound(names: tuple[str, ...]) -> None:
     assert np.mean(squares) < 5.0
 
 
-def some_problem(names: tuple[str, ...], seed: int = 0) -> tuple[Problem, np.ndarray, np.ndarray]:
+def some_problem(names: tuple[str, ...], seed: int = 0, loss: Loss = SQUARED) -> tuple[Problem, np.ndarray, np.ndarray]:
     """A problem of three objects, its knots begun at the truth, and the true values."""
     true = unknowns(rig(), names)
     drawn = true.sample(np.random.default_rng(100 + seed), 1)[0]
     observations, _, points = observe(true.cameras, seed, 3, 8.0)
-    problem, states = problem_of(true.about(true.guess(drawn)), observations, points)
+    problem, states = problem_of(true.about(true.guess(drawn)), observations, points, loss)
     return problem, states, drawn
 
 
@@ -199,7 +200,7 @@ def test_the_marginal_posterior_does_not_tell_the_scale(factor: float) -> None:
         unknowns_there = np.append(values, 0.2)
         equations = posterior.equations(unknowns_there, knots)
         cost = equations.cost - (((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum()
-        return 0.5 * cost + posterior.volume(unknowns_there, equations)
+        return 0.5 * cost + posterior.volume(unknowns_there, knots)
 
     stretched = drawn.copy()
     for camera in parameters.build(drawn)[1:]:
@@ -221,6 +222,19 @@ def test_a_wrong_noise_of_the_motion_is_found(factor: float) -> None:
     assert factor * found.noise_factor == pytest.approx(right.noise_factor, rel=0.05)
     std = np.sqrt(np.diag(right.adjustment.covariance))
     np.testing.assert_allclose((found.adjustment.values - right.adjustment.values) / std, 0.0, atol=0.35)
+
+
+@pytest.mark.parametrize(("place", "deviations"), [(-1, 6.0), (-1, -15.0), (-4, 15.0)])
+def test_the_marginal_optimum_is_found_from_far_away(place: int, deviations: float) -> None:
+    """A joint optimum may lie far off, along a direction that the data hardly show: no detection is lost on the way."""
+    problem, states, drawn = some_problem(("center", "rotation", "focal"), loss=FITTED_LOSS)
+    near = marginal_optimum(problem, adjust(problem, drawn, states)).adjustment
+    prior_std = problem.parameters.prior_std
+    variances, directions = np.linalg.eigh(near.covariance / np.outer(prior_std, prior_std))
+    away = deviations * np.sqrt(variances[place]) * directions[:, place] * prior_std
+    held = replace(problem, loss=SQUARED, held=np.ones(problem.parameters.size, dtype=np.bool_))
+    found = marginal_optimum(problem, adjust(held, drawn + away, states)).adjustment
+    np.testing.assert_allclose((found.values - near.values) / np.sqrt(np.diag(near.covariance)), 0.0, atol=0.1)
 
 
 def test_trajectories_are_integrated_out_for_poses_alone_too_but_not_with_held_values() -> None:

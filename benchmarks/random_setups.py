@@ -1,0 +1,242 @@
+"""Accuracy of `calibrate` over set-ups that are drawn at random: how often is an answer wrong that is called right?
+
+The tables of `calibration_unknowns.py` draw scenes of one set-up. Here every run draws the set-up too: two to five
+cameras in a row or around the scene, their images, lenses, frame rates and noise, one to twenty objects, their speed
+and manoeuvres, clutter and missed detections, and which of lenses and clocks are unknown, with what priors. The guess
+of the cameras is a draw from those priors, so a posterior that is right covers the truth as often as it says. A run
+is a silent error where the status is `determined`, and the truth is far outside what is stated.
+
+    python benchmarks/random_setups.py --runs 50             one line of JSON a run, then a summary
+    python benchmarks/random_setups.py --seed 7 --runs 1 --keep DIR     keep configuration, log and results of run 7
+    python benchmarks/random_setups.py --misstated           noise, detection and clutter are stated wrong
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import numpy as np
+import yaml
+
+from stereophd.commands.calibrate import calibrate
+from stereophd.commands.evaluate_cameras import evaluate_calibration
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import load_config
+
+# Standard deviations beyond which an error of a parameter is wrong: one in 90,000 sets of 20 right ones.
+WRONG_Z = 5.0
+IMAGES = ((640, 480), (800, 600), (1280, 720), (1920, 1080))
+
+
+def facing(center: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> list[list[float]]:
+    """Rotation (3, 3) from world to camera of a camera at `center` that looks at `target`, y down."""
+    forward = (target - center) / np.linalg.norm(target - center)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward]).tolist()
+
+
+def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Configuration of the simulation, that of the calibration, and what was drawn, of a run."""
+    rng = np.random.default_rng([seed, 20261122])
+    count = int(rng.integers(2, 6))
+    size = 10.0 ** rng.uniform(0.0, 1.5)  # half the side of the scene, m
+    layout = str(rng.choice(["row", "ring"]))
+    distance = size * rng.uniform(2.0, 4.0)
+    middle = np.array([0.0, 0.0, distance])
+    start = rng.uniform(-math.pi, math.pi)
+    objects = int(rng.choice([1, 2, 3, 6, 12, 20]))
+    speed = size * rng.uniform(0.1, 0.5)
+    time_constant = float(rng.uniform(1.0, 4.0))
+    frames = int(rng.integers(80, 250))
+    rate = float(rng.choice([5.0, 10.0, 25.0, 30.0]))
+    clocks, lenses = bool(rng.random() < 0.4), str(rng.choice(["known", "focal", "focal, k1, principal point"]))
+    known = str(rng.choice(["baseline", "prior"]))
+    cameras, priors = {}, {}
+    for k in range(count):
+        width, height = IMAGES[rng.integers(len(IMAGES))]
+        if layout == "row":
+            spread = distance * rng.uniform(0.15, 0.5)
+            center = np.array([spread * (k - (count - 1) / 2.0), *(rng.normal(0.0, 0.1 * distance, 2))])
+        else:
+            angle = start + 2.0 * math.pi * (k + rng.uniform(-0.3, 0.3)) / count
+            center = middle + distance * np.array([math.sin(angle), -rng.uniform(0.0, 0.5), math.cos(angle)])
+        focal = float(0.35 * height * distance / size * rng.uniform(0.8, 1.4))
+        sigma = float(rng.uniform(0.3, 2.0))
+        k1 = float(rng.uniform(-0.2, 0.1)) if "k1" in lenses else 0.0
+        own_rate = rate if rng.random() < 0.6 else float(rate * rng.choice([0.5, 0.7, 0.999]))
+        cameras[f"cam{k}"] = {
+            "image_size_px": [width, height],
+            "intrinsics": {"fx": focal, "fy": focal, "cx": (width - 1) / 2.0, "cy": (height - 1) / 2.0},
+            "pose": {
+                "center": center.tolist(),
+                "rotation_matrix": facing(center, middle + rng.normal(0.0, 0.1 * size, 3)),
+            },
+            "distortion": {"model": "radial", "k1": k1},
+            "detector": {
+                "sigma_px": [sigma, sigma],
+                "p_detect": float(rng.uniform(0.7, 0.99)),
+                "clutter_per_frame": float(rng.choice([0.05, 0.5, 2.0, 5.0])),
+            },
+            "frame_rate_hz": own_rate,
+            "phase_s": float(rng.uniform(0.0, 1.0 / own_rate)),
+        }
+        prior: dict[str, Any] = {}
+        if k:
+            prior["center_std"] = float(distance * rng.uniform(0.01, 0.08))
+            prior["rotation_std_deg"] = float(rng.uniform(0.5, 6.0))
+            if clocks:
+                prior["clock_offset_std_s"] = float(rng.uniform(0.02, 0.5))
+                if rng.random() < 0.5:
+                    prior["clock_rate_std"] = 1e-3
+        if lenses != "known":
+            prior["focal_std"] = float(rng.uniform(0.01, 0.1))
+        if "k1" in lenses:
+            prior["distortion_std"] = {"k1": 0.1}
+            prior["principal_point_std_px"] = 10.0
+        if prior:
+            priors[f"cam{k}"] = prior
+    acceleration = speed / math.sqrt(time_constant)
+    motion = {
+        "model": "damped_velocity",
+        "time_constant_s": time_constant,
+        "acceleration_std": acceleration,
+        "max_speed": 8.0 * speed,
+    }
+    calibration: dict[str, Any] = {"reference": "cam0", "priors": priors}
+    if known == "baseline":
+        apart = math.dist(cameras["cam0"]["pose"]["center"], cameras["cam1"]["pose"]["center"])
+        calibration["scale"] = {
+            "kind": "baseline", "cameras": ["cam0", "cam1"], "distance": apart, "std": 0.003 * apart,
+        }  # fmt: skip
+    tree = {
+        "units": {"length": "m"},
+        "seed": seed,
+        "cameras": cameras,
+        "disparity": {"baseline": 0.1 * distance},
+        "motion": motion,
+        "filter": {
+            "kind": "pmb",
+            "birth": {"per_s": 0.1, "depth_range": [0.4 * distance, 2.0 * distance], "velocity_std": speed},
+        },
+        "calibration": calibration,
+        "simulate": {
+            "duration_s": frames / rate,
+            "object_id": True,
+            "motion": {key: motion[key] for key in ("model", "time_constant_s", "acceleration_std")},
+            "objects": {
+                "count": objects,
+                "box": {
+                    axis: [float(m - size), float(m + size)] for axis, m in zip("xyz", middle, strict=True)
+                },
+                "velocity_std": speed,
+                "stay_in_view": "any",
+            },
+        },
+    }  # fmt: skip
+    stated = json.loads(json.dumps(tree))
+    if misstated:
+        for camera in stated["cameras"].values():
+            detector = camera["detector"]
+            detector["sigma_px"] = [detector["sigma_px"][0] * float(np.exp(rng.normal(0.0, 0.5)))] * 2
+            detector["p_detect"] = float(np.clip(detector["p_detect"] + rng.normal(0.0, 0.1), 0.4, 0.99))
+            detector["clutter_per_frame"] *= float(np.exp(rng.normal(0.0, 0.7)))
+        stated["motion"]["acceleration_std"] *= float(np.exp(rng.normal(0.0, 0.5)))
+    drawn = {
+        "cameras": count, "layout": layout, "objects": objects, "frames": frames, "rate_hz": rate, "clocks": clocks,
+        "lenses": lenses, "scale": known,
+    }  # fmt: skip
+    return tree, stated, drawn
+
+
+def one_run(seed: int, misstated: bool, folder: Path) -> dict[str, Any]:
+    """Simulate, calibrate, and compare with the truth."""
+    tree, stated, row = draw(seed, misstated)
+    row = {"seed": seed, **row}
+    for name, content in (("simulated", tree), ("stated", stated)):
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
+    scene, out = folder / "scene", folder / "calibrated"
+    simulate(load_config(folder / "simulated.yaml"), scene, force=True)
+    guess = yaml.safe_load((scene / "guess.yaml").read_text())
+    if misstated:
+        for name, camera in guess["cameras"].items():
+            camera["detector"] = stated["cameras"][name]["detector"]
+        (scene / "guess.yaml").write_text(yaml.safe_dump(guess))
+    loaded = load_config(folder / "stated.yaml", (), seed, scene / "guess.yaml")
+    since = time.process_time()
+    report = calibrate(loaded, scene / "detections.parquet", out, jobs=1, plots=False, force=True)
+    row |= {"status": report["status"], "reason": report["reason"], "seconds": round(time.process_time() - since, 1)}
+    row["warnings"] = len(report.get("warnings", []))
+    if not (out / "cameras.yaml").exists():
+        return row
+    true = scene / "cameras.yaml"
+    scores = evaluate_calibration(
+        out / "cameras.yaml", true, loaded=load_config(folder / "simulated.yaml", (), seed, true)
+    )
+    posterior = scores["posterior"]
+    row["nees"], row["covered_90"] = posterior["nees"], posterior["covered_90"]
+    row["rotation_deg"] = max(c["rotation_deg"] for c in scores["cameras"].values())
+    row["direction_deg"] = max(c["direction_deg"] for c in scores["cameras"].values())
+    bounds = scores["bounds"]["cameras"]
+    row["over_bound"] = max(
+        scores["cameras"][name][key] / bounds[name][key] for name in bounds for key in ("rotation_deg", "direction_deg")
+    )
+    row["largest_z"] = max(abs(p["error"] / p["std"]) for p in posterior["parameters"].values())
+    row["silent_error"] = row["status"] == "determined" and row["largest_z"] > WRONG_Z
+    return row
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Figures of all runs."""
+    done = [row for row in rows if "nees" in row]
+    by_status: dict[str, int] = {}
+    for row in rows:
+        by_status[row["status"]] = by_status.get(row["status"], 0) + 1
+    return {
+        "runs": len(rows),
+        "status": by_status,
+        "silent_errors": [row["seed"] for row in done if row["silent_error"]],
+        "wrong_but_called_partly_determined": [
+            row["seed"] for row in done if row["status"] != "determined" and row["largest_z"] > WRONG_Z
+        ],
+        "nees_median": float(np.median([row["nees"] for row in done])) if done else None,
+        "covered_90": float(np.mean([row["covered_90"] for row in done])) if done else None,
+        "over_bound_median": float(np.median([row["over_bound"] for row in done])) if done else None,
+        "seconds_median": float(np.median([row["seconds"] for row in rows])),
+        "seconds_most": max(row["seconds"] for row in rows),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run and print; 0 if no error is silent."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0, help="run k has the seed SEED + k")
+    parser.add_argument("--misstated", action="store_true", help="state noise, detection, clutter, acceleration wrong")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the files of every run in DIR/SEED")
+    options = parser.parse_args(arguments)
+    rows = []
+    for seed in range(options.seed, options.seed + options.runs):
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = options.keep / str(seed) if options.keep else Path(temporary)
+            folder.mkdir(parents=True, exist_ok=True)
+            rows.append(one_run(seed, options.misstated, folder))
+        print(json.dumps(rows[-1]), flush=True)
+    figures = summary(rows)
+    print(json.dumps(figures, indent=2))
+    return 1 if figures["silent_errors"] else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
