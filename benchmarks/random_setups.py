@@ -225,9 +225,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="run k has the seed SEED + k")
     parser.add_argument("--misstated", action="store_true", help="state noise, detection, clutter, acceleration wrong")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the files of every run in DIR/SEED")
+    parser.add_argument("--most-objects", type=int, default=20, help="leave out runs of more objects: they take long")
     options = parser.parse_args(arguments)
     rows = []
     for seed in range(options.seed, options.seed + options.runs):
+        if draw(seed, options.misstated)[2]["objects"] > options.most_objects:
+            continue
         with tempfile.TemporaryDirectory() as temporary:
             folder = options.keep / str(seed) if options.keep else Path(temporary)
             folder.mkdir(parents=True, exist_ok=True)
