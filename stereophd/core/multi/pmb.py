@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
+from stereophd.core.multi.association import FEW_COMPONENTS
 from stereophd.core.multi.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.batch_kernels import update_track_sets
@@ -37,7 +38,7 @@ from stereophd.core.multi.inputs import Detections, EventNumbers, NewbornPrior, 
 from stereophd.core.multi.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.pmb_reduce import reduce_tracks
 from stereophd.core.multi.pmb_update import associate_tracks
-from stereophd.core.multi.undetected import reduction_for_births
+from stereophd.core.multi.undetected import peak_births, reduction_for_births, reduction_in_crowd
 from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
@@ -95,6 +96,9 @@ class PmbFilter(DisparityFilter):
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
         detector = self.rig.cameras[event.camera].detector
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
+        if prediction.mixture.size > FEW_COMPONENTS:
+            peak = peak_births(state.undetected, prediction.births, event.camera)
+            reduction = reduction_in_crowd(reduction, peak, detector, prediction.mixture.weights)
         detected, prior = self.detections(event)
         reduced, log_likelihood, expected, labels, detections, claims, fewer = _update(
             prediction.mixture, prediction.moved, detected, prior,

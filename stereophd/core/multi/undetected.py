@@ -47,6 +47,9 @@ LEAST_INITIAL = 0.1
 # least LEAST_PRUNING times the pruning weight of the settings.
 NEWBORN_SHARE = 0.1
 LEAST_PRUNING = 1e-3
+# In a crowd of more than this number of components for each expected object it is `CROWD_SHARE` of that weight.
+CROWDED = 1.25
+CROWD_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -59,10 +62,13 @@ class Undetected:
         Expected number in the view of each camera, of those that appeared since the start.
     initial_share : array (c,)
         Share of the objects in view of a camera at the start that the others left; 0 once the camera has had a frame.
+    peaks : array (c,)
+        Largest expected number in the view of each camera at an event since its own last frame; 0 if there was none.
     """
 
     counts: Array
     initial_share: Array
+    peaks: Array
 
 
 def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
@@ -125,12 +131,12 @@ def expected_births(
     known : float
         Expected number of detections of known objects.
     """
-    before = before or Undetected(np.zeros(len(left)), np.ones(len(left)))
+    before = before or Undetected(np.zeros(len(left)), np.ones(len(left)), np.zeros(len(left)))
     if prior.per_frame is not None:
         return 0.0 if burst else float(prior.per_frame), before
     counts, share = before.counts + prior.per_s * elapsed, before.initial_share
     if burst:
-        return 0.0, Undetected(counts, share)
+        return 0.0, Undetected(counts, share, before.peaks)
     initial = 0.0
     if share[event.camera] > 0.0:
         initial = _initial(event, prior, detector) * float(share[event.camera])
@@ -140,7 +146,9 @@ def expected_births(
         room = max(room_for(event, known, detector) - initial, UNCHECKED_BIRTHS)
         counts[event.camera] = min(float(counts[event.camera]), room)
     counts[event.camera] += initial
-    return float(counts[event.camera]), Undetected(counts * left, share * left)
+    peaks = np.maximum(before.peaks, counts)
+    peaks[event.camera] = 0.0
+    return float(counts[event.camera]), Undetected(counts * left, share * left, peaks)
 
 
 def _initial(event: Event, prior: BirthPrior, detector: Detector) -> float:
@@ -162,6 +170,49 @@ def reduction_for_births(reduction: Reduction, births: float, detector: Detector
     if weight >= values.prune_weight:
         return reduction
     return cast("Reduction", values._replace(prune_weight=weight))
+
+
+def peak_births(before: Undetected | None, births: float, camera: int) -> float:
+    """Return the largest number of undetected objects expected in view of a camera since its last frame.
+
+    Of cameras that take their frames at one time the first expects all new objects, and the last next to none.
+
+    Parameters
+    ----------
+    before : Undetected or None
+        After the last event.
+    births : float
+        Expected number at the event, a frame of this camera.
+    camera : int
+    """
+    return births if before is None else max(births, float(before.peaks[camera]))
+
+
+def reduction_in_crowd(reduction: Reduction, births: float, detector: Detector, weights: Array) -> Reduction:
+    """Return settings of a reduction of thousands of components, with a `prune_weight` that ends what will not grow.
+
+    It is at least `NEWBORN_SHARE` of the weight of a newborn, and `CROWD_SHARE` where components are more than
+    `CROWDED` for each expected object, but no more than `recycle_below`. What is lighter tells less than the next
+    detection of a new object will. Among thousands of detections it would never end: each event shares it out among
+    those that are near by chance, and every share is another component.
+
+    Parameters
+    ----------
+    reduction : named tuple
+        With `prune_weight` and `recycle_below`.
+    births : float
+        `peak_births` of the camera.
+    detector : Detector
+    weights : array (n,)
+        Of the components before the event.
+    """
+    values: Any = reduction
+    born = detector.p_detect * births
+    if born <= 0.0:
+        return reduction
+    share = CROWD_SHARE if len(weights) > CROWDED * float(weights.sum()) else NEWBORN_SHARE
+    weight = min(share * born / (born + detector.clutter_per_frame), values.recycle_below)
+    return cast("Reduction", values._replace(prune_weight=max(values.prune_weight, weight)))
 
 
 def undetected_shares(rig: Rig, prior: BirthPrior) -> Array:

@@ -11,7 +11,18 @@ from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.common import BirthPrior
-from stereophd.core.multi.undetected import LEAST_INITIAL, Undetected, expected_births, view_overlap
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
+from stereophd.core.multi.hypotheses import PmbReduction
+from stereophd.core.multi.undetected import (
+    CROWD_SHARE,
+    LEAST_INITIAL,
+    NEWBORN_SHARE,
+    Undetected,
+    expected_births,
+    peak_births,
+    reduction_in_crowd,
+    view_overlap,
+)
 from tests.core.disparity.cases import make_camera
 
 PRIOR = BirthPrior(per_s=0.5, initial=3.0, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
@@ -71,7 +82,7 @@ def test_the_first_frame_says_how_many_objects_there_were(n_detections: int, exp
 
 def test_a_pause_leaves_as_many_objects_as_the_frame_shows() -> None:
     camera = make_camera(p_detect=0.9, clutter=4.0)
-    before = Undetected(np.array([0.05, 0.0]), np.zeros(2))
+    before = Undetected(np.array([0.05, 0.0]), np.zeros(2), np.zeros(2))
     left = 1.0 - 0.9 * np.ones(2)
     after = event(camera, 0, 3600.0, 9)
     births, state = expected_births(before, PRIOR, left, 3600.0, after, camera.detector, known=2.0)
@@ -86,12 +97,48 @@ def test_a_pause_leaves_as_many_objects_as_the_frame_shows() -> None:
 
 def test_a_camera_that_starts_late_expects_what_its_first_frame_shows() -> None:
     camera = make_camera(p_detect=0.9, clutter=4.0)
-    before, prior = Undetected(np.array([0.0, 0.0]), np.array([0.0, 1.0])), replace(PRIOR, initial=None)
+    before, prior = Undetected(np.zeros(2), np.array([0.0, 1.0]), np.zeros(2)), replace(PRIOR, initial=None)
     births, _ = expected_births(
         before, prior, 1.0 - 0.9 * np.eye(2)[1], 3600.0, event(camera, 1, 3600.0, 9), camera.detector
     )
     # the objects of the first frame, and one standard deviation of the number of its detections
     assert births == pytest.approx((9 - 4 + 3) / 0.9)
+
+
+def test_cameras_at_one_time_share_the_peak_of_the_first() -> None:
+    """The first of three cameras expects the new objects, the others next to none; the peak is the same for all."""
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    state: Undetected | None = None
+    peaks, births = np.zeros(3), np.zeros(3)
+    for frame in range(200):
+        for index in range(3):
+            before, elapsed = state, 0.1 if frame > 0 and index == 0 else 0.0
+            left = 1.0 - 0.9 * np.ones(3)
+            births[index], state = expected_births(
+                before, PRIOR, left, elapsed, event(camera, index, 0.1 * frame), camera.detector
+            )
+            peaks[index] = peak_births(before, births[index], index)
+    assert births[2] < 0.02 * births[0]
+    np.testing.assert_allclose(peaks, births[0])
+    assert births[0] == pytest.approx(0.5 * 0.1 / (1.0 - 0.1**3))
+
+
+@pytest.mark.parametrize(
+    ("count", "births", "expected"),
+    [
+        (12, 0.01, NEWBORN_SHARE * 0.009 / 4.009),
+        (13, 0.01, CROWD_SHARE * 0.009 / 4.009),
+        (13, 10.0, 1e-2),
+        (12, 0.0, 1e-5),
+    ],
+)
+def test_a_crowd_ends_what_is_lighter_than_newborns(count: int, births: float, expected: float) -> None:
+    """Ten objects and no more than 2 light components, or 3; light births, heavy ones, and none."""
+    detector = make_camera(p_detect=0.9, clutter=4.0).detector
+    settings = PmbSettings(birth=PRIOR)
+    reduction = PmbReduction(1e-2, 1e-5, settings.merge_distance, 10**6, 4.0, 1e-3, 0)
+    weights = np.concatenate([np.ones(10), np.full(count - 10, 1e-6)])
+    assert reduction_in_crowd(reduction, births, detector, weights).prune_weight == pytest.approx(expected)
 
 
 def test_overlap_of_views() -> None:
