@@ -14,7 +14,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration import normal_equations
 from stereophd.core.calibration.association import track_detections, with_cameras
 from stereophd.core.calibration.fits import (
     FIRST_WEIGHTED,
@@ -25,6 +24,7 @@ from stereophd.core.calibration.fits import (
     refitted,
     tracked_fit,
 )
+from stereophd.core.calibration.marginal import LEFT_OUT
 from stereophd.core.calibration.modes import Modes
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.recording import Scans
@@ -39,7 +39,8 @@ PAIRED_INFLATION = 3.5
 # Pairings of a start that are followed, and share of the best one's gain from which another is followed too.
 MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
 # The detections that a start explains must be this near to their noise: mean squared residual of accepted detections,
-# in squared sigmas per coordinate.
+# in squared sigmas per coordinate. One that the last adjustment left out counts no more than this squared distance,
+# wherever it lies: one in twelve is allowed.
 MOST_RESIDUAL = 2.0
 # Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
 AGREEMENT = 1.0
@@ -165,7 +166,7 @@ def disagreement(task: Task, fit: Fit) -> str | None:
     part = explained(task, fit)
     if part < task.settings.min_tracked:
         return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
-    residual = float(np.minimum(fit.adjustment.distances, normal_equations.BEHIND).mean()) / 2.0
+    residual = float(np.minimum(fit.adjustment.distances, LEFT_OUT).mean()) / 2.0
     if residual > MOST_RESIDUAL:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
     values = fit.adjustment.values

@@ -18,6 +18,7 @@ from stereophd.core.calibration.association import (
 )
 from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.linearisation import Linearisation
+from stereophd.core.calibration.lone_detections import lone
 from stereophd.core.calibration.marginal import marginal_optimum
 from stereophd.core.calibration.pairing import Pairing
 from stereophd.core.calibration.pairing_search import (
@@ -148,6 +149,9 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False
     # over this time the noise of the motion moves an object by its detection's noise
     padding = task.filter.motion.straying_time(noise)
     trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
+    p_detect = np.array([camera.detector.p_detect for camera in cameras])
+    several = ~lone(trajectories, scans.event_of[detections], scans.cameras, p_detect)
+    trajectories, detections = trajectories[several], detections[several]
     of_camera = scans.cameras[scans.event_of[detections]]
     chosen = shared(trajectories, of_camera, task.settings.min_detections)
     if not len(chosen):

@@ -60,6 +60,9 @@ NOISE_STD = 0.5
 DIFFERENCE, SETTLED, LONGEST_STEP, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 100, 6
 # A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
+# Squared distance from which a detection is left out. A step that leaves more of them out is refused: without them the
+# volume is smaller, which is no evidence.
+LEFT_OUT = 50.0
 # Most steps of the knots at given values, and the fall of the cost that is left.
 KNOT_STEPS, KNOTS_SETTLED = 8, 1e-4
 # Longest move of the logarithm of the noise, in prior standard deviations, that is believed.
@@ -132,6 +135,11 @@ class Point:
     equations: NormalEquations
     objective: float
 
+    @property
+    def left_out(self) -> int:
+        """Number of detections that are too far for the loss to count them."""
+        return int((self.equations.distances > LEFT_OUT).sum())
+
 
 @dataclass(frozen=True)
 class MarginalPosterior:
@@ -201,16 +209,31 @@ class MarginalPosterior:
         numpy.linalg.LinAlgError
             The normal equations are not positive definite, or the cost is not finite.
         """
+        equations = self.equations(unknowns, states)
+        if not np.isfinite(equations.cost):
+            raise LinAlgError("the cost is not finite")
+        factor = _factor(equations)
         for _ in range(KNOT_STEPS):
-            equations = self.equations(unknowns, states)
-            if not np.isfinite(equations.cost):
-                raise LinAlgError("the cost is not finite")
-            factor = cholesky_banded(damped_bands(equations.bands, 0.0), lower=True, check_finite=False)
             step = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
             if float(equations.state_vector @ step) <= KNOTS_SETTLED:
                 break
-            states = states + step.reshape(states.shape)
+            tried = self._lower(unknowns, states, step.reshape(states.shape), equations.cost)
+            if tried is None:
+                break
+            states, equations = tried
+            factor = _factor(equations)
         return Point(unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, factor))
+
+    def _lower(self, unknowns: Array, states: Array, step: Array, cost: float) -> tuple[Array, NormalEquations] | None:
+        """Knots after a step, or a share of it, that lower the cost, with their normal equations."""
+        share = 1.0
+        while share >= LEAST_SHARE:
+            moved = states + share * step
+            found = self.equations(unknowns, moved)
+            if found.cost <= cost:
+                return moved, found
+            share *= 0.5
+        return None
 
     def gradient(self, at: Point) -> tuple[Array, Array]:
         """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
@@ -234,6 +257,12 @@ class MarginalPosterior:
         return posterior_covariance(at.equations, self.prior_std)
 
 
+def _factor(equations: NormalEquations) -> Array:
+    """Cholesky factor of the matrix of the knots, in lower banded form."""
+    factor: Array = cholesky_banded(damped_bands(equations.bands, 0.0), lower=True, check_finite=False)
+    return factor
+
+
 def _minimised(posterior: MarginalPosterior, at: Point) -> Point:
     """Minimise the objective from a point."""
     pairs: list[tuple[Array, Array]] = []
@@ -246,7 +275,11 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> Point:
         step *= min(1.0, LONGEST_STEP / length)
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
+        least = at.left_out
+        found = next(
+            (p for share, p in tried if p.left_out <= least and p.objective <= at.objective + DECREASE * share * slope),
+            None,
+        )
         if found is None:
             break
         before, before_gradient = at, gradient

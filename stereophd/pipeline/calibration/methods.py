@@ -25,6 +25,7 @@ from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.fits import fit_until, marginal_fit, problem_of, restricted_fit
 from stereophd.core.calibration.known_lengths import with_lengths
 from stereophd.core.calibration.known_scale import measured_scale, rescaled
+from stereophd.core.calibration.marginal import LEFT_OUT
 from stereophd.core.calibration.posterior import laplace_draws
 from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.selection import compare
@@ -257,7 +258,7 @@ def _fit_report(problem: CalibrationProblem, best: Start, fit: Fit) -> dict[str,
         "trajectories": fit.knots.count,
         "detections": len(fit.detections),
         "explained": best.explained,
-        "rms_residual_sigmas": float(np.sqrt(np.minimum(inliers, 1e4).mean() / 2.0)),
+        "rms_residual_sigmas": float(np.sqrt(np.minimum(inliers, LEFT_OUT).mean() / 2.0)),
         "log_evidence": best.log_evidence,
         "log_prior": best.log_prior,
         "converged": fit.adjustment.converged,

@@ -1,0 +1,54 @@
+"""Detections of a trajectory that stand alone in their camera: more likely false than right.
+
+Where one camera alone sees an object, its depth is known by its motion only. A false detection of another camera that
+happens to lie on the epipolar line then fits a fitted trajectory, which bends towards it, and the cameras with it. An
+object in view would have been detected in the frames before and after as well.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# Probability that a detector misses an object in all frames before a detection, and after it, below which the
+# detection stands alone.
+LONE_PROBABILITY = 0.03
+
+
+def lone(trajectories: Integers, events: Integers, of_event: Integers, p_detect: Array) -> Booleans:
+    """Which detections have no other detection of their trajectory and camera near, before or after.
+
+    Parameters
+    ----------
+    trajectories, events : arrays (n,) of int
+        Trajectory and event of each detection, sorted by trajectory and time.
+    of_event : array (e,) of int
+        Camera of each event, a frame, in order of time.
+    p_detect : array (c,)
+        Probability of detection of each camera.
+
+    Returns
+    -------
+    array (n,) of bool
+        True where the frames of the camera without a detection of the trajectory are so many, both since the last
+        one (or the first frame of the log) and until the next one (or the last frame), that a detector that sees
+        the object misses it in all of either with less than `LONE_PROBABILITY`.
+    """
+    frame = np.empty(len(of_event), dtype=np.int64)
+    frames = np.bincount(of_event, minlength=len(p_detect))
+    for camera in range(len(p_detect)):
+        frame[of_event == camera] = np.arange(frames[camera])
+    cameras, numbers = of_event[events], frame[events]
+    order = np.lexsort((numbers, cameras, trajectories))
+    same = (np.diff(trajectories[order]) == 0) & (np.diff(cameras[order]) == 0)
+    between = np.diff(numbers[order]) - 1
+    before, after = numbers[order].copy(), frames[cameras[order]] - 1 - numbers[order]
+    before[1:][same], after[:-1][same] = between[same], between[same]
+    missed = 1.0 - p_detect[cameras[order]]
+    out = np.empty(len(events), dtype=np.bool_)
+    out[order] = (missed**before < LONE_PROBABILITY) & (missed**after < LONE_PROBABILITY)
+    return out
