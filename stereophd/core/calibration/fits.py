@@ -249,18 +249,25 @@ def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
     values = np.where(free, fit.adjustment.values, parameters.prior_mean)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=~free)
     again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections, task.scale)
-    equations = Linearisation.of(problem_of(task, again)).at(again.adjustment.values, again.adjustment.states)
-    covariance = posterior_covariance(equations, parameters.prior_std)
-    covariance[~free], covariance[:, ~free] = 0.0, 0.0
-    covariance[~free, ~free] = parameters.prior_std[~free] ** 2
-    return replace(again, adjustment=replace(again.adjustment, covariance=covariance))
+    return _with_held_unknown(task, again)
+
+
+def _with_held_unknown(task: Task, fit: Fit) -> Fit:
+    """Give a fit with held values the covariance of all values being unknown, as `restricted_fit` says."""
+    assert fit.held is not None
+    equations = Linearisation.of(problem_of(task, fit)).at(fit.adjustment.values, fit.adjustment.states)
+    prior_std, held = task.parameters.prior_std, fit.held
+    covariance = posterior_covariance(equations, prior_std)
+    covariance[held], covariance[:, held] = 0.0, 0.0
+    covariance[held, held] = prior_std[held] ** 2
+    return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
 def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
-    Not where values are held, and not where detections share errors: what the trajectories absorb of those is no
-    volume of the motion model. Not for objects of one knot each, which stand still: the volume counts a velocity with
+    Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
+    the motion model. Not for objects of one knot each, which stand still: the volume counts a velocity with
     every knot, and would take the scene for too small. Not where that noise is not believed
     (`MarginalOptimum.believed`), unless `any_noise`.
 
@@ -270,15 +277,16 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     noise_factor : float
         Noise of the motion that the log shows over what is stated; 1 where it was not estimated.
     """
-    if fit.held is not None or fit.observations.weights is not None or not len(fit.knots.links()):
+    if fit.observations.weights is not None or not len(fit.knots.links()):
         return fit, 1.0
-    found = marginal_optimum(problem_of(task, fit), fit.adjustment)
+    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
     if not (found.believed or any_noise):
         return fit, found.noise_factor
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
-    return replace(fit, adjustment=found.adjustment, knots=knots, observations=observations), found.noise_factor
+    moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
+    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
 
 
 def at_marginal_optimum(task: Task, fit: Fit) -> Fit:

@@ -96,7 +96,7 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
     Parameters
     ----------
     problem : Problem
-        Without held values.
+        Values that it holds stay, and keep the covariance of the prior.
     found : Adjustment
         Solution of that problem.
 
@@ -250,6 +250,8 @@ class MarginalPosterior:
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         by_cost = at.equations.coupling.T @ eliminated[:, -1] - at.equations.value_vector
         gradient: Array = np.asarray(by_volume + by_cost, dtype=np.float64)
+        if (held := self.linearisation.problem.held) is not None:
+            gradient[: len(held)][held] = 0.0
         return gradient, np.asarray(root, dtype=np.float64)
 
     def covariance(self, at: Point) -> Array:

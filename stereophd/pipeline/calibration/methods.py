@@ -83,7 +83,7 @@ def annealed_outcome(
     joint = selected(section, task, fit, details)
     # known lengths hold what objects that move together would make too sure
     known = section.scale if isinstance(section.scale, LengthScale) and task.scale is not None else None
-    fit, noise = marginal_fit(task, joint, any_noise=known is not None)
+    fit, noise = marginal_fit(task, joint, any_noise=known is not None and joint.held is None)
     if fit is joint and noise != 1.0:
         LOGGER.warning(
             "the motion of the objects shows %.2g times the noise that the configuration states: the trajectories are "

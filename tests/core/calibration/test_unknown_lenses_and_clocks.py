@@ -237,7 +237,7 @@ def test_the_marginal_optimum_is_found_from_far_away(place: int, deviations: flo
     np.testing.assert_allclose((found.values - near.values) / np.sqrt(np.diag(near.covariance)), 0.0, atol=0.1)
 
 
-def test_trajectories_are_integrated_out_for_poses_alone_too_but_not_with_held_values() -> None:
+def test_trajectories_are_integrated_out_for_poses_alone_too() -> None:
     problem, states, drawn = some_problem(("center", "rotation"))
     joint = adjust(problem, drawn, states)
     task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
@@ -248,8 +248,29 @@ def test_trajectories_are_integrated_out_for_poses_alone_too_but_not_with_held_v
     assert log_noise == pytest.approx(np.log(factor))
     reached = posterior.at(np.append(found.adjustment.values, log_noise), states).objective
     assert reached < posterior.at(np.append(joint.values, 0.0), states).objective - 1.0
-    held = replace(fit, held=np.arange(problem.parameters.size) == 0)
-    assert marginal_fit(task, held) == (held, 1.0)
+
+
+def test_held_values_stay_and_are_as_unknown_as_before_where_trajectories_are_integrated_out() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    free = np.array([parameter.quantity.name != "focal" for parameter in problem.parameters.parameters])
+    held = replace(problem, held=~free)
+    fit = Fit(adjust(held, drawn, states), problem.knots, problem.observations, np.arange(len(problem.observations)),
+              ~free)  # fmt: skip
+    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
+    found, factor = marginal_fit(task, fit)
+    values, covariance = found.adjustment.values, found.adjustment.covariance
+    np.testing.assert_allclose(values[~free], drawn[~free], rtol=1e-9)
+    np.testing.assert_allclose(covariance[np.ix_(~free, ~free)], np.diag(problem.parameters.prior_std[~free] ** 2))
+    assert not covariance[np.ix_(free, ~free)].any()
+    # with the true focal lengths held, the others are as right as if those were known
+    known = np.linalg.inv(
+        np.linalg.inv(marginal_optimum(held, fit.adjustment).adjustment.covariance)[np.ix_(free, free)]
+    )
+    error = (values - drawn)[free]
+    assert error @ np.linalg.solve(known, error) < 4.0 * free.sum()
+    posterior = MarginalPosterior(Linearisation.of(held))
+    before = posterior.at(np.append(fit.adjustment.values, 0.0), states).objective
+    assert posterior.at(np.append(values, np.log(factor)), found.adjustment.states).objective < before - 0.5
 
 
 def test_still_objects_keep_the_joint_optimum() -> None:
