@@ -23,6 +23,7 @@ from stereophd.core.calibration.fits import (
     pairings_of,
     refitted,
     tracked_fit,
+    without_left_out,
 )
 from stereophd.core.calibration.marginal import LEFT_OUT
 from stereophd.core.calibration.modes import Modes
@@ -108,6 +109,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
             return failed("the fitted trajectories are not shared by two cameras", fit)
         fit = again
         history.append(fit.adjustment.values)
+    fit = without_left_out(task, fit)
     values = fit.adjustment.values
     part = explained(task, fit)
     why = disagreement(task, fit)

@@ -19,7 +19,7 @@ from stereophd.core.calibration.association import (
 from stereophd.core.calibration.clock_search import offset_places
 from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.lone_detections import lone
-from stereophd.core.calibration.marginal import marginal_optimum
+from stereophd.core.calibration.marginal import LEFT_OUT, marginal_optimum
 from stereophd.core.calibration.pairing import Pairing
 from stereophd.core.calibration.pairing_search import (
     DRAWS,
@@ -197,7 +197,24 @@ def fit_from(task: Task, values: Array) -> Fit | None:
 
 def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     """Adjust to the detections until a time only, with the association of the whole run; None without any."""
-    rows = np.flatnonzero(fit.observations.times <= time_s)
+    # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
+    most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
+    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
+
+
+def without_left_out(task: Task, fit: Fit) -> Fit:
+    """Adjust again without the detections that the last adjustment left out, if any.
+
+    Where a trajectory ends with one of them, its last knots have no information but the motion's, and lie anywhere.
+    """
+    rows = np.flatnonzero(fit.adjustment.distances <= LEFT_OUT)
+    if len(rows) == len(fit.detections):
+        return fit
+    return _part(task, fit, rows, MOST_ITERATIONS) or fit
+
+
+def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:
+    """Adjust to some of the detections, with the association of all; None without any."""
     trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
     if not len(trajectories):
         return None
@@ -205,8 +222,6 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
     if fit.observations.weights is not None:
         observations = replace(observations, weights=fit.observations.weights[rows])
-    # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
-    most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
     of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
     return adjusted_to(task, fit, observations, of_fit, detections, task.scale, most)
 

@@ -60,8 +60,7 @@ NOISE_STD = 0.5
 DIFFERENCE, SETTLED, LONGEST_STEP, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 100, 6
 # A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
-# Squared distance from which a detection is left out. A step that leaves more of them out is refused: without them the
-# volume is smaller, which is no evidence.
+# Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
 # Most steps of the knots at given values, and the fall of the cost that is left.
 KNOT_STEPS, KNOTS_SETTLED = 8, 1e-4
@@ -134,11 +133,6 @@ class Point:
     states: Array
     equations: NormalEquations
     objective: float
-
-    @property
-    def left_out(self) -> int:
-        """Number of detections that are too far for the loss to count them."""
-        return int((self.equations.distances > LEFT_OUT).sum())
 
 
 @dataclass(frozen=True)
@@ -277,11 +271,7 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> Point:
         step *= min(1.0, LONGEST_STEP / length)
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        least = at.left_out
-        found = next(
-            (p for share, p in tried if p.left_out <= least and p.objective <= at.objective + DECREASE * share * slope),
-            None,
-        )
+        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
         if found is None:
             break
         before, before_gradient = at, gradient

@@ -46,13 +46,23 @@ def test_other_trajectories_and_cameras_are_no_company() -> None:
     assert lone(trajectories, events, OF_EVENT, np.array([0.9, 0.9])).tolist() == [True, True, True]
 
 
+@pytest.mark.parametrize(("seen_by_third", "expected"), [(4, False), (5, False), (6, True), (None, True)])
+def test_two_other_cameras_confirm_a_detection(seen_by_third: int | None, expected: bool) -> None:
+    """Camera 0 detects the object in frame 4 alone, camera 1 in every frame, and camera 2 in one or none."""
+    of_event = np.tile([0, 1, 2], 10)
+    events = [12, *range(1, 30, 3)] + ([] if seen_by_third is None else [3 * seen_by_third + 2])
+    events = np.sort(np.array(events))
+    out = lone(np.zeros(len(events), dtype=np.int64), events, of_event, np.array([0.9, 0.9, 0.1]))
+    assert out[events == 12].tolist() == [expected]
+
+
 def test_the_order_of_cameras_does_not_matter() -> None:
     rng = np.random.default_rng(5)
-    of_event = rng.integers(0, 3, 60)
+    of_event = rng.integers(0, 2, 60)
     events = np.sort(rng.choice(60, 25, replace=False))
-    p_detect = np.array([0.5, 0.8, 0.95])
+    p_detect = np.array([0.8, 0.95])
     plain = lone(np.zeros(25, dtype=np.int64), events, of_event, p_detect)
-    turned = lone(np.zeros(25, dtype=np.int64), events, 2 - of_event, p_detect[::-1])
+    turned = lone(np.zeros(25, dtype=np.int64), events, 1 - of_event, p_detect[::-1])
     np.testing.assert_array_equal(plain, turned)
     assert 0 < plain.sum() < 25
 
