@@ -19,7 +19,15 @@ from types import TracebackType
 
 from stereophd.errors import InputError
 from stereophd.io.commit import COMMIT_NAME, NEW, OLD, beside_of, commit_files, commit_folder, complete, files_below
-from stereophd.io.disk import TEMPORARY_PREFIX, USER_ERRNOS, current_umask, signals_deferred, sync, write_error
+from stereophd.io.disk import (
+    TEMPORARY_PREFIX,
+    UNFINISHED_PREFIX,
+    USER_ERRNOS,
+    current_umask,
+    signals_deferred,
+    sync,
+    write_error,
+)
 from stereophd.io.locks import LOCK_NAME, output_lock
 
 __all__ = [
@@ -262,9 +270,12 @@ class OutputFolder:
         """Whether an error of the block comes from a write here (a bare ENOSPC names no file)."""
         if error.filename is None:
             return True
-        # Tables of an unfinished run lie beside the staged folder.
-        parents = Path(os.fsdecode(error.filename)).parents
-        return self.folder in parents or self._staged in parents
+        path = Path(os.fsdecode(error.filename))
+        if self._staged in path.parents:
+            return True
+        # Tables of an unfinished run lie beside the staged folder; other files of the output folder may be inputs.
+        inside = path.relative_to(self.folder).parts if self.folder in path.parents else ("",)
+        return inside[0].startswith(UNFINISHED_PREFIX)
 
     def _explain(self, error: OSError) -> InputError:
         """Name the final file, not the temporary one."""

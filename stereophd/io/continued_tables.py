@@ -231,14 +231,14 @@ def _checksum(stream: BinaryIO, length: int) -> int:
 
 def _column(array: pa.Array) -> Any:
     """Return a column as arrays of NumPy, for a checkpoint."""
+    if array.null_count:
+        raise TypeError("a table with nulls cannot be continued")
     if pa.types.is_string(array.type):
         coded = array.dictionary_encode()
         codes = np.frombuffer(coded.indices.buffers()[1], dtype=np.int32)
         return {"words": coded.dictionary.to_pylist(), "codes": codes[: len(array)]}
     if pa.types.is_fixed_size_list(array.type):
         return _column(array.values).reshape(len(array), -1)
-    if array.null_count:
-        raise TypeError("a table with nulls cannot be continued")
     dtype = np.float64 if pa.types.is_floating(array.type) else np.int64
     return np.frombuffer(array.buffers()[1], dtype=dtype, count=len(array))
 

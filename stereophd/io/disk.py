@@ -16,6 +16,8 @@ from stereophd.errors import InputError
 
 # Temporary names start so; what a killed process left behind is recognised as ours.
 TEMPORARY_PREFIX = ".stereophd-partial-"
+# Folders inside an output folder in which unfinished runs keep what they have done.
+UNFINISHED_PREFIX = "partial-"
 
 # Failures of a write that come from the place written to, not from the program.
 USER_ERRNOS = frozenset(

@@ -8,8 +8,7 @@ from pathlib import Path
 from stereophd.errors import InputError
 from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.io.checkpoints import is_checkpoint
-
-_PREFIX = "partial-"
+from stereophd.io.disk import UNFINISHED_PREFIX
 
 # Characters of the hash in the name of a folder.
 _LENGTH = 16
@@ -18,12 +17,16 @@ _LENGTH = 16
 UNFINISHED_TABLE = "*.part"
 
 # Files of an unfinished run, as `stereophd.io.atomic.OutputFolder` takes them.
-UNFINISHED_FILES = (f"{_PREFIX}*/*.npz", f"{_PREFIX}*/*/*.npz", f"{_PREFIX}*/{UNFINISHED_TABLE}")
+UNFINISHED_FILES = (
+    f"{UNFINISHED_PREFIX}*/*.npz",
+    f"{UNFINISHED_PREFIX}*/*/*.npz",
+    f"{UNFINISHED_PREFIX}*/{UNFINISHED_TABLE}",
+)
 
 
 def can_resume(out: Path | str) -> bool:
     """Whether an output folder, or a folder of a batch in it, holds an unfinished run."""
-    return any(next(Path(out).glob(f"{above}{_PREFIX}*/"), None) is not None for above in ("", "*/"))
+    return any(next(Path(out).glob(f"{above}{UNFINISHED_PREFIX}*/"), None) is not None for above in ("", "*/"))
 
 
 class UnfinishedRun:
@@ -39,7 +42,7 @@ class UnfinishedRun:
 
     def __init__(self, out: Path, identity: str) -> None:
         self.out = out
-        self.folder = out / f"{_PREFIX}{identity[:_LENGTH]}"
+        self.folder = out / f"{UNFINISHED_PREFIX}{identity[:_LENGTH]}"
         self.identity = identity
 
     def prepare(self, resume: bool, force: bool) -> None:
@@ -58,7 +61,7 @@ class UnfinishedRun:
             There is an unfinished run, and neither `resume` nor `force` is given; it is one of another configuration
             or log, and `force` is not given; or a folder of such a name holds other files.
         """
-        folders = sorted(path for path in self.out.glob(f"{_PREFIX}*") if path.is_dir())
+        folders = sorted(path for path in self.out.glob(f"{UNFINISHED_PREFIX}*") if path.is_dir())
         for path in (path for folder in folders for path in folder.rglob("*")):
             if path.is_file() and not _is_ours(path):
                 raise InputError(

@@ -183,6 +183,20 @@ def test_an_error_on_another_file_stays_what_it_is(tmp_path: Path) -> None:
         fail()
 
 
+@pytest.mark.parametrize(("name", "ours"), [("partial-0123/tracks.part", True), ("detections.parquet", False)])
+def test_an_error_inside_the_output_folder_is_ours_where_an_unfinished_run_lies(
+    tmp_path: Path, name: str, ours: bool
+) -> None:
+    """An input may lie in the output folder: that it cannot be read is no failed write."""
+
+    def fail() -> None:
+        with OutputFolder(tmp_path, NAMES):
+            raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path / name))
+
+    with pytest.raises(InputError if ours else PermissionError):
+        fail()
+
+
 def test_ctrl_c_while_moving_waits_until_all_files_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replace = os.replace
 

@@ -45,7 +45,7 @@ def raise_killed(*_: Any) -> None:
     raise Killed
 
 
-def test_no_file_grows_with_the_events(
+def test_an_unfinished_run_keeps_a_state_and_its_tables_and_no_records(
     scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for records in (5, 30):
