@@ -284,7 +284,8 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
     the motion model. Not for objects of one knot each, which stand still: the volume counts a velocity with
     every knot, and would take the scene for too small. Not where that noise is not believed
-    (`MarginalOptimum.believed`), unless `any_noise`.
+    (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the prior although the
+    fit does not.
 
     Returns
     -------
@@ -297,7 +298,12 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
     if not (found.believed or any_noise):
         return fit, found.noise_factor
-    cameras = task.parameters.build(found.adjustment.values)
+    parameters = task.parameters
+    if parameters.prior_disagreement(found.adjustment.values) and not parameters.prior_disagreement(
+        fit.adjustment.values
+    ):
+        return fit, 1.0
+    cameras = parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
     moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)

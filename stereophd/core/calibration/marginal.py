@@ -108,7 +108,10 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
     size = problem.parameters.size
     start = np.append(found.values, np.zeros(posterior.size - size))
     try:
-        at = _minimised(posterior, posterior.at(start, found.states))
+        begin = posterior.at(start, found.states)
+        at = _minimised(posterior, begin)
+        if at.left_out > begin.left_out:
+            at = _minimised(posterior, begin, keeping=True)
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
         return MarginalOptimum(found, 1.0, True)
@@ -133,6 +136,11 @@ class Point:
     states: Array
     equations: NormalEquations
     objective: float
+
+    @property
+    def left_out(self) -> int:
+        """Number of detections that the loss leaves out."""
+        return int((self.equations.distances > LEFT_OUT).sum())
 
 
 @dataclass(frozen=True)
@@ -259,8 +267,11 @@ def _factor(equations: NormalEquations) -> Array:
     return factor
 
 
-def _minimised(posterior: MarginalPosterior, at: Point) -> Point:
-    """Minimise the objective from a point."""
+def _minimised(posterior: MarginalPosterior, at: Point, keeping: bool = False) -> Point:
+    """Minimise the objective from a point; `keeping` refuses steps that leave more detections out.
+
+    Without those the volume is smaller, which is no evidence.
+    """
     pairs: list[tuple[Array, Array]] = []
     gradient, root = posterior.gradient(at)
     for _ in range(MOST_STEPS):
@@ -271,7 +282,11 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> Point:
         step *= min(1.0, LONGEST_STEP / length)
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
+        most = at.left_out if keeping else len(at.equations.distances)
+        found = next(
+            (p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope and p.left_out <= most),
+            None,
+        )
         if found is None:
             break
         before, before_gradient = at, gradient

@@ -97,7 +97,7 @@ def annealed_outcome(
         fit, details["known_lengths"] = with_lengths(task, fit, known.length, known.std)
     mean, covariance = fit.adjustment.values, fit.adjustment.covariance
     if (against := task.parameters.prior_disagreement(mean)) is not None:
-        doubt = f"with the known {section.scale.kind} {against}"
+        doubt = against if section.scale.kind == "none" else f"with the known {section.scale.kind} {against}"
     details["fit"] = _fit_report(problem, best, fit)
     # integrating the trajectories out each time takes too long: the last row is the result, the others joint optima
     times = np.linspace(problem.recording.times[0], problem.recording.times[-1], HISTORY_TIMES + 1)[1:]
