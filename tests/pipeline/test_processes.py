@@ -8,6 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -49,22 +52,73 @@ def _shared_memory(pid: int) -> list[str]:
     return [path.name for path in SHARED_MEMORY.iterdir() if re.search(rf"(?<!\d){pid}(?!\d)", path.name)]
 
 
-def _folders(task: tuple[np.ndarray, int]) -> tuple[int, list[str]]:
+def _size_and_shared_memory(task: tuple[np.ndarray, int]) -> tuple[int, list[str]]:
     array, parent = task
-    return array.size, [name for name in _shared_memory(parent) if (SHARED_MEMORY / name).is_dir()]
+    return array.size, _shared_memory(parent)
 
 
 @pytest.mark.skipif(not SHARED_MEMORY.is_dir(), reason="looks for shared memory in /dev/shm")
-def test_workers_make_no_folder_in_shared_memory() -> None:
+def test_workers_use_no_shared_memory() -> None:
     """What is never made cannot be left behind, at whatever moment a process is killed."""
     large = np.zeros(400_000)
-    assert list(on_processes(_folders, [(large, os.getpid())] * 3, 2)) == [(large.size, [])] * 3
+    assert list(on_processes(_size_and_shared_memory, [(large, os.getpid())] * 3, 2)) == [(large.size, [])] * 3
 
 
 @pytest.mark.parametrize("ordered", [True, False])
 def test_results_of_all_calls(ordered: bool) -> None:
     found = list(on_processes(_square, range(5), 2, ordered))
     assert (found if ordered else sorted(found)) == [0, 1, 4, 9, 16]
+
+
+class UnsendableError(Exception):
+    """Its pickle cannot be read: it is made with one argument less."""
+
+    def __init__(self, one: int, other: int) -> None:
+        super().__init__(one)
+
+
+def _odd(number: int) -> int:
+    print("a call prints this")
+    if number == 3:
+        raise ValueError(f"{number} is refused")
+    if number == 4:
+        raise UnsendableError(1, 2)
+    if number == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.mark.parametrize(
+    ("number", "error", "message"),
+    [
+        (3, ValueError, "3 is refused"),
+        (4, RuntimeError, "UnsendableError"),
+        (5, BrokenProcessPool, "exit code -9"),
+    ],
+)
+def test_a_call_that_fails_ends_all(number: int, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        list(on_processes(_odd, [0, 1, number, *range(10, 1000)], 2))
+    assert not psutil.Process().children()
+
+
+def _wait(number: int) -> int:
+    time.sleep(0.1)
+    return number
+
+
+def test_a_closed_iterator_begins_nothing_more() -> None:
+    taken = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(GIVE_UP_S * 10):
+            taken.append(number)
+            yield number
+
+    with closing(on_processes(_wait, numbers(), 2)) as results:
+        assert next(results) == 0
+    assert not psutil.Process().children()
+    assert len(taken) < GIVE_UP_S * 10
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
