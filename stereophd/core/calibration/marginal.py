@@ -70,7 +70,7 @@ LEFT_OUT = 50.0
 # Most times that the weights of detections are taken anew, and their change at which they are the same.
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
 # Most steps of the knots at given values, and the fall of the cost that is left.
-KNOT_STEPS, KNOTS_SETTLED = 8, 1e-4
+KNOT_STEPS, KNOTS_SETTLED = 15, 1e-8
 # Longest move of the logarithm of the noise, in prior standard deviations, that is believed.
 LONGEST_MOVE_OF_NOISE = 3.0
 
@@ -197,10 +197,17 @@ class MarginalPosterior:
         )
 
     def volume(self, unknowns: Array, states: Array) -> float:
-        """Half of the terms that integrating out the knots (k, 2, 3) adds."""
+        """Half of the terms that integrating out the knots adds, at their minimum near the given ones (k, 2, 3)."""
         count = self.linearisation.problem.parameters.size
-        bands = self.linearisation.bands(unknowns[:count], states, float(unknowns[count:].sum()))
-        return self._volume(unknowns, cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False))
+        values, log_noise = unknowns[:count], float(unknowns[count:].sum())
+        for _ in range(KNOT_STEPS):
+            bands, vector = self.linearisation.of_knots(values, states, log_noise)
+            factor = _factor(bands)
+            step = cho_solve_banded((factor, True), vector, check_finite=False)
+            if float(vector @ step) <= KNOTS_SETTLED:
+                break
+            states = states + step.reshape(states.shape)
+        return self._volume(unknowns, factor)
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem = self.linearisation.problem
@@ -220,7 +227,7 @@ class MarginalPosterior:
         equations = self.equations(unknowns, states)
         if not np.isfinite(equations.cost):
             raise LinAlgError("the cost is not finite")
-        factor = _factor(equations)
+        factor = _factor(equations.bands)
         for _ in range(KNOT_STEPS):
             step = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
             if float(equations.state_vector @ step) <= KNOTS_SETTLED:
@@ -229,7 +236,7 @@ class MarginalPosterior:
             if tried is None:
                 break
             states, equations = tried
-            factor = _factor(equations)
+            factor = _factor(equations.bands)
         return Point(unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, factor))
 
     def _lower(self, unknowns: Array, states: Array, step: Array, cost: float) -> tuple[Array, NormalEquations] | None:
@@ -267,9 +274,9 @@ class MarginalPosterior:
         return posterior_covariance(at.equations, self.prior_std)
 
 
-def _factor(equations: NormalEquations) -> Array:
+def _factor(bands: Array) -> Array:
     """Cholesky factor of the matrix of the knots, in lower banded form."""
-    factor: Array = cholesky_banded(damped_bands(equations.bands, 0.0), lower=True, check_finite=False)
+    factor: Array = cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False)
     return factor
 
 
