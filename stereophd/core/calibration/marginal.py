@@ -31,7 +31,8 @@ and the optimum is looked for again from there, until they are the same.
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that u enters the normal equations as the
 logarithm of s does: with the energy E of the motion and the derivative p of E / 2 by the knots, -p is the coupling
 of u with the knots and E its curvature. At knots that minimise the cost the gradient of J / 2 is minus the vector of
-the normal equations. The gradient of the volume is that of differences, with the knots following to first order.
+the normal equations. The gradient of the volume is that of differences, the knots minimised at each point: what one
+camera alone sees lies in a valley so flat and curved that the knots do not follow to first order.
 
 **Minimum.** Quasi-Newton steps (limited memory BFGS: J. Nocedal and S. Wright, "Numerical Optimization", 2006,
 algorithm 7.4) on the curvature of the normal equations at each point, which lacks that of the volume. The covariance is

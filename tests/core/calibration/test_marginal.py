@@ -80,6 +80,32 @@ def test_the_marginal_optimum_is_found_from_far_away(place: int, deviations: flo
     np.testing.assert_allclose((found.values - near.values) / np.sqrt(np.diag(near.covariance)), 0.0, atol=0.1)
 
 
+def test_detections_that_the_loss_leaves_out_are_left_out_of_the_volume_too() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"), loss=FITTED_LOSS)
+    wrong = np.arange(10, len(problem.observations), 40)
+    points = problem.observations.points.copy()
+    points[wrong] += 30.0
+    problem = replace(problem, observations=replace(problem.observations, points=points))
+    found = marginal_optimum(problem, adjust(problem, drawn, states)).adjustment
+    assert (found.distances[wrong] > marginal.LEFT_OUT).all()
+    weights = np.ones(len(points))
+    weights[wrong] = 0.0
+    without = problem.weighted(weights)
+    expected = marginal_optimum(without, adjust(without, drawn, states)).adjustment
+    std = np.sqrt(np.diag(expected.covariance))
+    np.testing.assert_allclose((found.values - expected.values) / std, 0.0, atol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.02)
+
+
+def test_a_search_that_ends_too_early_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    joint = adjust(problem, drawn, states)
+    assert marginal_optimum(problem, joint).adjustment.converged
+    monkeypatch.setattr(marginal, "MOST_STEPS", 1)
+    monkeypatch.setattr(marginal, "MOST_WEIGHTINGS", 1)
+    assert not marginal_optimum(problem, joint).adjustment.converged
+
+
 def test_trajectories_are_integrated_out_for_poses_alone_too() -> None:
     problem, states, drawn = some_problem(("center", "rotation"))
     joint = adjust(problem, drawn, states)
