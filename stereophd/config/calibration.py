@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from annotated_types import Len
+from annotated_types import Interval, Len
 from pydantic import Field, create_model, model_validator
 
 from stereophd.config.base import Model
 from stereophd.core.calibration.quantities.base import Quantity
 from stereophd.core.calibration.quantities.registry import quantities
 from stereophd.core.calibration.settings import AnnealedSettings, SequentialSettings, TemperedSettings
-from stereophd.core.settings import (
-    NonNegative,
-    PositiveLength,
-    parameter,
-)
+from stereophd.core.settings import FINITE, PositiveLength, parameter
 
 # Narrower priors than this are those of a known axis: write 0.
 NARROWEST = 1e-9
@@ -25,13 +21,13 @@ NARROWEST = 1e-9
 def _prior_field(quantity: Quantity) -> Any:
     """Type and description of the prior of a quantity."""
     size = len(quantity.components)
+    one: Any = Annotated[float, Interval(ge=0, le=quantity.largest_std), FINITE]
     if quantity.named:
         names: Any = {
-            name: (NonNegative, Field(0.0, description=f"standard deviation of {name}")) for name in quantity.components
+            name: (one, Field(0.0, description=f"standard deviation of {name}")) for name in quantity.components
         }
         named = create_model(f"{quantity.name.title()}Prior", __base__=Model, __doc__=quantity.description, **names)
         return (named | None, Field(None, description=quantity.description))
-    one: Any = NonNegative
     spread = one if size == 1 else one | tuple.__class_getitem__((one,) * size)
     return (spread, Field(0.0, description=quantity.description))
 

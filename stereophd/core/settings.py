@@ -41,6 +41,7 @@ SMALLEST_LENGTH = 1e-12
 LARGEST_TIME_S = 1e13
 SMALLEST_TIME_S = 1e-9
 LARGEST_PX = 1e9
+LARGEST_DEGREES = 36_000.0
 SMALLEST_PX = 1e-9
 LARGEST_COUNT = 1_000_000_000
 # A detector that is better than a millionth of a pixel, or worse than a million pixels, is none.
@@ -77,9 +78,9 @@ Fraction = Annotated[float, Interval(ge=0, le=1), FINITE]
 #: A probability or fraction above 0.
 PositiveFraction = Annotated[float, Interval(ge=1e-30, le=1), FINITE]
 #: An angle, degrees: more than a hundred turns are a mistake.
-Degrees = Annotated[float, Interval(ge=-36_000, le=36_000), FINITE]
+Degrees = Annotated[float, Interval(ge=-LARGEST_DEGREES, le=LARGEST_DEGREES), FINITE]
 #: The standard deviation of an angle, degrees.
-DegreesSpread = Annotated[float, Interval(ge=0, le=36_000), FINITE]
+DegreesSpread = Annotated[float, Interval(ge=0, le=LARGEST_DEGREES), FINITE]
 #: An angular velocity, degrees/s.
 DegreesPerSecond = Annotated[float, Interval(ge=-1e9, le=1e9), FINITE]
 #: How many there are: at least 1.

@@ -23,7 +23,7 @@ UNBOUNDED = {
 
 CAMERA = "cameras.left"
 SINGLE = "filter={kind: single, prior: {depth_range: [1, 9], velocity_std: 1}}"
-CALIBRATION = "calibration={reference: left, priors: {right: {center_std: 1, rotation_std_deg: 1}}}"
+CALIBRATION = "calibration={reference: left, priors: {right: {center_std: 1}}}"
 
 
 def numbers(node: Any, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -90,6 +90,8 @@ def test_every_numeric_key_has_both_bounds() -> None:
         (f"{'9' * 5000}=1", "unknown key"),
         (CALIBRATION.replace("center_std: 1", "center_std: 1e-300"), "of at least 1e-09, found 1e-300"),
         (CALIBRATION.replace("center_std: 1", "center_std: 1e300"), "center_std: expected a number <= 1e+15"),
+        (CALIBRATION.replace("center_std: 1", "focal_std: 11"), "focal_std: expected a number <= 10"),
+        (CALIBRATION.replace("center_std: 1", "rotation_std_deg: 4e4"), "rotation_std_deg: expected a number <= 36000"),
         (f"{SINGLE[:-2]}, x: 1}}}}", "filter.prior.x: unknown key"),
         (SINGLE.replace("velocity_std: 1", "velocity_std: 1e300"), "prior.velocity_std: expected a number <= 1e+15"),
         ('cameras="a\\0b.yaml"', "expected text of Unicode characters, without NUL"),

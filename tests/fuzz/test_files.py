@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 
-from .test_configuration import BUDGET, base, log, outcome  # noqa: F401
+from .commands import budget, outcome
 
 NUMBERS = st.sampled_from([0.0, -0.0, 1e-300, 1e200, 1.7e308, -1.7e308, float("inf"), float("nan"), 1e15, -5.0, 3.5])
 COLUMNS = ["time_s", "u_px", "v_px", "frame", "sigma_u_px", "sigma_v_px"]
@@ -28,7 +28,7 @@ DAMAGE = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, m
 
 
 @pytest.fixture(scope="module")
-def files(log: Path) -> Path:  # noqa: F811
+def files(log: Path) -> Path:
     """The folder of a configuration and a log that work."""
     return log.parent.parent
 
@@ -67,7 +67,7 @@ def whole_run(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@BUDGET
+@budget()
 @given(
     damage=DAMAGE,
     keep=st.one_of(st.just(1.0), st.floats(0, 1)),
@@ -100,7 +100,7 @@ def damage_file(path: Path, damage: list[tuple[float, int]], keep: float) -> Non
     path.write_bytes(content[: int(keep * len(content))])
 
 
-@BUDGET
+@budget()
 @given(damage=DAMAGE, keep=st.one_of(st.just(1.0), st.floats(0, 1)), kind=st.sampled_from(["log", "config", "cameras"]))
 def test_damaged_bytes(
     files: Path, capfd: pytest.CaptureFixture[str], damage: list[tuple[float, int]], keep: float, kind: str
@@ -115,7 +115,7 @@ def test_damaged_bytes(
         assert code in (0, 2), said
 
 
-@BUDGET
+@budget()
 @given(changes=st.lists(st.tuples(st.sampled_from(COLUMNS), st.floats(0, 1), NUMBERS), min_size=1, max_size=4))
 def test_odd_numbers_in_a_log(
     files: Path, capfd: pytest.CaptureFixture[str], changes: list[tuple[str, float, float]]

@@ -81,6 +81,8 @@ class RawTracks:
 
     def at(self, tracks: Integers, log_times: Array) -> tuple[Array, Booleans]:
         """Pixels (n, 2) of tracks (n,) at times on their cameras' clocks, and whether they were seen around then."""
+        if not len(tracks):  # there may be no track at all
+            return np.empty((0, 2)), np.empty(0, dtype=np.bool_)
         margin = 0.25 * self._spacing
         since = np.clip(log_times - self.log_times.min(), -margin, self._spacing - 2.0 * margin)
         right = np.searchsorted(self._keys, since + tracks * self._spacing)

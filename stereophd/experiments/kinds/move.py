@@ -19,6 +19,7 @@ from stereophd.experiments.engine.base import Kind, Series, scenario_of
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
     MoveMoments,
+    OutOfViewError,
     compare_move,
     gaussian_of_object,
     reference_moments,
@@ -62,7 +63,10 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
 def _case(loaded: LoadedConfig) -> tuple[MoveCase, MoveMoments]:
     """Return what is carried over, and the reference: the same for all methods and runs, and made once a process."""
     own = {key: value for key, value in loaded.resolved.items() if key not in NOT_IN_REFERENCE}
-    return _reference(canonical_json(own))
+    try:
+        return _reference(canonical_json(own))
+    except OutOfViewError as error:
+        raise InputError(f"{loaded.path}: experiment.scenario: {error}") from None
 
 
 @lru_cache(maxsize=8)

@@ -27,6 +27,10 @@ CLOUD = 200_000
 MIN_SEEN = 1000
 
 
+class OutOfViewError(ValueError):
+    """Of a Gaussian that was carried over nothing is in view."""
+
+
 @dataclass(frozen=True)
 class MoveCase:
     """A Gaussian to carry over.
@@ -107,7 +111,7 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
 
     Raises
     ------
-    ValueError
+    OutOfViewError
         Almost nothing of it is in view.
     """
     count = np.zeros(2)
@@ -131,7 +135,9 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
         sums += moved.sum(axis=0)
         squares += moved.T @ moved
     if count[1] < MIN_SEEN:
-        raise ValueError(f"expected a Gaussian partly in view of {case.destination.camera.name}, found it out of view")
+        raise OutOfViewError(
+            f"expected a Gaussian partly in view of {case.destination.camera.name}, found it out of view"
+        )
     mean = sums / count[1]
     covariance = squares / count[1] - np.outer(mean, mean)
     return MoveMoments("reference", samples, origin + mean, covariance, float(count[1] / count[0]), 0.0)

@@ -7,9 +7,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.cameras import CameraConfig
+from stereophd.config.errors import describe
+from stereophd.config.yaml import Place, Tree
 from stereophd.core.calibration.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.quantities.base import IMAGES, Quantity
 from stereophd.core.calibration.quantities.registry import quantities
@@ -131,14 +134,28 @@ def prior_stds(section: CalibrationConfig, camera: str, quantity: Quantity) -> t
 
 
 def draw_guess(loaded: LoadedConfig, seed: np.random.SeedSequence) -> dict[str, CameraConfig]:
-    """Draw prior means about which the configuration's cameras are a draw from the prior."""
+    """Draw prior means about which the configuration's cameras are a draw from the prior.
+
+    Raises
+    ------
+    InputError
+        The prior is so wide that a value drawn from it is none of a camera.
+    """
     parameters, _ = build_parameters(loaded)
     guess = parameters.guess(parameters.sample(np.random.default_rng(seed), 1)[0])
-    return with_quantities(loaded.cameras, guess)
+    return with_quantities(loaded.cameras, guess, f"{loaded.path}: calibration.priors: a value drawn from a prior")
 
 
-def with_quantities(configs: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
-    """Return the configurations of cameras with the quantities of others; what is the same stays as it was written."""
+def with_quantities(
+    configs: Mapping[str, CameraConfig], cameras: Sequence[Camera], source: str = "a calibrated value"
+) -> dict[str, CameraConfig]:
+    """Return the configurations of cameras with the quantities of others; what is the same stays as it was written.
+
+    Raises
+    ------
+    InputError
+        A value is beyond the bounds of its key; the message begins with `source`, which says where it is from.
+    """
     out = {}
     for camera in cameras:
         config = configs[camera.name]
@@ -147,7 +164,12 @@ def with_quantities(configs: Mapping[str, CameraConfig], cameras: Sequence[Camer
         for quantity in changed:
             _merge(values, quantity.entry(camera))
         if changed:
-            config = CameraConfig.model_validate(values)
+            try:
+                config = CameraConfig.model_validate(values)
+            except ValidationError as error:
+                tree = Tree({camera.name: values}, {(): Place(source)})
+                details = [{**one, "loc": (camera.name, *one["loc"])} for one in error.errors(include_url=False)]
+                raise InputError(describe(details, tree, {})) from None
         out[camera.name] = config
     return out
 

@@ -43,6 +43,7 @@ QUANTITY = Quantity(
     components=ASPECT,
     unit=RATIO,
     prior="aspect_std",
+    largest_std=10.0,
     description="standard deviation of fy over fx, relative",
     apply=apply,
     difference=difference,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.settings import LARGEST_LENGTH
 
 Array = NDArray[np.float64]
 
@@ -119,6 +120,8 @@ class Quantity:
         Key of its standard deviation in ``calibration.priors``.
     prior_unit : float
         The unit of that key in units of the values (degrees: pi / 180).
+    largest_std : float
+        Largest value of that key: beyond what any set-up can mean.
     description : str
         Description of that key.
     apply : callable
@@ -155,4 +158,5 @@ class Quantity:
     of_the_frame: bool = False
     named: bool = False
     prior_unit: float = 1.0
+    largest_std: float = LARGEST_LENGTH
     pack: Callable[[Array, Camera, Array], None] | None = None

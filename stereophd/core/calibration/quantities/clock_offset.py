@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.quantities.base import SECONDS, TIMES, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera, Clock
+from stereophd.core.settings import LARGEST_TIME_S
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,7 @@ QUANTITY = Quantity(
     components=OFFSET,
     unit=SECONDS,
     prior="clock_offset_std_s",
+    largest_std=LARGEST_TIME_S,
     description="standard deviation of the offset of the clock, s",
     apply=apply,
     difference=difference,

@@ -42,6 +42,7 @@ QUANTITY = Quantity(
     components=RATE,
     unit=RATIO,
     prior="clock_rate_std",
+    largest_std=1e12,
     description="standard deviation of the rate of the clock, seconds per second",
     apply=apply,
     difference=difference,

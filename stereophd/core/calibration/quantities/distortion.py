@@ -75,6 +75,7 @@ QUANTITY = Quantity(
     components=DISTORTION,
     unit=RATIO,
     prior="distortion_std",
+    largest_std=1e6,
     description="standard deviations of coefficients of the lens model by name, such as k1",
     apply=apply,
     difference=difference,

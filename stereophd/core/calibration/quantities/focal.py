@@ -43,6 +43,7 @@ QUANTITY = Quantity(
     components=FOCAL,
     unit=RATIO,
     prior="focal_std",
+    largest_std=10.0,
     description="standard deviation of the focal length, relative; fx and fy together",
     apply=apply,
     difference=difference,

@@ -17,6 +17,7 @@ from stereophd.core.calibration.quantities.pixel_derivatives import left_jacobia
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.trajectory import MountedPath
+from stereophd.core.settings import LARGEST_DEGREES
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,7 @@ QUANTITY = Quantity(
     components=MOUNT_ROTATION,
     unit=RADIANS,
     prior="mount_rotation_std_deg",
+    largest_std=LARGEST_DEGREES,
     prior_unit=np.pi / 180.0,
     description="standard deviation of the rotation on the body that carries the camera, degrees; one value or about "
     "the camera's own x, y, z",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.quantities.base import IMAGES, PIXELS, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.settings import LARGEST_PX
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,7 @@ QUANTITY = Quantity(
     components=PRINCIPAL_POINT,
     unit=PIXELS,
     prior="principal_point_std_px",
+    largest_std=LARGEST_PX,
     description="standard deviation of the principal point, px; one value or u, v",
     apply=apply,
     difference=difference,

@@ -42,6 +42,7 @@ QUANTITY = Quantity(
     components=READOUT,
     unit=SECONDS,
     prior="readout_std_s",
+    largest_std=1e3,
     description="standard deviation of the readout time of a rolling shutter, s",
     apply=apply,
     difference=difference,

@@ -18,6 +18,7 @@ from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.rotations import rotations
+from stereophd.core.settings import LARGEST_DEGREES
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,7 @@ QUANTITY = Quantity(
     components=ROTATION,
     unit=RADIANS,
     prior="rotation_std_deg",
+    largest_std=LARGEST_DEGREES,
     prior_unit=np.pi / 180.0,
     description="standard deviation of the rotation, degrees; one value or about the camera's own x (pitch), y (yaw), "
     "z (roll)",

@@ -55,6 +55,7 @@ QUANTITY = Quantity(
     components=ROTATION_RATE,
     unit=RADIANS_PER_SECOND,
     prior="rotation_rate_std_deg_s",
+    largest_std=1e9,
     prior_unit=np.pi / 180.0,
     description="standard deviation of the angular velocity of a camera that moves, deg/s; one value or about the "
     "camera's own x, y, z",

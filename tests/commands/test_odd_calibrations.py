@@ -1,0 +1,55 @@
+"""Settings that no set-up has: `calibrate` finds nothing, or refuses them with their place, and always ends.
+
+Each row is of a class of configurations that ended otherwise when `tests/fuzz` tried it first.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stereophd.commands.calibrate import calibrate
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import load_config
+from stereophd.core.calibration.posterior import UNDETERMINED
+from stereophd.errors import InputError
+
+CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"
+SMALL = (
+    "simulate.duration_s=12",
+    "simulate.objects.count=5",
+    "calibration.annealed.starts=2",
+    "calibration.annealed.min_detections=6",
+    *(f"cameras.{name}.detector.clutter_per_frame=0.5" for name in ("left", "right")),
+)
+PRIOR = "calibration.priors.right"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("odd") / "scene"
+    simulate(load_config(CONFIG, SMALL), folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        # births far too close: no object, so no track whose clock could be compared
+        ("filter.birth.disparity.mean_px=86000", f"{PRIOR}.clock_offset_std_s=0.002"),
+    ],
+)
+def test_what_the_log_does_not_determine(scene: Path, tmp_path: Path, overrides: tuple[str, ...]) -> None:
+    loaded = load_config(CONFIG, (*SMALL, *overrides), cameras_path=scene / "guess.yaml")
+    report = calibrate(loaded, scene / "detections.parquet", tmp_path / "out", plots=False)
+    assert report["status"] == UNDETERMINED
+
+
+def test_a_prior_too_wide_to_draw_from(tmp_path: Path) -> None:
+    """Of many draws about a rate of 1, one is negative."""
+    config = load_config(CONFIG, (*SMALL, f"{PRIOR}.clock_rate_std=1e6"))
+    place = "calibration.yaml: calibration.priors: a value drawn from a prior: right.clock.rate: "
+    with pytest.raises(InputError, match=rf"{place}expected a number > 0, found -"):
+        simulate(config, tmp_path / "out", runs=64)
+    assert not (tmp_path / "out").exists()
