@@ -1,7 +1,7 @@
 """Work on several processes of this machine, which end with the process that started them.
 
-Workers leave Ctrl-C to that process, and watch it: when it is gone, killed or not, they end within a second. The shared
-memory between them is removed when they end.
+Workers leave Ctrl-C to that process, and watch it: when it is gone, killed or not, they end within a second. Arguments
+and results go through pipes: a file in shared memory would outlive a process that is killed at a wrong moment.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ def on_processes(
     concurrent.futures.process.BrokenProcessPool
         A process died.
     """
+    import tempfile
     import warnings
 
     from joblib import Parallel, delayed
@@ -64,6 +65,10 @@ def on_processes(
             batch_size=1,
             pre_dispatch="n_jobs",
             initializer=partial(end_with, os.getpid()),
+            # Without a stated folder joblib makes one in shared memory before it tells its cleaner: a kill in between
+            # leaves it. With both arguments it makes none, because no array is shared.
+            max_nbytes=None,
+            temp_folder=tempfile.gettempdir(),
         )
         results = pool(delayed(function)(argument) for argument in arguments)
     with closing(results):
