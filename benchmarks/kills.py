@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import re
 import shutil
 import signal
 import sys
@@ -105,7 +106,7 @@ def forked(work: Callable[[], object], kill_after_s: float | None) -> tuple[bool
         return True, ""
     if alive(group):
         return False, "processes left alive"
-    if any(SHARED_MEMORY.glob(f"*_{pid}_*")):
+    if any(re.search(rf"(?<!\d){pid}(?!\d)", path.name) for path in SHARED_MEMORY.glob("*")):
         return False, "shared memory left behind"
     return False, ""
 

@@ -59,7 +59,7 @@ def main(kind: str, parent: int) -> None:
     import signal
 
     from stereophd.core.multi.preparation import prepare_last_first
-    from stereophd.pipeline.processes import end_with
+    from stereophd.pipeline.worker_process import end_with
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both, and the run ends this process
     end_with(parent)

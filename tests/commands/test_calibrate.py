@@ -16,6 +16,7 @@ from stereophd.commands.calibrate import calibrate, checkpoint_path
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.calibration import marginal
 from stereophd.errors import GateError, InputError
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"
@@ -277,6 +278,16 @@ def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path) -> None:
     }
     assert "none of 2 starts" in report["reason"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json"}
+
+
+def test_an_optimum_that_was_not_found_is_not_determined(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(marginal, "LONGEST_LEFT", -1.0)
+    report = calibrate(loaded(scene, (*QUICK, *ONE_START)), scene / "detections.parquet", tmp_path / "out", plots=False)
+    assert report["status"] == "undetermined"
+    assert report["reason"].startswith("the search for the optimum ended before it was found")
+    assert not report["fit"]["converged"]
 
 
 @pytest.mark.parametrize("model", ["constant_velocity", "static"])

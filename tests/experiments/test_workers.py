@@ -62,10 +62,10 @@ def kill_one(pids: Callable[[], list[int]], done_before: int = 3) -> tuple[Calla
     return progress, killed
 
 
-def joblib_workers() -> list[int]:
-    """Return the worker processes of joblib: the children of this process that are no helpers."""
+def local_workers() -> list[int]:
+    """Return the worker processes among the children of this process."""
     children = psutil.Process().children()
-    return [p.pid for p in children if any("popen_loky" in word for word in p.cmdline())]
+    return [p.pid for p in children if any("worker_process" in word for word in p.cmdline())]
 
 
 def test_two_processes(load: Load, tmp_path: Path, expected: dict[str, bytes]) -> None:
@@ -76,7 +76,7 @@ def test_two_processes(load: Load, tmp_path: Path, expected: dict[str, bytes]) -
 def test_a_killed_process_loses_no_run(
     load: Load, tmp_path: Path, expected_of_many: dict[str, bytes], caplog: pytest.LogCaptureFixture
 ) -> None:
-    progress, killed = kill_one(joblib_workers)
+    progress, killed = kill_one(local_workers)
     experiment(load(MANY), tmp_path / "killed", jobs=2, progress=progress)
     assert killed
     assert "a worker died" in caplog.text

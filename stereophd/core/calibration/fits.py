@@ -17,6 +17,7 @@ from stereophd.core.calibration.association import (
     with_cameras,
 )
 from stereophd.core.calibration.clock_search import offset_places
+from stereophd.core.calibration.collapsed_stretches import collapsed
 from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.lone_detections import lone
 from stereophd.core.calibration.marginal import LEFT_OUT, marginal_optimum
@@ -28,6 +29,7 @@ from stereophd.core.calibration.pairing_search import (
     paired_objects,
 )
 from stereophd.core.calibration.problem import Loss, Observations, Problem, true_times
+from stereophd.core.calibration.quantities.pixel_derivatives import look
 from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.shared_errors import shared_errors
 from stereophd.core.calibration.task import Fit, Task
@@ -238,7 +240,8 @@ def adjusted_to(
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
-    What the fit held is held again, and the noise of the motion is that of the fit.
+    What the fit held is held again, and the noise of the motion is that of the fit. Stretches that collapse into a
+    camera (`calibration.collapsed_stretches`) are left out, and the others are adjusted to again.
     """
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
     knots = replace(_knots(task, observations, points, fit.adjustment.values), noise_std=fit.knots.noise_std)
@@ -246,7 +249,24 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale, fit.held)
-    return _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
+    found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
+    standing = ~_collapsed(task, found)
+    if standing.all():
+        return found
+    return _part(task, found, np.flatnonzero(standing), max_iterations) or found
+
+
+def _collapsed(task: Task, fit: Fit) -> Booleans:
+    """Which detections (n,) of a fit belong to stretches that have collapsed into their camera."""
+    seen = fit.observations
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
+    depths = np.empty(len(points))
+    for number, camera in enumerate(task.parameters.build(fit.adjustment.values)):
+        here = np.flatnonzero(seen.cameras == number)
+        still = np.zeros((len(here), 3))
+        view = look(camera, points[here], still, seen.times[here], seen.log_times[here], seen.rows[here])
+        depths[here] = view.points[:, 2]
+    return collapsed(seen.trajectories, seen.times, seen.cameras, depths)
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:

@@ -129,20 +129,23 @@ class Linearisation:
             matrix[held, held] = parameters.prior_std[held] ** -2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
 
-    def bands(self, values: Array, states: Array, log_noise: float = 0.0) -> Array:
-        """Matrix (12, size) of the knots alone, as `at` has it, without what the derivatives by the values cost."""
+    def of_knots(self, values: Array, states: Array, log_noise: float = 0.0) -> tuple[Array, Array]:
+        """Matrix (12, size) and vector (size,) of the knots alone, as `at` has them, at a part of its time."""
         observations, problem, size = self.problem.observations, self.problem, self.problem.knots.size
-        bands, count = np.zeros((12, size)), len(observations)
+        bands, vector, count = np.zeros((12, size)), np.zeros(size), len(observations)
         path, errors, visible, by_point, by_value = self.residuals(values, states, by_values=False)
         counted = np.ones(count) if observations.weights is None else observations.weights
         normal_equations.accumulate(
             observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
             path.weights, self.columns[:, :0], problem.loss.kind, problem.loss.scale,
-            bands, np.zeros((size, 0)), np.zeros((0, 0)), np.zeros(size), np.zeros(0), np.empty(count),
+            bands, np.zeros((size, 0)), np.zeros((0, 0)), vector, np.zeros(0), np.empty(count),
         )  # fmt: skip
         logarithm, _ = log_scale(problem.parameters, problem.reference, values)
-        bands += np.exp(-2.0 * (logarithm + log_noise)) * self.motion.bands
-        return bands
+        density = np.exp(-2.0 * (logarithm + log_noise))
+        bands += density * self.motion.bands
+        product = density * banded_product(self.motion.bands, states.ravel())
+        vector -= product - density * self.motion.pull
+        return bands, vector
 
     def residuals(
         self, values: Array, states: Array, by_values: bool = True

@@ -23,10 +23,16 @@ standard deviations proportional to s e^u: its normalisation is 12 l (log s + u)
 each of the k - l trajectories have a flat density in units of the scene, 12 (k - l) log s: scaling cameras and knots
 together then changes nothing, so that the data stay flat along the scale.
 
+**Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it at
+the joint optimum, in the cost and in the volume. With the loss itself, a step that leaves detections out makes the
+volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace them,
+and the optimum is looked for again from there, until they are the same.
+
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that u enters the normal equations as the
 logarithm of s does: with the energy E of the motion and the derivative p of E / 2 by the knots, -p is the coupling
 of u with the knots and E its curvature. At knots that minimise the cost the gradient of J / 2 is minus the vector of
-the normal equations. The gradient of the volume is that of differences, with the knots following to first order.
+the normal equations. The gradient of the volume is that of differences, the knots minimised at each point: what one
+camera alone sees lies in a valley so flat and curved that the knots do not follow to first order.
 
 **Minimum.** Quasi-Newton steps (limited memory BFGS: J. Nocedal and S. Wright, "Numerical Optimization", 2006,
 algorithm 7.4) on the curvature of the normal equations at each point, which lacks that of the volume. The covariance is
@@ -55,15 +61,17 @@ Array = NDArray[np.float64]
 
 # Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
 NOISE_STD = 0.5
-# Steps of the differences, length at which the steps settle, and longest step, all in posterior standard deviations;
-# most steps, and how many of them the quasi-Newton steps remember.
-DIFFERENCE, SETTLED, LONGEST_STEP, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 100, 6
+# Steps of the differences, length at which the steps settle, longest step, and longest step left of a search that has
+# converged, all in posterior standard deviations; most steps, and how many of them the quasi-Newton steps remember.
+DIFFERENCE, SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 1.0, 100, 6
 # A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
+# Most times that the weights of detections are taken anew, and their change at which they are the same.
+MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
 # Most steps of the knots at given values, and the fall of the cost that is left.
-KNOT_STEPS, KNOTS_SETTLED = 8, 1e-4
+KNOT_STEPS, KNOTS_SETTLED = 15, 1e-8
 # Longest move of the logarithm of the noise, in prior standard deviations, that is believed.
 LONGEST_MOVE_OF_NOISE = 3.0
 
@@ -75,7 +83,8 @@ class MarginalOptimum:
     Attributes
     ----------
     adjustment : Adjustment
-        Values, the knots that belong to them, and the covariance of the values.
+        Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
+        by more than `LONGEST_LEFT` posterior standard deviations too early.
     noise_factor : float
         Noise of the motion, in units of the scene's scale, over what is stated.
     believed : bool
@@ -104,20 +113,23 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
     MarginalOptimum
         The adjustment given, at the noise stated, where the normal equations are singular.
     """
-    posterior = MarginalPosterior(Linearisation.of(problem))
     size = problem.parameters.size
-    start = np.append(found.values, np.zeros(posterior.size - size))
+    states, weights = found.states, problem.weights(found.distances)
+    unknowns = np.append(found.values, np.zeros(int(len(problem.knots.links()) > 0)))
     try:
-        begin = posterior.at(start, found.states)
-        at = _minimised(posterior, begin)
-        if at.left_out > begin.left_out:
-            at = _minimised(posterior, begin, keeping=True)
+        for _ in range(MOST_WEIGHTINGS):
+            posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
+            at, left = _minimised(posterior, posterior.at(unknowns, states))
+            unknowns, states, before = at.unknowns, at.states, weights
+            weights = problem.weights(at.equations.distances)
+            if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
+                break
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
         return MarginalOptimum(found, 1.0, True)
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
-        distances=at.equations.distances,
+        distances=at.equations.distances, converged=found.converged and left <= LONGEST_LEFT,
     )  # fmt: skip
     log_noise = float(at.unknowns[size:].sum())
     believed = abs(log_noise) <= LONGEST_MOVE_OF_NOISE * float(posterior.prior_std[-1])
@@ -136,11 +148,6 @@ class Point:
     states: Array
     equations: NormalEquations
     objective: float
-
-    @property
-    def left_out(self) -> int:
-        """Number of detections that the loss leaves out."""
-        return int((self.equations.distances > LEFT_OUT).sum())
 
 
 @dataclass(frozen=True)
@@ -191,10 +198,17 @@ class MarginalPosterior:
         )
 
     def volume(self, unknowns: Array, states: Array) -> float:
-        """Half of the terms that integrating out the knots (k, 2, 3) adds."""
+        """Half of the terms that integrating out the knots adds, at their minimum near the given ones (k, 2, 3)."""
         count = self.linearisation.problem.parameters.size
-        bands = self.linearisation.bands(unknowns[:count], states, float(unknowns[count:].sum()))
-        return self._volume(unknowns, cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False))
+        values, log_noise = unknowns[:count], float(unknowns[count:].sum())
+        for _ in range(KNOT_STEPS):
+            bands, vector = self.linearisation.of_knots(values, states, log_noise)
+            factor = _factor(bands)
+            step = cho_solve_banded((factor, True), vector, check_finite=False)
+            if float(vector @ step) <= KNOTS_SETTLED:
+                break
+            states = states + step.reshape(states.shape)
+        return self._volume(unknowns, factor)
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem = self.linearisation.problem
@@ -214,7 +228,7 @@ class MarginalPosterior:
         equations = self.equations(unknowns, states)
         if not np.isfinite(equations.cost):
             raise LinAlgError("the cost is not finite")
-        factor = _factor(equations)
+        factor = _factor(equations.bands)
         for _ in range(KNOT_STEPS):
             step = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
             if float(equations.state_vector @ step) <= KNOTS_SETTLED:
@@ -223,7 +237,7 @@ class MarginalPosterior:
             if tried is None:
                 break
             states, equations = tried
-            factor = _factor(equations)
+            factor = _factor(equations.bands)
         return Point(unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, factor))
 
     def _lower(self, unknowns: Array, states: Array, step: Array, cost: float) -> tuple[Array, NormalEquations] | None:
@@ -261,18 +275,15 @@ class MarginalPosterior:
         return posterior_covariance(at.equations, self.prior_std)
 
 
-def _factor(equations: NormalEquations) -> Array:
+def _factor(bands: Array) -> Array:
     """Cholesky factor of the matrix of the knots, in lower banded form."""
-    factor: Array = cholesky_banded(damped_bands(equations.bands, 0.0), lower=True, check_finite=False)
+    factor: Array = cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False)
     return factor
 
 
-def _minimised(posterior: MarginalPosterior, at: Point, keeping: bool = False) -> Point:
-    """Minimise the objective from a point; `keeping` refuses steps that leave more detections out.
-
-    Without those the volume is smaller, which is no evidence.
-    """
-    pairs: list[tuple[Array, Array]] = []
+def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
+    """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
+    length, pairs = 0.0, list[tuple[Array, Array]]()
     gradient, root = posterior.gradient(at)
     for _ in range(MOST_STEPS):
         step = -_times_inverse(gradient, root, pairs)
@@ -282,26 +293,24 @@ def _minimised(posterior: MarginalPosterior, at: Point, keeping: bool = False) -
         step *= min(1.0, LONGEST_STEP / length)
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        most = at.left_out if keeping else len(at.equations.distances)
-        found = next(
-            (p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope and p.left_out <= most),
-            None,
-        )
-        if found is None:
+        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
+        if found is None and not pairs:
             break
+        if found is None:
+            pairs = []  # what was remembered of the curvature misleads
+            continue
         before, before_gradient = at, gradient
         at, (gradient, root) = found, posterior.gradient(found)
         pair = (at.unknowns - before.unknowns, gradient - before_gradient)
         if float(pair[0] @ pair[1]) > 0.0:
             pairs = [*pairs, pair][-REMEMBERED:]
-    return at
+    return at, length
 
 
 def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
     """Points after a step and shorter and shorter shares of it, where the normal equations are regular.
 
-    The knots begin where they follow the step to first order. From where they were, the residuals may be so large that
-    the loss leaves the detections out.
+    The knots begin where they follow the step to first order, near their minimum.
     """
     eliminated, _ = eliminate(at.equations, 0.0)
     following = (eliminated[:, :-1] @ step).reshape(at.states.shape)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +92,22 @@ class Problem:
     loss: Loss
     scale: ScaleMeasurement | None = None
     held: NDArray[np.bool_] | None = None
+
+    def weights(self, distances: Array) -> Array:
+        """Weights (n,) that the loss gives detections at squared distances (n,), times those that they have."""
+        scale = self.loss.scale
+        if self.loss.kind == normal_equations.FLOOR:
+            peak = np.exp(-0.5 * distances)
+            weights = peak / (peak + scale)
+        elif self.loss.kind == normal_equations.CAUCHY:
+            weights = 1.0 / (1.0 + distances / scale**2)
+        else:
+            weights = np.ones(len(distances))
+        return weights if self.observations.weights is None else weights * self.observations.weights
+
+    def weighted(self, weights: Array) -> Problem:
+        """Return the problem of least squares in which detections have the given weights (n,)."""
+        return replace(self, loss=SQUARED, observations=replace(self.observations, weights=weights))
 
 
 def true_times(cameras: Sequence[Camera], observations: Observations) -> Array:

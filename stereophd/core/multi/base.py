@@ -246,7 +246,7 @@ class DisparityFilter(ABC):
         confirmed = chosen.confirmed
         if confirmed == len(index):
             return state, estimates
-        return state, replace(estimates.take(slice(confirmed)), tentative=estimates.take(slice(confirmed, None)))
+        return state, estimates.divided(confirmed)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

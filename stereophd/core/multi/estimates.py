@@ -58,6 +58,17 @@ class Estimates:
             np.concatenate([one.labels, other.labels]),
         )
 
+    def divided(self, confirmed: int) -> Estimates:
+        """Return the first estimates, so many of them, with the others as the tentative ones."""
+        return Estimates(
+            self.track_ids[:confirmed],
+            self.states[:confirmed],
+            self.covariances[:confirmed],
+            self.existence[:confirmed],
+            self.labels[:confirmed],
+            self.take(slice(confirmed, None)),
+        )
+
     def take(self, kept: NDArray[np.bool_] | slice) -> Estimates:
         """Return some of the estimates, by a mask (k,) or a slice, without the tentative ones."""
         return Estimates(

@@ -92,6 +92,8 @@ def annealed_outcome(
             noise,
         )
     details["motion_noise_factor"] = noise
+    if fit is not joint and joint.adjustment.converged and not fit.adjustment.converged:
+        doubt = doubt or "the search for the optimum ended before it was found, more than a standard deviation away"
     without_lengths = fit
     if known is not None:
         fit, details["known_lengths"] = with_lengths(task, fit, known.length, known.std)

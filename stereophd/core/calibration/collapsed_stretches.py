@@ -1,0 +1,58 @@
+"""Stretches of trajectories that one camera alone sees and that have collapsed into it.
+
+The joint optimum of cameras and trajectories weighs the acceleration of objects in lengths. Where one camera alone sees
+an object for long, the nearer the object is, the less it has to accelerate for the same motion in the image: the cost
+is least where the object stands in the camera. No other camera contradicts, and the image shows no depth. What such a
+stretch says of the cameras is wrong: their derivatives grow without bound as the depth goes to zero, and the way to the
+marginal optimum is lost. The marginal posterior itself does not have this fault, for its volume grows with the inverse
+square of the depth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# A stretch has collapsed where it comes nearer to its camera than this part of the median over the stretches of its
+# trajectory. Of 53 set-ups drawn at random, 10 stretches of 8 scenes came as near as 0.004 or less, and no other nearer
+# than 0.07.
+COLLAPSED_PART = 0.05
+
+
+def collapsed(trajectories: Integers, times: Array, cameras: Integers, depths: Array) -> Booleans:
+    """Which detections belong to a stretch of their trajectory that has collapsed into its camera.
+
+    A stretch is a sequence of detections of one trajectory, in order of time, that one camera made.
+
+    Parameters
+    ----------
+    trajectories, cameras : arrays (n,) of int
+        Trajectory and camera of each detection.
+    times : array (n,)
+        Times of the detections, s.
+    depths : array (n,)
+        Depth of the trajectory at each detection in the frame of its camera, length; negative behind it.
+
+    Returns
+    -------
+    array (n,) of bool
+    """
+    order = np.lexsort((times, trajectories))
+    owner, camera, depth = trajectories[order], cameras[order], depths[order]
+    first = np.ones(len(order), dtype=np.bool_)
+    first[1:] = (np.diff(owner) != 0) | (np.diff(camera) != 0)
+    starts = np.flatnonzero(first)
+    out = np.zeros(len(order), dtype=np.bool_)
+    if not len(starts):
+        return out
+    nearest = np.minimum.reduceat(depth, starts)
+    # where two cameras see the object stretches are short: what one camera alone sees counts little
+    median = np.empty(len(starts))
+    for rows in np.split(np.arange(len(starts)), np.flatnonzero(np.diff(owner[starts])) + 1):
+        median[rows] = np.median(nearest[rows])
+    out[order] = np.repeat(nearest < COLLAPSED_PART * median, np.diff(np.append(starts, len(order))))
+    return out

@@ -1,0 +1,105 @@
+"""Stretches of trajectories that have collapsed into the only camera that sees them."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stereophd.core.calibration.adjustment import adjust
+from stereophd.core.calibration.collapsed_stretches import collapsed
+from stereophd.core.calibration.fits import FITTED_LOSS, adjusted_to
+from stereophd.core.calibration.problem import Observations
+from stereophd.core.calibration.task import Fit
+
+from .problems_of_unknowns import MOTION, observe, problem_of, rig, unknowns
+
+
+def found(cameras: list[int], depths: list[float]) -> list[bool]:
+    """Which detections of one trajectory, in order of time, have collapsed."""
+    count = len(cameras)
+    return collapsed(np.zeros(count, dtype=np.int64), np.arange(count, dtype=float), np.array(cameras),
+                     np.array(depths)).tolist()  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("cameras", "depths", "expected"),
+    [
+        # at the end, at the start, and between what two cameras see
+        ([0, 1, 0, 1, 0, 0, 0], [8, 9, 8, 9, 4, 2, 0.01], [False] * 4 + [True] * 3),
+        ([0, 0, 1, 0, 1, 0], [0.01, 4, 9, 8, 9, 8], [True] * 2 + [False] * 4),
+        ([0, 1, 0, 1, 1, 1, 0, 1, 0], [8, 9, 8, 9, 0.01, 9, 8, 9, 8], [False] * 3 + [True] * 3 + [False] * 3),
+        # behind the camera
+        ([0, 1, 0, 1, 0], [8, 9, 8, 9, -3], [False] * 4 + [True]),
+        # most of the detections, but one stretch
+        ([0, 1, 0, 1] + [0] * 20, [8, 9, 8, 9] + [0.01] * 20, [False] * 4 + [True] * 20),
+        # an object that comes near
+        ([0, 1, 0, 1, 0, 0, 0], [8, 9, 8, 9, 4, 2, 1], [False] * 7),
+        ([0], [8], [False]),
+        ([], [], []),
+    ],
+)
+def test_a_stretch_that_ends_in_its_camera_has_collapsed(
+    cameras: list[int], depths: list[float], expected: list[bool]
+) -> None:
+    assert found(cameras, depths) == expected
+
+
+def test_trajectories_are_apart_and_their_order_does_not_matter() -> None:
+    rng = np.random.default_rng(4)
+    trajectories = np.repeat([0, 1, 2], 7)
+    times = np.tile(np.arange(7.0), 3)
+    cameras = np.tile([0, 1, 0, 1, 0, 0, 0], 3)
+    depths = np.tile([8.0, 9.0, 8.0, 9.0, 4.0, 2.0, 0.01], 3)
+    depths[:7] *= 100.0
+    depths[7:14] = 0.1
+    expected = np.concatenate([np.zeros(4), np.ones(3), np.zeros(7), np.zeros(4), np.ones(3)]).astype(bool)
+    for order in (np.arange(21), rng.permutation(21)):
+        out = collapsed(trajectories[order], times[order], cameras[order], depths[order])
+        np.testing.assert_array_equal(out, expected[order])
+
+
+def of_rows(observations: Observations, rows: np.ndarray) -> Observations:
+    """Some of the observations."""
+    columns = {field.name: getattr(observations, field.name) for field in fields(observations)}
+    return replace(observations, **{name: one if one is None else one[rows] for name, one in columns.items()})
+
+
+def nearest(fit: Fit, camera: int, task: Any) -> float:
+    """The least distance of a knot from the camera, length."""
+    center = task.parameters.build(fit.adjustment.values)[camera].pose.center
+    return float(np.linalg.norm(fit.adjustment.states[:, 0] - center, axis=1).min())
+
+
+def test_an_object_that_one_camera_alone_sees_for_long_is_not_put_into_the_camera() -> None:
+    """Two objects that all cameras see, and one that after three seconds camera 0 alone sees."""
+    true = unknowns(rig(), ("center", "rotation"))
+    drawn = true.sample(np.random.default_rng(100), 1)[0]
+    observations, _, points = observe(true.cameras, 1, 3, 15.0)
+    seen = np.isfinite(observations.points).all(axis=1) & (np.abs(observations.points - [400, 300]) < [600, 500]).all(1)
+    rows = np.flatnonzero(seen & ((observations.trajectories > 0) | (observations.cameras == 0) |
+                                  (observations.times < 3.0)))  # fmt: skip
+    observations, points = of_rows(observations, rows), points[rows]
+    guess = true.about(true.guess(drawn))
+    problem, states = problem_of(guess, observations, points, FITTED_LOSS)
+    task: Any = SimpleNamespace(
+        parameters=guess, reference=0, scale=None, filter=SimpleNamespace(motion=MOTION),
+        observations=lambda _, numbers, detections: replace(of_rows(observations, detections), trajectories=numbers),
+    )  # fmt: skip
+    all_ = np.arange(len(observations))
+    joint = Fit(adjust(problem, drawn, states), problem.knots, observations, all_)
+    assert nearest(joint, 0, task) < 0.2  # the fault that is mended
+
+    fit = adjusted_to(task, joint, observations, observations.trajectories, all_, None)
+    assert nearest(fit, 0, task) > 1.0
+    left = np.setdiff1d(all_, fit.detections)
+    assert len(left)
+    assert (observations.trajectories[left] == 0).all()
+    assert (observations.cameras[left] == 0).all()
+    # what two cameras see stays
+    assert (observations.times[left] > 3.0 - 0.2).all()
+    error = fit.adjustment.values - drawn
+    assert error @ np.linalg.solve(fit.adjustment.covariance, error) < 4.0 * guess.size
