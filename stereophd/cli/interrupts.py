@@ -4,8 +4,9 @@ The first signal raises an exception. Python prints and drops an exception that 
 inside a callback from compiled code, as the compiler of the kernels uses. This module suppresses the print and raises
 the exception again a moment later. Compiled code may also replace it by another exception; `check` raises it again at
 the next step of the run. Where a kernel makes a named tuple, an exception would end the process by a segmentation
-fault: it is raised as soon as the kernel has returned (`outside_kernels`). Further signals do not disturb what the first one began; one that comes after `PATIENCE_S`
-ends the process at once, and the next run removes what is left behind.
+fault: it is raised as soon as the kernel has returned (`outside_kernels`). Further signals do not disturb what the
+first one began; one that comes after `PATIENCE_S` ends the process at once, and the next run removes what is left
+behind.
 """
 
 from __future__ import annotations
