@@ -20,6 +20,7 @@ from stereophd.io.json_text import write_json
 from stereophd.io.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.table_schemas import history_schema, posterior_schema
 from stereophd.io.table_writing import TableWriter
+from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
@@ -189,7 +190,8 @@ def _outcome(
     """Run the method of the configuration; where it is interrupted, keep what it has finished."""
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     try:
-        return method(loaded, section, problem, checkpoint, jobs, progress)
+        with within_arithmetic(f"{loaded.path}: calibration"):
+            return method(loaded, section, problem, checkpoint, jobs, progress)
     except InputError:
         raise
     except BaseException:

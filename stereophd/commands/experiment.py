@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PATTERN, PartStore
-from stereophd.experiments.engine.plan import plan_parts
+from stereophd.experiments.engine.plan import effort_of, plan_parts
 from stereophd.experiments.engine.results import (
     RUNS_FILE,
     SUMMARY_FILE,
@@ -92,7 +92,7 @@ def experiment(
         raise InputError(f"`jobs`: expected at least 1, found {jobs}")
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
-    size = size_of_experiment(loaded, settings.runs, len(parts))
+    size = size_of_experiment(loaded, settings.runs, len(parts), *effort_of(parts, settings.runs))
     check_size(size, f"{loaded.path}: experiment", out, force_size)
     store = PartStore(out, loaded)
     with output_lock(out):

@@ -23,6 +23,9 @@ from stereophd.core.settings import (
     parameter,
 )
 
+# How often something is repeated within a run, or drawn for a bound.
+Repeats = Annotated[int, Interval(ge=1, le=1_000_000)]
+
 # Dotted paths of any keys of the configuration, and the values they take.
 Settings = dict[str, Any]
 
@@ -62,7 +65,7 @@ class LocalisationScenario(Model):
     kind: Literal["localisation"] = parameter("what is run")
     position: Vector3 = parameter("position of the object in the world", unit="length")
     sequence: Annotated[tuple[str, ...], Field(min_length=1)] = parameter("name of the camera of each observation")
-    rounds: Count = parameter("how often the sequence is repeated", default=1)
+    rounds: Repeats = parameter("how often the sequence is repeated", default=1)
     interval_s: PositiveDuration = parameter("time between observations, for the figure", default=1.0, unit="s")
     bound_with_prior: bool = parameter("whether the bound counts the prior of the disparity", default=False)
 
@@ -73,9 +76,9 @@ class TrackingScenario(Model):
     kind: Literal["tracking"] = parameter("what is run")
     position: Vector3 = parameter("position of the object at the first time", unit="length")
     velocity: Vector3 = parameter("velocity of the object at the first time; it accelerates according to ``motion``")
-    steps: Count = parameter("number of times")
+    steps: Repeats = parameter("number of times")
     interval_s: PositiveDuration = parameter("time between two of them", unit="s")
-    bound_trajectories: Count = parameter(
+    bound_trajectories: Repeats = parameter(
         "drawn trajectories over which the information of the bound is averaged", default=100
     )
 
@@ -101,7 +104,7 @@ class CalibrationScenario(Model):
 
     kind: Literal["calibration"] = parameter("what is run")
     every_s: PositiveDuration = parameter("time between two scores of the estimate so far", unit="s")
-    bound_scenes: Count = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
+    bound_scenes: Repeats = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
 
 
 class StaticSceneScenario(Model):
@@ -111,7 +114,7 @@ class StaticSceneScenario(Model):
     cutoff: PositiveLength = parameter(
         "a point without an estimate within this distance counts as missed", unit="length"
     )
-    bound_scenes: Count = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
+    bound_scenes: Repeats = parameter("scenes (those of the first runs) over which the bound is averaged", default=20)
 
 
 Scenario = Annotated[

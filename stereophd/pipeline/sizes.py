@@ -49,18 +49,32 @@ class Size:
     cause: str
 
 
-def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -> Size:
-    """Estimate the size of simulated scenes.
+@dataclass(frozen=True)
+class SceneCounts:
+    """Expected numbers of a scene.
 
-    Parameters
+    Attributes
     ----------
-    loaded : LoadedConfig
-        With a ``simulate`` section and cameras.
-    runs : int
-        Number of scenes.
-    kept : bool
-        Whether their files are written.
+    frames, detections : float
+        Of all cameras together; detections include false ones.
+    clutter : float
+        False detections.
+    objects, alive : float
+        Objects of the scene, and those that exist at a time.
+    truths : float
+        Times at which the truth is stated.
     """
+
+    frames: float
+    detections: float
+    clutter: float
+    objects: float
+    alive: float
+    truths: float
+
+
+def counts_of_scene(loaded: LoadedConfig) -> SceneCounts:
+    """Return the expected numbers of a scene of a configuration with a ``simulate`` section and cameras."""
     settings = loaded.config.simulate
     assert settings is not None
     duration = settings.duration_s
@@ -76,31 +90,54 @@ def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -
         duration * rate * camera.detector.clutter_per_frame
         for rate, camera in zip(rates, loaded.cameras.values(), strict=True)
     )
-    detections = frames * alive + clutter
-    truth = duration * (settings.truth_rate_hz or sum(rates)) * alive
-    share = min(1.0, INSTANTS_PER_WINDOW / max(frames, 1.0))
-    memory = share * (frames * alive * _STATE_MEMORY + detections * _DETECTION_MEMORY) + count * _OBJECT_MEMORY
-    seconds = frames * _FRAME_S + detections * _DETECTION_S + frames * alive * _STATE_S + count * _OBJECT_S
-    disk = detections * _DETECTION_FILE + truth * _TRUTH_FILE if kept else 0.0
-    cause = f"{runs:g} runs, {frames:.3g} frames, {count:.3g} objects and {clutter:.3g} false detections each"
+    truths = duration * (settings.truth_rate_hz or sum(rates))
+    return SceneCounts(frames, frames * alive + clutter, clutter, count, alive, truths)
+
+
+def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -> Size:
+    """Estimate the size of simulated scenes.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a ``simulate`` section and cameras.
+    runs : int
+        Number of scenes.
+    kept : bool
+        Whether their files are written.
+    """
+    scene = counts_of_scene(loaded)
+    states = scene.frames * scene.alive
+    share = min(1.0, INSTANTS_PER_WINDOW / max(scene.frames, 1.0))
+    memory = share * (states * _STATE_MEMORY + scene.detections * _DETECTION_MEMORY) + scene.objects * _OBJECT_MEMORY
+    seconds = scene.frames * _FRAME_S + scene.detections * _DETECTION_S + states * _STATE_S + scene.objects * _OBJECT_S
+    disk = scene.detections * _DETECTION_FILE + scene.truths * scene.alive * _TRUTH_FILE if kept else 0.0
+    cause = (
+        f"{runs:g} runs, {scene.frames:.3g} frames, {scene.objects:.3g} objects and {scene.clutter:.3g} false "
+        "detections each"
+    )
     return Size(runs * seconds, memory + runs * _RUN_MEMORY, runs * disk, cause)
 
 
-def size_of_experiment(loaded: LoadedConfig, runs: int, parts: int) -> Size:
-    """Estimate the least size of an experiment: its scenes, and the bookkeeping of its runs.
+def size_of_experiment(
+    loaded: LoadedConfig, runs: int, parts: int, work_s: float = 0.0, work_bytes: float = 0.0
+) -> Size:
+    """Estimate the size of an experiment: its scenes, what its scenario does with them, and the bookkeeping.
 
     Parameters
     ----------
     loaded : LoadedConfig
     runs, parts : int
         Number of runs of each part, and of parts: methods in cases.
+    work_s, work_bytes : float
+        Processor time of the work of all runs besides making scenes, s, and the memory that it needs.
     """
     total = runs * parts
     scenes = Size(0.0, 0.0, 0.0, f"{total:.3g} runs")
     if loaded.config.simulate is not None:
         scenes = size_of_simulation(loaded, total, kept=False)
-    seconds = max(scenes.seconds, total * _LEAST_RUN_S)
-    return Size(seconds, scenes.memory_bytes + total * _RUN_MEMORY, total * _RUN_FILE, scenes.cause)
+    seconds = max(scenes.seconds, total * _LEAST_RUN_S) + work_s
+    return Size(seconds, scenes.memory_bytes + total * _RUN_MEMORY + work_bytes, total * _RUN_FILE, scenes.cause)
 
 
 def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> None:

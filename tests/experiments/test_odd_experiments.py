@@ -14,18 +14,42 @@ from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 
 PAPER = Path(__file__).parents[2] / "configs" / "paper"
+SMALL = {
+    "figure4": ["experiment.scenario.reference_samples=2000"],
+    "figure11": [
+        "experiment.scenario.steps=5",
+        "experiment.scenario.bound_trajectories=2",
+        "experiment.windows={}",
+        "experiment.table=[position_rmse]",
+    ],
+    "figure12": ["simulate.duration_s=3", "experiment.windows={}"],
+}
 
 
 @pytest.mark.parametrize(
     ("name", "override", "message"),
     [
         ("figure4", "cameras.left.image_size_px=[3, 3]", "experiment.scenario: expected a Gaussian partly in view"),
+        ("figure11", "motion={model: damped_velocity, time_constant_s: 1e-9, acceleration_std: 1}", "too far apart"),
+        ("figure12", "disparity.baseline=1e-12", "too far apart"),
+        # sizes that were not estimated before work began
+        ("table2", "experiment.scenario.rounds=1000000000", "rounds: expected a number <= 1000000"),
+        ("table2", "experiment.scenario.rounds=1000000", "fits into the memory|this takes about"),
+        ("figure4", "experiment.scenario.reference_samples=1000000000", "this takes about"),
+        ("figure11", "experiment.scenario.steps=1000000", "fits into the memory|this takes about"),
+        ("figure11", "experiment.scenario.bound_trajectories=1000000", "this takes about"),
+        ("figure12", "simulate.truth_rate_hz=1e7", "this takes about"),
+        ("figure12", "simulate.frame_rate_hz=1e5", "this takes about"),
+        ("figure13", "experiment.scenario.every_s=1e-5", "fits into the memory|this takes about"),
+        ("figure13", "simulate.objects.count=10000", "this takes about"),
+        ("static_scene", "experiment.scenario.bound_scenes=1000000", "this takes about"),
     ],
 )
 @pytest.mark.usefixtures("without_figure")
-def test_an_experiment_is_refused(tmp_path: Path, name: str, override: str, message: str) -> None:
-    small = ["experiment.runs=1"]
-    if name == "figure4":
-        small.append("experiment.scenario.reference_samples=2000")
+def test_an_experiment_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, override: str, message: str
+) -> None:
+    monkeypatch.setattr("stereophd.pipeline.sizes.LONGEST_S", 60.0)  # usually hours
+    small = ["experiment.runs=1", *SMALL.get(name, ())]
     with pytest.raises(InputError, match=message):
         experiment(load_config(PAPER / f"{name}.yaml", [*small, override]), tmp_path / "out")

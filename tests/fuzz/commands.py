@@ -50,23 +50,30 @@ def changed(base: dict[str, Any], changes: Sequence[tuple[Keys, Any]]) -> dict[s
 def outcome(command: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, str]:
     """Run a command in this process; return its exit code, and what it says on stderr.
 
-    One that does not end is ended by an error, which becomes exit code 3.
+    One that does not end is ended, with exit code 3.
     """
     capfd.readouterr()
-    with bounded(LONGEST_S):
-        code = run(command)
+    try:
+        with bounded(LONGEST_S):
+            code = run(command)
+    except NoEnd as error:
+        return 3, f"{capfd.readouterr().err}{error}"
     return code, capfd.readouterr().err
+
+
+class NoEnd(BaseException):
+    """A command has not ended; no error of a run, which `experiment` would try again."""
 
 
 @contextlib.contextmanager
 def bounded(longest_s: float) -> Iterator[None]:
-    """Raise an error within what takes more processor time than this (on Unix)."""
+    """Raise `NoEnd` within what takes more processor time than this (on Unix)."""
     if not hasattr(signal, "SIGPROF"):
         yield
         return
 
     def end() -> None:
-        raise RuntimeError(f"no end after {longest_s:g} s of processor time")
+        raise NoEnd(f"no end after {longest_s:g} s of processor time")
 
     before = signal.signal(signal.SIGPROF, lambda _number, frame: outside_kernels(frame, end))
     signal.setitimer(signal.ITIMER_PROF, longest_s)

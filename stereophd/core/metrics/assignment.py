@@ -56,7 +56,7 @@ def mahalanobis_distances(x: FloatArray, y: FloatArray, covariance: FloatArray) 
         A covariance is not positive definite.
     """
     if not is_positive_definite(covariance).all():
-        raise ValueError("expected positive definite covariances")
+        raise np.linalg.LinAlgError("expected positive definite covariances")
     difference = x[..., :, None, :] - y[..., None, :, :]
     squared = np.einsum("...mni,...mij,...mnj->...mn", difference, np.linalg.inv(covariance), difference)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))

@@ -147,7 +147,7 @@ def _inverse_covariances(estimates: PointSets) -> FloatArray:
     if estimates.covariance is None:
         raise ValueError("expected covariances for the Mahalanobis distance")
     if not is_positive_definite(estimates.covariance).all():
-        raise ValueError("expected positive definite covariances")
+        raise np.linalg.LinAlgError("expected positive definite covariances")
     return np.asarray(np.linalg.inv(estimates.covariance))
 
 

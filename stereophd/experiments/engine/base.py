@@ -49,6 +49,22 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Effort:
+    """Estimated size of the work of a method in a case, besides making the scenes; the order of magnitude.
+
+    Attributes
+    ----------
+    run_s, bounds_s : float
+        Processor time of a run, and of the bounds, s.
+    memory_bytes : float
+    """
+
+    run_s: float = 0.0
+    bounds_s: float = 0.0
+    memory_bytes: float = 0.0
+
+
+@dataclass(frozen=True)
 class Kind:
     """A kind of scenario.
 
@@ -62,11 +78,14 @@ class Kind:
         Bounds on the mean (or the root mean square) of quantities, where they are known.
     check : callable (LoadedConfig) -> None
         Raises `InputError` where the configuration lacks what the kind needs.
+    effort : callable (LoadedConfig) -> Effort
+        The size of the work, estimated before it begins.
     """
 
     run: Callable[[LoadedConfig, int], Sequence[Series]]
     bounds: Callable[[LoadedConfig], Sequence[Series]]
     check: Callable[[LoadedConfig], None]
+    effort: Callable[[LoadedConfig], Effort] = lambda loaded: Effort()
 
 
 def scenario_of(config: Config, expected: type[Scenario]) -> Scenario:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import TYPE_CHECKING
 
 from stereophd.config.experiment import ExperimentConfig, Settings
 from stereophd.config.loading import variant
-from stereophd.experiments.engine.base import find_kind
+from stereophd.experiments.engine.base import Effort, find_kind
 from stereophd.experiments.engine.work import BOUND_METHOD, Part
 
 if TYPE_CHECKING:
@@ -30,6 +31,16 @@ def check_experiment(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless every method in every case of the ``experiment`` section, if any, can be run."""
     if loaded.config.experiment is not None:
         plan_parts(loaded, loaded.config.experiment)
+
+
+def effort_of(parts: Sequence[Part], runs: int) -> tuple[float, float]:
+    """Return the processor time of all runs and bounds, s, and the memory that the largest needs, bytes: estimates."""
+    seconds, memory = 0.0, 0.0
+    for part in parts:
+        effort: Effort = find_kind(part.kind).effort(part.config)
+        seconds += effort.bounds_s if part.method == BOUND_METHOD else runs * effort.run_s
+        memory = max(memory, effort.memory_bytes)
+    return seconds, memory
 
 
 def plan_parts(loaded: LoadedConfig, settings: ExperimentConfig) -> list[Part]:

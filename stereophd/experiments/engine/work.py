@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import stereophd
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series, find_kind, method_seconds
+from stereophd.pipeline.arithmetic import within_arithmetic
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -80,7 +81,7 @@ def _run(part: Part, run: int) -> RunOutcome:
     error, users = None, False
     try:
         kind = find_kind(part.kind)
-        with method_seconds() as seconds:
+        with method_seconds() as seconds, within_arithmetic(str(part.config.path)):
             series = kind.bounds(part.config) if run == BOUND_RUN else kind.run(part.config, run)
     except Exception as failure:  # any failure is reported, and the run tried again
         error, users = f"{type(failure).__name__}: {failure}", isinstance(failure, InputError)

@@ -27,7 +27,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_ME
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
@@ -39,6 +39,7 @@ from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.sizes import counts_of_scene
 from stereophd.pipeline.stream import frames_in_order
 
 if TYPE_CHECKING:
@@ -46,6 +47,11 @@ if TYPE_CHECKING:
 
 # Half of the interval that holds 90 % of a Gaussian, in standard deviations.
 INTERVAL_90 = 1.6448536269514722
+
+
+# Measured, for estimates of the order of magnitude: processor time of a small calibration, of a detection and a pair of
+# objects in it, and of the bound at a time, s; memory of that bound, bytes.
+RUN_S, DETECTION_S, PAIR_S, BOUND_S, TIME_BYTES = 1.0, 2e-3, 1e-3, 5e-3, 5e3
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -217,4 +223,14 @@ def _root(values: Array) -> float:
     return float(np.sqrt((values**2).mean()))
 
 
-KIND = Kind(run, bounds, check)
+def effort(loaded: LoadedConfig) -> Effort:
+    """Estimate the work: calibration and bounds, which are computed at every time of the scenario."""
+    assert loaded.config.simulate is not None
+    settings, scene = scenario_of(loaded.config, CalibrationScenario), counts_of_scene(loaded)
+    times = loaded.config.simulate.duration_s / settings.every_s
+    bounds_s = times * BOUND_S
+    run_s = RUN_S + scene.detections * DETECTION_S + scene.objects**2 * PAIR_S
+    return Effort(run_s + bounds_s, settings.bound_scenes * bounds_s, times * TIME_BYTES)
+
+
+KIND = Kind(run, bounds, check, effort)

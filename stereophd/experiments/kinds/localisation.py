@@ -9,11 +9,12 @@ import numpy as np
 from stereophd.config.experiment import LocalisationScenario
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
 from stereophd.errors import InputError, unknown_camera
-from stereophd.experiments.engine.base import Array, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.single_object.runs import LocalisationProblem, localisation_bound, localisation_run
 from stereophd.experiments.single_object.series import (
     bounds_of,
     last_of,
+    observation_effort,
     rig_of,
     series_of_errors,
     single_config,
@@ -72,4 +73,10 @@ def _scenario(loaded: LoadedConfig) -> LocalisationProblem:
     return LocalisationProblem(rig, np.array(settings.position), single_config(loaded).prior, sequence)
 
 
-KIND = Kind(run, bounds, check)
+def effort(loaded: LoadedConfig) -> Effort:
+    """Estimate the work: an observation takes as long whatever is observed."""
+    settings = scenario_of(loaded.config, LocalisationScenario)
+    return observation_effort(loaded, len(settings.sequence) * settings.rounds)
+
+
+KIND = Kind(run, bounds, check, effort)
