@@ -3,8 +3,10 @@
 The first signal raises an exception. Python prints and drops an exception that a signal raises inside a destructor or
 inside a callback from compiled code, as the compiler of the kernels uses. This module suppresses the print and raises
 the exception again a moment later. Compiled code may also replace it by another exception; `check` raises it again at
-the next step of the run. Further signals do not disturb what the first one began; one that comes after `PATIENCE_S`
-ends the process at once, and the next run removes what is left behind.
+the next step of the run. Where a kernel makes a named tuple, an exception would end the process by a segmentation
+fault: it is raised as soon as the kernel has returned (`outside_kernels`). Further signals do not disturb what the
+first one began; one that comes after `PATIENCE_S` ends the process at once, and the next run removes what is left
+behind.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ def install() -> None:
     _received = None
     _replace((signal.SIG_DFL, signal.default_int_handler, leave), _handle)
     if signal.getsignal(signal.SIGALRM) == signal.SIG_DFL:
-        signal.signal(signal.SIGALRM, lambda number, frame: check())
+        signal.signal(signal.SIGALRM, lambda number, frame: outside_kernels(frame, check))
     sys.unraisablehook = _unraisable
 
 
@@ -69,6 +71,46 @@ def check() -> None:
         raise SystemExit(code)
 
 
+def outside_kernels(frame: FrameType | None, action: Callable[[], None]) -> None:
+    """Call what raises an exception in a signal handler, now or at the next instruction outside a kernel.
+
+    Python calls the handler of a signal that came while a kernel worked at the first instruction of Python after it.
+    A kernel that returns a named tuple gets its class and makes it by Python code, and takes for granted that this
+    succeeds.
+
+    Parameters
+    ----------
+    frame : FrameType or None
+        The frame that the signal interrupted, as a handler is given it.
+    action : callable
+    """
+    caller = _caller_of_kernel(frame)
+    if caller is None:
+        action()
+        return
+
+    def trace(traced: FrameType, _event: str, _argument: object) -> None:
+        sys.settrace(None)
+        traced.f_trace = None
+        traced.f_trace_opcodes = False
+        action()
+
+    caller.f_trace, caller.f_trace_opcodes = trace, True
+    sys.settrace(lambda *_: None)
+
+
+def _caller_of_kernel(frame: FrameType | None) -> FrameType | None:
+    """Return the frame that called the kernel that is making a named tuple; None if there is no such kernel."""
+    while frame is not None:
+        code = frame.f_code
+        gets_class = code.co_name == "_numba_unpickle"
+        makes_tuple = code.co_varnames[:1] == ("_cls",) and "_tuple_new" in code.co_names  # collections.namedtuple
+        frame = frame.f_back
+        if gets_class or makes_tuple:
+            return frame
+    return None
+
+
 def _replace(before: tuple[object, ...], after: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
     for number in _SIGNALS:
         if signal.getsignal(number) in before:
@@ -79,7 +121,7 @@ def _handle(number: int, frame: FrameType | None) -> None:
     global _received, _since
     if _received is None:
         _received, _since = number, time.monotonic()
-        check()
+        outside_kernels(frame, check)
     elif time.monotonic() - _since > PATIENCE_S:
         os._exit(128 + _received)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from annotated_types import Interval, Len
 from pydantic import Field, create_model, model_validator
@@ -66,7 +66,26 @@ else:
     )  # fmt: skip
 
 
-class BaselineScale(Model):
+# A length, or a speed, that is known better than this part of itself: rounding errors are larger.
+LEAST_KNOWN_SHARE = 1e-9
+
+
+class KnownScale(Model):
+    """Base of what fixes the scale: a positive number, and its standard deviation."""
+
+    @model_validator(mode="after")
+    def _not_too_sure(self) -> Self:
+        known, std = (float(getattr(self, name)) for name in (self._known(), "std"))
+        if std < LEAST_KNOWN_SHARE * known:
+            raise ValueError(f"std: expected at least {LEAST_KNOWN_SHARE:g} of {self._known()}, found {std:g}")
+        return self
+
+    def _known(self) -> str:
+        """Return the name of the key that holds the number."""
+        return next(name for name in ("distance", "speed", "length") if name in type(self).model_fields)
+
+
+class BaselineScale(KnownScale):
     """The distance between two cameras is known."""
 
     kind: Literal["baseline"] = parameter("what fixes the scale")
@@ -75,7 +94,7 @@ class BaselineScale(Model):
     std: PositiveLength = parameter("standard deviation of the distance", unit="length")
 
 
-class SpeedScale(Model):
+class SpeedScale(KnownScale):
     """The objects' speed is known."""
 
     kind: Literal["speed"] = parameter("what fixes the scale")
@@ -83,7 +102,7 @@ class SpeedScale(Model):
     std: PositiveLength = parameter("standard deviation of the speed from object to object", unit="length/s")
 
 
-class LengthScale(Model):
+class LengthScale(KnownScale):
     """Objects keep a known distance, as the ends of a rod or neighbouring corners of a board do."""
 
     kind: Literal["length"] = parameter("what fixes the scale")

@@ -164,3 +164,51 @@ def test_a_signal_to_the_process(config: Path, tmp_path: Path, number: signal.Si
     assert process.returncode == 128 + number, err
     assert not out.exists()
     assert "Traceback" not in err
+
+
+KERNEL = """
+import signal, time
+from typing import NamedTuple
+import numba
+from stereophd.cli import interrupts
+
+class Pair(NamedTuple):
+    sum: float
+    count: int
+
+@numba.njit
+def kernel(count):
+    total = 0.0
+    for k in range(count):
+        total += total % (k + 1.5) + 1.0
+    return Pair(total, count)
+
+def longer_than(seconds):
+    count = 1000
+    while True:
+        start = time.process_time()
+        kernel(count)
+        if time.process_time() - start > seconds:
+            return count
+        count *= 2
+
+def stop():
+    raise KeyboardInterrupt
+
+kernel(1)  # compiles
+count = longer_than(0.2)
+signal.signal(signal.SIGPROF, lambda number, frame: interrupts.outside_kernels(frame, stop))
+signal.setitimer(signal.ITIMER_PROF, 0.05)
+try:
+    kernel(count)
+    print("not raised")
+except KeyboardInterrupt:
+    print("raised")
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="this system has no timer of processor time")
+def test_a_signal_while_a_kernel_makes_a_named_tuple() -> None:
+    """Raised there, the exception would end the process by a segmentation fault."""
+    done = subprocess.run([sys.executable, "-c", KERNEL], capture_output=True, text=True, timeout=GIVE_UP_S)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "raised\n", "")

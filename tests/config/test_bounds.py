@@ -92,6 +92,11 @@ def test_every_numeric_key_has_both_bounds() -> None:
         (CALIBRATION.replace("center_std: 1", "center_std: 1e300"), "center_std: expected a number <= 1e+15"),
         (CALIBRATION.replace("center_std: 1", "focal_std: 11"), "focal_std: expected a number <= 10"),
         (CALIBRATION.replace("center_std: 1", "rotation_std_deg: 4e4"), "rotation_std_deg: expected a number <= 36000"),
+        (f"{CALIBRATION[:-1]}, smc: {{resample_below: 1}}}}", "smc.resample_below: expected a number <= 0.99, found 1"),
+        (
+            f"{CALIBRATION[:-1]}, scale: {{kind: speed, speed: 40, std: 1e-9}}}}",
+            "scale.speed: std: expected at least 1e-09 of",
+        ),
         (f"{SINGLE[:-2]}, x: 1}}}}", "filter.prior.x: unknown key"),
         (SINGLE.replace("velocity_std: 1", "velocity_std: 1e300"), "prior.velocity_std: expected a number <= 1e+15"),
         ('cameras="a\\0b.yaml"', "expected text of Unicode characters, without NUL"),

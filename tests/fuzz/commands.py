@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from stereophd.cli.app import run
+from stereophd.cli.interrupts import outside_kernels
 
 from .schema_values import Path as Keys
 
@@ -64,10 +65,10 @@ def bounded(longest_s: float) -> Iterator[None]:
         yield
         return
 
-    def end(_number: int, _frame: object) -> None:
+    def end() -> None:
         raise RuntimeError(f"no end after {longest_s:g} s of processor time")
 
-    before = signal.signal(signal.SIGPROF, end)
+    before = signal.signal(signal.SIGPROF, lambda _number, frame: outside_kernels(frame, end))
     signal.setitimer(signal.ITIMER_PROF, longest_s)
     try:
         yield

@@ -8,7 +8,7 @@ stay at the prior.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,13 +58,15 @@ def search_offsets(parameters: ParameterSet, tracks: RawTracks) -> ClockOffsets:
     while len(known) < len(cameras):
         best: tuple[float, int, float] = (0.0, -1, 0.0)
         for camera in set(range(len(cameras))) - known:
-            shifts = np.arange(-np.ceil(REACH * spread[camera] / step), np.ceil(REACH * spread[camera] / step) + 1)
+            lags = {other: int(np.round(offsets[other] / step)) for other in known}
+            shifts, most_are_zero = _shifts(profiles, camera, lags, float(np.ceil(REACH * spread[camera] / step)))
+            if not len(shifts):
+                continue
             total = np.zeros(len(shifts))
-            for other in known:
-                lag = np.round(offsets[other] / step)
+            for other, lag in lags.items():
                 total += [_score(profiles[camera], profiles[other], int(shift - lag)) for shift in shifts]
             # tracks of different objects correlate a little at any shift
-            total -= np.median(total)
+            total -= 0.0 if most_are_zero else np.median(total)
             total -= 0.5 * (shifts * step / spread[camera]) ** 2
             k = int(total.argmax())
             if total[k] > best[0]:
@@ -74,6 +76,24 @@ def search_offsets(parameters: ParameterSet, tracks: RawTracks) -> ClockOffsets:
         known.add(best[1])
         offsets[best[1]], scores[best[1]] = best[2], best[0]
     return ClockOffsets(offsets, scores)
+
+
+def _shifts(
+    profiles: Mapping[int, list[tuple[int, Array]]], camera: int, lags: Mapping[int, int], reach: float
+) -> tuple[Array, bool]:
+    """Return the shifts within reach, and whether most of them are left out because no profiles overlap there."""
+    places = [
+        (start - own - len(profile), start + len(other) - own)
+        for known, lag in lags.items()
+        for other_start, other in profiles[known]
+        for start in [other_start + lag]
+        for own, profile in profiles[camera]
+    ]
+    low, high = min((low for low, _ in places), default=0), max((high for _, high in places), default=-1)
+    overlapping = np.arange(max(-reach, low), min(reach, high) + 1)
+    if 2 * len(overlapping) <= 2 * reach + 1:
+        return overlapping, True
+    return np.arange(-reach, reach + 1), False
 
 
 def offset_places(parameters: ParameterSet) -> Integers:

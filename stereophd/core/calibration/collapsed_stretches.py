@@ -23,7 +23,7 @@ Booleans = NDArray[np.bool_]
 COLLAPSED_PART = 0.05
 
 
-def collapsed(trajectories: Integers, times: Array, cameras: Integers, depths: Array) -> Booleans:
+def collapsed(trajectories: Integers, times: Array, cameras: Integers, distances: Array) -> Booleans:
     """Which detections belong to a stretch of their trajectory that has collapsed into its camera.
 
     A stretch is a sequence of detections of one trajectory, in order of time, that one camera made.
@@ -34,25 +34,27 @@ def collapsed(trajectories: Integers, times: Array, cameras: Integers, depths: A
         Trajectory and camera of each detection.
     times : array (n,)
         Times of the detections, s.
-    depths : array (n,)
-        Depth of the trajectory at each detection in the frame of its camera, length; negative behind it.
+    distances : array (n, c)
+        Distances of the trajectory at each detection from all cameras, length.
 
     Returns
     -------
     array (n,) of bool
     """
     order = np.lexsort((times, trajectories))
-    owner, camera, depth = trajectories[order], cameras[order], depths[order]
+    out = np.zeros(len(order), dtype=np.bool_)
+    if not len(order):
+        return out
+    owner, camera = trajectories[order], cameras[order]
     first = np.ones(len(order), dtype=np.bool_)
     first[1:] = (np.diff(owner) != 0) | (np.diff(camera) != 0)
     starts = np.flatnonzero(first)
-    out = np.zeros(len(order), dtype=np.bool_)
-    if not len(starts):
-        return out
-    nearest = np.minimum.reduceat(depth, starts)
+    # of each stretch from each camera
+    nearest = np.minimum.reduceat(distances[order], starts, axis=0)
     # where two cameras see the object stretches are short: what one camera alone sees counts little
-    median = np.empty(len(starts))
+    near = np.zeros(len(starts), dtype=np.bool_)
     for rows in np.split(np.arange(len(starts)), np.flatnonzero(np.diff(owner[starts])) + 1):
-        median[rows] = np.median(nearest[rows])
-    out[order] = np.repeat(nearest < COLLAPSED_PART * median, np.diff(np.append(starts, len(order))))
+        of_camera = camera[starts[rows]]
+        near[rows] = nearest[rows, of_camera] < COLLAPSED_PART * np.median(nearest[rows], axis=0)[of_camera]
+    out[order] = np.repeat(near, np.diff(np.append(starts, len(order))))
     return out

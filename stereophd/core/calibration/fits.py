@@ -260,13 +260,12 @@ def _collapsed(task: Task, fit: Fit) -> Booleans:
     """Which detections (n,) of a fit belong to stretches that have collapsed into their camera."""
     seen = fit.observations
     points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
-    depths = np.empty(len(points))
-    for number, camera in enumerate(task.parameters.build(fit.adjustment.values)):
-        here = np.flatnonzero(seen.cameras == number)
-        still = np.zeros((len(here), 3))
-        view = look(camera, points[here], still, seen.times[here], seen.log_times[here], seen.rows[here])
-        depths[here] = view.points[:, 2]
-    return collapsed(seen.trajectories, seen.times, seen.cameras, depths)
+    still = np.zeros_like(points)
+    distances = [
+        np.linalg.norm(look(camera, points, still, seen.times, seen.log_times, seen.rows).points, axis=1)
+        for camera in task.parameters.build(fit.adjustment.values)
+    ]
+    return collapsed(seen.trajectories, seen.times, seen.cameras, np.stack(distances, axis=1))
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:

@@ -129,7 +129,7 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
         return MarginalOptimum(found, 1.0, True)
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
-        distances=at.equations.distances, converged=found.converged and left <= LONGEST_LEFT,
+        distances=at.equations.distances, converged=left <= LONGEST_LEFT,
     )  # fmt: skip
     log_noise = float(at.unknowns[size:].sum())
     believed = abs(log_noise) <= LONGEST_MOVE_OF_NOISE * float(posterior.prior_std[-1])

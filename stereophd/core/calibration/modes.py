@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from stereophd.core.numerics.covariance_factors import covariance_factor
+
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -38,7 +40,7 @@ class Modes:
         """
         which = np.searchsorted(np.cumsum(self.weights), (np.arange(count) + 0.5) / count)
         which = np.minimum(which, len(self.weights) - 1)
-        factors = spread * np.linalg.cholesky(self.covariances)
+        factors = spread * np.stack([covariance_factor(covariance) for covariance in self.covariances])
         normal = rng.standard_normal((count, self.means.shape[1]))
         scale = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, count))
         return np.asarray(self.means[which] + scale[:, None] * np.einsum("kab,kb->ka", factors[which], normal))
@@ -46,7 +48,7 @@ class Modes:
     def log_density(self, values: Array, spread: float) -> Array:
         """Log-density (k,) of the mixture at values (k, m)."""
         parts = [
-            np.log(weight) + _log_student(values - mean, spread * np.linalg.cholesky(covariance))
+            np.log(weight) + _log_student(values - mean, spread * covariance_factor(covariance))
             for mean, covariance, weight in zip(self.means, self.covariances, self.weights, strict=True)
         ]
         return np.asarray(np.logaddexp.reduce(parts, axis=0))
@@ -54,7 +56,7 @@ class Modes:
     def nearest(self, values: Array) -> Integers:
         """Mode (k,) that each of values (k, m) is nearest to, in the mode's covariance."""
         distances = [
-            (np.linalg.solve(np.linalg.cholesky(covariance), (values - mean).T) ** 2).sum(axis=0)
+            (np.linalg.solve(covariance_factor(covariance), (values - mean).T) ** 2).sum(axis=0)
             for mean, covariance in zip(self.means, self.covariances, strict=True)
         ]
         return np.asarray(np.argmin(distances, axis=0), dtype=np.int64)

@@ -12,6 +12,7 @@ from stereophd.core.calibration.quantities.base import LENGTH, LENGTH_PER_SECOND
 from stereophd.core.calibration.quantities.center import CENTER
 from stereophd.core.calibration.quantities.rotation import ROTATION
 from stereophd.core.calibration.scale import log_scale
+from stereophd.core.numerics.covariance_factors import covariance_factor
 
 Array = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def observability(parameters: ParameterSet, reference: int, values: Array, covar
     _, gradient = log_scale(parameters, reference, values)
     if gradient.any():
         prior = float((gradient**2 * std**2).sum())
-        scale_ratio = float(np.sqrt(gradient @ covariance @ gradient / prior))
+        scale_ratio = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0) / prior))
         allowed = int(scale_ratio > UNDETERMINED_RATIO)
     # of lenses and shutters the prior may be all that is known; poses and clocks must come from the data
     frame = np.array([parameter.quantity.of_the_frame for parameter in parameters.parameters])
@@ -111,7 +112,7 @@ def laplace_draws(
     -------
     array (count, m)
     """
-    steps = rng.standard_normal((count, parameters.size)) @ np.linalg.cholesky(covariance).T
+    steps = rng.standard_normal((count, parameters.size)) @ covariance_factor(covariance).T
     _, gradient = log_scale(parameters, reference, values)
     if not gradient.any():
         return np.asarray(values + steps)

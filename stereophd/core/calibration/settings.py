@@ -13,13 +13,15 @@ from stereophd.core.settings import (
     DegreesSpread,
     Fraction,
     Length,
-    PositiveFraction,
     parameter,
     settings,
 )
 
 # Factors on the noise of the detections, pass by pass.
 Inflation = Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ...], Len(1, 1000)]
+
+# Effective share of the particles: steps that keep nearly all of them effective would never end.
+EffectiveShare = Annotated[float, Interval(ge=1e-30, le=0.99), FINITE]
 
 
 @settings
@@ -80,7 +82,7 @@ class SequentialSettings:
         "factors on the detector's sigma in the first block (moves: rerun)", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
     )
     moves_per_step: Count = parameter("moves after each resampling (moves: rerun)", default=2)
-    resample_below: PositiveFraction = parameter(
+    resample_below: EffectiveShare = parameter(
         "resample when the effective sample size falls below this part of the particles", default=0.4
     )
     roughening: Annotated[float, Interval(ge=0, le=1e3), FINITE] = parameter(
@@ -109,7 +111,7 @@ class TemperedSettings:
 
     particles: Annotated[int, Interval(ge=8, le=LARGEST_COUNT)] = parameter("camera hypotheses", default=200)
     evidence: Literal["pmb", "phd"] = parameter("multi-object evidence that weights the particles", default="pmb")
-    resample_below: PositiveFraction = parameter(
+    resample_below: EffectiveShare = parameter(
         "a tempering step keeps the effective sample size at this part of the particles", default=0.5
     )
     moves: Count = parameter("Metropolis-Hastings moves after each tempering step", default=3)

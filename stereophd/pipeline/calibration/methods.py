@@ -92,7 +92,7 @@ def annealed_outcome(
             noise,
         )
     details["motion_noise_factor"] = noise
-    if fit is not joint and joint.adjustment.converged and not fit.adjustment.converged:
+    if fit is not joint and not fit.adjustment.converged:
         doubt = doubt or "the search for the optimum ended before it was found, more than a standard deviation away"
     without_lengths = fit
     if known is not None:

@@ -63,6 +63,12 @@ def test_offsets_of_seconds_are_found() -> None:
     assert (found.scores[1:] > 6.0).all()
 
 
+def test_a_prior_far_wider_than_the_log() -> None:
+    """Only shifts at which tracks overlap are tried."""
+    wide = ParameterSet(cameras(), tuple(Parameter("clock_offset", f"cam{k}", 0.0, 1e12) for k in (1, 2)))
+    np.testing.assert_allclose(search_offsets(wide, tracks(uniform=False)).offsets, TRUE, atol=0.4)
+
+
 def test_uniform_motion_shows_no_clock() -> None:
     found = search_offsets(parameters(), tracks(uniform=True))
     np.testing.assert_array_equal(found.offsets, 0.0)

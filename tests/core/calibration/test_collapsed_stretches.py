@@ -18,22 +18,24 @@ from stereophd.core.calibration.task import Fit
 from .problems_of_unknowns import MOTION, observe, problem_of, rig, unknowns
 
 
-def found(cameras: list[int], depths: list[float]) -> list[bool]:
-    """Which detections of one trajectory, in order of time, have collapsed."""
+def found(cameras: list[int], distances: list[float], far: float = 9.0) -> list[bool]:
+    """Which detections of one trajectory, in order of time, have collapsed.
+
+    The distances are those from the camera of each detection; the object is far from the other camera.
+    """
     count = len(cameras)
-    return collapsed(np.zeros(count, dtype=np.int64), np.arange(count, dtype=float), np.array(cameras),
-                     np.array(depths)).tolist()  # fmt: skip
+    both = np.full((count, 2), far)
+    both[np.arange(count), cameras] = distances
+    return collapsed(np.zeros(count, dtype=np.int64), np.arange(count, dtype=float), np.array(cameras), both).tolist()
 
 
 @pytest.mark.parametrize(
-    ("cameras", "depths", "expected"),
+    ("cameras", "distances", "expected"),
     [
         # at the end, at the start, and between what two cameras see
         ([0, 1, 0, 1, 0, 0, 0], [8, 9, 8, 9, 4, 2, 0.01], [False] * 4 + [True] * 3),
         ([0, 0, 1, 0, 1, 0], [0.01, 4, 9, 8, 9, 8], [True] * 2 + [False] * 4),
         ([0, 1, 0, 1, 1, 1, 0, 1, 0], [8, 9, 8, 9, 0.01, 9, 8, 9, 8], [False] * 3 + [True] * 3 + [False] * 3),
-        # behind the camera
-        ([0, 1, 0, 1, 0], [8, 9, 8, 9, -3], [False] * 4 + [True]),
         # most of the detections, but one stretch
         ([0, 1, 0, 1] + [0] * 20, [8, 9, 8, 9] + [0.01] * 20, [False] * 4 + [True] * 20),
         # an object that comes near
@@ -43,9 +45,18 @@ def found(cameras: list[int], depths: list[float]) -> list[bool]:
     ],
 )
 def test_a_stretch_that_ends_in_its_camera_has_collapsed(
-    cameras: list[int], depths: list[float], expected: list[bool]
+    cameras: list[int], distances: list[float], expected: list[bool]
 ) -> None:
-    assert found(cameras, depths) == expected
+    assert found(cameras, distances) == expected
+
+
+def test_a_camera_that_is_near_the_objects_stays_beside_one_far_away() -> None:
+    """Camera 0 is 0.1 from the object all the time, camera 1 at 9."""
+    both = np.tile([0.1, 9.0], (7, 1))
+    cameras = np.array([0, 1, 0, 1, 0, 0, 0])
+    assert not collapsed(np.zeros(7, dtype=np.int64), np.arange(7.0), cameras, both).any()
+    both[6, 0] = 0.001
+    assert collapsed(np.zeros(7, dtype=np.int64), np.arange(7.0), cameras, both).tolist() == [False] * 4 + [True] * 3
 
 
 def test_trajectories_are_apart_and_their_order_does_not_matter() -> None:
@@ -53,12 +64,13 @@ def test_trajectories_are_apart_and_their_order_does_not_matter() -> None:
     trajectories = np.repeat([0, 1, 2], 7)
     times = np.tile(np.arange(7.0), 3)
     cameras = np.tile([0, 1, 0, 1, 0, 0, 0], 3)
-    depths = np.tile([8.0, 9.0, 8.0, 9.0, 4.0, 2.0, 0.01], 3)
-    depths[:7] *= 100.0
-    depths[7:14] = 0.1
+    distances = np.full((21, 2), 9.0)
+    distances[np.arange(21), cameras] = np.tile([8.0, 9.0, 8.0, 9.0, 4.0, 2.0, 0.01], 3)
+    distances[:7] *= 100.0
+    distances[7:14] = 0.1
     expected = np.concatenate([np.zeros(4), np.ones(3), np.zeros(7), np.zeros(4), np.ones(3)]).astype(bool)
     for order in (np.arange(21), rng.permutation(21)):
-        out = collapsed(trajectories[order], times[order], cameras[order], depths[order])
+        out = collapsed(trajectories[order], times[order], cameras[order], distances[order])
         np.testing.assert_array_equal(out, expected[order])
 
 
