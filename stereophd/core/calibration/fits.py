@@ -293,7 +293,7 @@ def _with_held_unknown(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
-def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float]:
+def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float, str]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
     Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
@@ -307,27 +307,28 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     fit : Fit
     noise_factor : float
         Noise of the motion that the log shows over what is stated; 1 where it was not estimated.
+    doubt : str
+        Why neither optimum is trusted, whether the search for it converged or not; empty if there is no reason.
     """
     if fit.observations.weights is not None or not len(fit.knots.links()):
-        return fit, 1.0
+        return fit, 1.0, ""
     found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
     if not (found.believed or any_noise):
-        return fit, found.noise_factor
+        return fit, found.noise_factor, ""
     parameters = task.parameters
-    if parameters.prior_disagreement(found.adjustment.values) and not parameters.prior_disagreement(
-        fit.adjustment.values
-    ):
-        return fit, 1.0
+    against = parameters.prior_disagreement(found.adjustment.values)
+    if against is not None and parameters.prior_disagreement(fit.adjustment.values) is None:
+        return fit, 1.0, f"with the trajectories integrated out {against}"
     cameras = parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
     moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
-    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
+    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor, ""
 
 
 def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
-    found, _ = marginal_fit(task, fit)
+    found, _, _ = marginal_fit(task, fit)
     return replace(found, knots=fit.knots)
 
 

@@ -111,7 +111,7 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
     Returns
     -------
     MarginalOptimum
-        The adjustment given, at the noise stated, where the normal equations are singular.
+        The adjustment given, not converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
@@ -126,7 +126,7 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
                 break
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
-        return MarginalOptimum(found, 1.0, True)
+        return MarginalOptimum(replace(found, converged=False), 1.0, True)
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances, converged=left <= LONGEST_LEFT,
