@@ -30,7 +30,6 @@ from stereophd.core.calibration.pairing_search import (
 )
 from stereophd.core.calibration.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.quantities.pixel_derivatives import look
-from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.shared_errors import shared_errors
 from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.tracking_scale import enlarged, reduced
@@ -166,9 +165,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)
         observations = replace(observations, weights=weights)
     tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
-    return adjusted_to(
-        task, fit, observations, trajectories[rows], chosen_detections, task.scale, tolerance=tolerance
-    )  # fmt: skip
+    return adjusted_to(task, fit, observations, trajectories[rows], chosen_detections, tolerance=tolerance)
 
 
 def _weights(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Array | None:
@@ -225,7 +222,7 @@ def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None
     if fit.observations.weights is not None:
         observations = replace(observations, weights=fit.observations.weights[rows])
     of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
-    return adjusted_to(task, fit, observations, of_fit, detections, task.scale, most)
+    return adjusted_to(task, fit, observations, of_fit, detections, most)
 
 
 def adjusted_to(
@@ -234,7 +231,6 @@ def adjusted_to(
     observations: Observations,
     of_fit: Integers,
     detections: Integers,
-    scale: ScaleMeasurement | None,
     max_iterations: int = MOST_ITERATIONS,
     tolerance: float = TOLERANCE,
 ) -> Fit:
@@ -248,7 +244,7 @@ def adjusted_to(
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
-    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale, fit.held)
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
     found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
     standing = ~_collapsed(task, found)
     if standing.all():
@@ -282,7 +278,7 @@ def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
     parameters = task.parameters
     values = np.where(free, fit.adjustment.values, parameters.prior_mean)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=~free)
-    again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections, task.scale)
+    again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections)
     return _with_held_unknown(task, again)
 
 

@@ -189,6 +189,8 @@ class MarginalPosterior:
         values, log_noise, std = unknowns[:count], float(unknowns[count]), self.prior_std[count]
         found = self.linearisation.at(values, states, log_noise)
         with_scale = found.energy * log_scale(problem.parameters, problem.reference, values)[1]
+        if problem.held is not None:
+            with_scale[problem.held] = 0.0
         return replace(
             found,
             cost=found.cost + (log_noise / std) ** 2,

@@ -142,6 +142,17 @@ def test_held_values_stay_and_are_as_unknown_as_before_where_trajectories_are_in
     assert posterior.at(np.append(values, np.log(factor)), found.adjustment.states).objective < before - 0.5
 
 
+def test_held_centres_stay_although_the_noise_of_the_motion_is_in_units_of_their_distance() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    held = np.array([parameter.quantity.name == "center" for parameter in problem.parameters.parameters])
+    problem = replace(problem, held=held)
+    joint = adjust(problem, drawn, states)
+    found = marginal_optimum(problem, joint).adjustment
+    assert found.converged
+    np.testing.assert_allclose(found.values[held], joint.values[held], rtol=1e-9)
+    np.testing.assert_allclose(found.covariance[held], np.diag(problem.parameters.prior_std**2)[held], atol=1e-12)
+
+
 def test_still_objects_keep_the_joint_optimum() -> None:
     """One knot each, without a velocity, as objects that stand still have."""
     problem, states, drawn = some_problem(("center", "rotation"))
