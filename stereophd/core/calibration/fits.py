@@ -213,7 +213,12 @@ def without_left_out(task: Task, fit: Fit) -> Fit:
 
 
 def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:
-    """Adjust to some of the detections, with the association of all; None without any."""
+    """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
+
+    Trajectories of which one camera alone is left say nothing of the cameras, and collapse into it.
+    """
+    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
+    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
     trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
     if not len(trajectories):
         return None

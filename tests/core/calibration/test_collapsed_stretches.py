@@ -11,7 +11,7 @@ import pytest
 
 from stereophd.core.calibration.adjustment import adjust
 from stereophd.core.calibration.collapsed_stretches import collapsed
-from stereophd.core.calibration.fits import FITTED_LOSS, adjusted_to
+from stereophd.core.calibration.fits import FITTED_LOSS, adjusted_to, fit_until
 from stereophd.core.calibration.known_scale import rescaled
 from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.problem import Observations
@@ -145,3 +145,14 @@ def test_a_known_scale_holds_where_a_stretch_is_left_out() -> None:
     found, gradient = log_scale(task.parameters, task.reference, fit.adjustment.values)
     assert found == pytest.approx(size + 0.1, abs=3e-3)
     assert gradient @ fit.adjustment.covariance @ gradient <= 1.01e-3**2
+
+
+def test_a_part_without_the_second_camera_of_an_object_leaves_the_object_out() -> None:
+    task, joint, _ = one_alone()
+    seen = joint.observations
+    rows = np.flatnonzero((seen.trajectories > 0) | (seen.cameras == 0))
+    until = fit_until(task, replace(joint, observations=of_rows(seen, rows), detections=rows), 15.0)
+    assert until is not None
+    assert (seen.trajectories[until.detections] > 0).all()
+    assert set(seen.trajectories[until.detections]) == {1, 2}
+    assert fit_until(task, replace(joint, observations=of_rows(seen, rows), detections=rows), -1.0) is None

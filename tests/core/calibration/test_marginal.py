@@ -34,7 +34,7 @@ def test_the_marginal_posterior_has_the_gradient_of_its_objective() -> None:
 
 
 def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_for_long() -> None:
-    """To first order in the step the knots follow so badly that differences of the volume are a fifth off."""
+    """To first order in the step the knots follow so badly that differences of the volume are wrong."""
     true = unknowns(rig(), ("center", "rotation", "focal"))
     drawn = true.sample(np.random.default_rng(100), 1)[0]
     observations, _, points = observe(true.cameras, 1, 3, 12.0)
