@@ -1,11 +1,11 @@
 """Kill -9 in the middle of the work, again and again: what is left, and what the next run makes of it.
 
-    python benchmarks/kills.py [--kills 50] [--seed 1] [--only WORD]
+    python benchmarks/kills.py [--kills 50] [--seed 1] [--only WORD] [--group]
 
 Each case is a small run of a command, made in a fork of a process that has loaded everything, so that the moments fall
 into the work and not into the start. It is killed at a random moment, up to three times in a row, with `--resume` in
-between where the command has it, and then runs to its end. Checkpoints are made several times a second. A case is held
-if
+between where the command has it, and then runs to its end. `--group` kills its workers with it. Checkpoints are made
+several times a second. A case is held if
 
 - after a kill no file lies in its final place, or all do, with the bytes of an undisturbed run;
 - no process and no shared memory of the killed run is left after 5 s;
@@ -73,7 +73,9 @@ class Case:
     alone: Work | None = None
 
 
-def forked(work: Callable[[], object], kill_after_s: float | None) -> tuple[bool, str]:
+def forked(
+    work: Callable[[], object], kill_after_s: float | None, kill: Callable[[int, int], None] = os.kill
+) -> tuple[bool, str]:
     """Do work in a fork, killed after a while; return whether it came to its end, and what was left running.
 
     The fork has an output of its own, and leaves by `os._exit`: nothing of this process is tidied up twice.
@@ -96,7 +98,7 @@ def forked(work: Callable[[], object], kill_after_s: float | None) -> tuple[bool
             break
         if end is not None and time.monotonic() >= end:
             group = psutil.Process(pid).children(recursive=True)
-            os.kill(pid, signal.SIGKILL)
+            kill(pid, signal.SIGKILL)
             end = None
         time.sleep(0.002)
     code = os.waitstatus_to_exitcode(status)
@@ -126,7 +128,9 @@ def check_killed(case: Case, expected: dict[str, bytes], out: Path) -> str:
     return ""
 
 
-def killed_and_resumed(case: Case, expected: dict[str, bytes], length_s: float, out: Path) -> tuple[int, int, str]:
+def killed_and_resumed(
+    case: Case, expected: dict[str, bytes], length_s: float, out: Path, kill: Callable[[int, int], None]
+) -> tuple[int, int, str]:
     """Kill work at random moments and resume it.
 
     Returns
@@ -139,7 +143,7 @@ def killed_and_resumed(case: Case, expected: dict[str, bytes], length_s: float, 
     out.parent.mkdir(parents=True)
     for kills in range(MOST_KILLS + 1):
         moment = None if kills == MOST_KILLS else random.uniform(0.0, length_s)
-        ended, wrong = forked(lambda: case.work(out, kills > 0), moment)  # noqa: B023
+        ended, wrong = forked(lambda: case.work(out, kills > 0), moment, kill)  # noqa: B023
         if ended:
             break
         wrong = wrong or check_killed(case, expected, out)
@@ -194,6 +198,10 @@ def cases(folder: Path) -> dict[str, Case]:
         ),
         "track of three logs": Case(lambda out, again: track_logs(loaded, logs, out, resume=again), in_parts=True),
         "calibrate": Case(lambda out, again: calibrate(unknown, film, out, resume=again, jobs=1, plots=False)),
+        "calibrate --jobs 2": Case(
+            lambda out, again: calibrate(unknown, film, out, resume=again, jobs=2, plots=False),
+            alone=lambda out, again: calibrate(unknown, film, out, jobs=1, plots=False),
+        ),
         "experiment --jobs 2": Case(
             lambda out, again: experiment(figure, out, jobs=2, resume=again),
             alone=lambda out, again: experiment(figure, out),
@@ -212,6 +220,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="")
+    parser.add_argument("--group", action="store_true")
     options = parser.parse_args()
     random.seed(options.seed)
     faults = 0
@@ -230,7 +239,8 @@ def main() -> int:
             expected = files(whole)
             tried = held = killed = kept = 0
             while killed < options.kills:
-                kills, resumed, wrong = killed_and_resumed(case, expected, length_s, folder / "runs" / "out")
+                kill = os.killpg if options.group else os.kill
+                kills, resumed, wrong = killed_and_resumed(case, expected, length_s, folder / "runs" / "out", kill)
                 tried, held, killed, kept = tried + 1, held + (not wrong), killed + kills, kept + resumed
                 print(f"  {title}: {killed} kills: {wrong or 'held'}", file=sys.stderr, flush=True)
             faults += tried - held

@@ -84,6 +84,14 @@ def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[]
         ["report.times=grid 0.35"],
         ["report.times=camera right"],
         ["report.max_position_std=1.0", "report.std_columns=true"],
+        [
+            "report.associations=true",
+            "report.min_track_length=1.0",
+            "report.std_columns=true",
+            "report.max_position_std=1.0",
+            "filter.extraction.confirm=0.05",  # short false tracks, which the least length leaves out
+        ],
+        ["report.min_track_length=100.0"],  # no track is that long: nothing is decided before the end
     ],
     ids=str,
 )

@@ -30,7 +30,6 @@ from stereophd.core.calibration.pairing_search import (
 )
 from stereophd.core.calibration.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.quantities.pixel_derivatives import look
-from stereophd.core.calibration.scale import ScaleMeasurement
 from stereophd.core.calibration.shared_errors import shared_errors
 from stereophd.core.calibration.task import Fit, Task
 from stereophd.core.calibration.tracking_scale import enlarged, reduced
@@ -166,9 +165,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)
         observations = replace(observations, weights=weights)
     tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
-    return adjusted_to(
-        task, fit, observations, trajectories[rows], chosen_detections, task.scale, tolerance=tolerance
-    )  # fmt: skip
+    return adjusted_to(task, fit, observations, trajectories[rows], chosen_detections, tolerance=tolerance)
 
 
 def _weights(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Array | None:
@@ -216,7 +213,12 @@ def without_left_out(task: Task, fit: Fit) -> Fit:
 
 
 def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:
-    """Adjust to some of the detections, with the association of all; None without any."""
+    """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
+
+    Trajectories of which one camera alone is left say nothing of the cameras, and collapse into it.
+    """
+    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
+    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
     trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
     if not len(trajectories):
         return None
@@ -225,7 +227,7 @@ def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None
     if fit.observations.weights is not None:
         observations = replace(observations, weights=fit.observations.weights[rows])
     of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
-    return adjusted_to(task, fit, observations, of_fit, detections, task.scale, most)
+    return adjusted_to(task, fit, observations, of_fit, detections, most)
 
 
 def adjusted_to(
@@ -234,7 +236,6 @@ def adjusted_to(
     observations: Observations,
     of_fit: Integers,
     detections: Integers,
-    scale: ScaleMeasurement | None,
     max_iterations: int = MOST_ITERATIONS,
     tolerance: float = TOLERANCE,
 ) -> Fit:
@@ -248,7 +249,7 @@ def adjusted_to(
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
-    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, scale, fit.held)
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
     found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
     standing = ~_collapsed(task, found)
     if standing.all():
@@ -282,7 +283,7 @@ def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
     parameters = task.parameters
     values = np.where(free, fit.adjustment.values, parameters.prior_mean)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=~free)
-    again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections, task.scale)
+    again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections)
     return _with_held_unknown(task, again)
 
 
@@ -297,7 +298,7 @@ def _with_held_unknown(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
-def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float]:
+def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float, str]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
     Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
@@ -311,27 +312,28 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     fit : Fit
     noise_factor : float
         Noise of the motion that the log shows over what is stated; 1 where it was not estimated.
+    doubt : str
+        Why neither optimum is trusted, whether the search for it converged or not; empty if there is no reason.
     """
     if fit.observations.weights is not None or not len(fit.knots.links()):
-        return fit, 1.0
+        return fit, 1.0, ""
     found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
     if not (found.believed or any_noise):
-        return fit, found.noise_factor
+        return fit, found.noise_factor, ""
     parameters = task.parameters
-    if parameters.prior_disagreement(found.adjustment.values) and not parameters.prior_disagreement(
-        fit.adjustment.values
-    ):
-        return fit, 1.0
+    against = parameters.prior_disagreement(found.adjustment.values)
+    if against is not None and parameters.prior_disagreement(fit.adjustment.values) is None:
+        return fit, 1.0, f"with the trajectories integrated out {against}"
     cameras = parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
     moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
-    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
+    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor, ""
 
 
 def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
-    found, _ = marginal_fit(task, fit)
+    found, _, _ = marginal_fit(task, fit)
     return replace(found, knots=fit.knots)
 
 

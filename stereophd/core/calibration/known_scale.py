@@ -10,7 +10,7 @@ Many objects that move alike make E large, and the distances of their pairs coun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +131,9 @@ def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) ->
 
 def rescaled(task: Task, fit: Fit, measurement: ScaleMeasurement) -> Fit:
     """Adjust again, with the scale measured."""
-    return adjusted_to(task, fit, fit.observations, fit.observations.trajectories, fit.detections, measurement)
+    # in the task, for all adjustments that this one may need
+    task = replace(task, scale=measurement)
+    return adjusted_to(task, fit, fit.observations, fit.observations.trajectories, fit.detections)
 
 
 def mean_speeds(fit: Fit) -> Array:

@@ -111,7 +111,7 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
     Returns
     -------
     MarginalOptimum
-        The adjustment given, at the noise stated, where the normal equations are singular.
+        The adjustment given, not converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
@@ -126,10 +126,10 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
                 break
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
-        return MarginalOptimum(found, 1.0, True)
+        return MarginalOptimum(replace(found, converged=False), 1.0, True)
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
-        distances=at.equations.distances, converged=found.converged and left <= LONGEST_LEFT,
+        distances=at.equations.distances, converged=left <= LONGEST_LEFT,
     )  # fmt: skip
     log_noise = float(at.unknowns[size:].sum())
     believed = abs(log_noise) <= LONGEST_MOVE_OF_NOISE * float(posterior.prior_std[-1])
@@ -189,6 +189,8 @@ class MarginalPosterior:
         values, log_noise, std = unknowns[:count], float(unknowns[count]), self.prior_std[count]
         found = self.linearisation.at(values, states, log_noise)
         with_scale = found.energy * log_scale(problem.parameters, problem.reference, values)[1]
+        if problem.held is not None:
+            with_scale[problem.held] = 0.0
         return replace(
             found,
             cost=found.cost + (log_noise / std) ** 2,

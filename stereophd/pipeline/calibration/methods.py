@@ -83,7 +83,7 @@ def annealed_outcome(
     joint = selected(section, task, fit, details)
     # known lengths hold what objects that move together would make too sure
     known = section.scale if isinstance(section.scale, LengthScale) and task.scale is not None else None
-    fit, noise = marginal_fit(task, joint, any_noise=known is not None and joint.held is None)
+    fit, noise, against_marginal = marginal_fit(task, joint, any_noise=known is not None and joint.held is None)
     if fit is joint and noise != 1.0:
         LOGGER.warning(
             "the motion of the objects shows %.2g times the noise that the configuration states: the trajectories are "
@@ -92,8 +92,8 @@ def annealed_outcome(
             noise,
         )
     details["motion_noise_factor"] = noise
-    if fit is not joint and joint.adjustment.converged and not fit.adjustment.converged:
-        doubt = doubt or "the search for the optimum ended before it was found, more than a standard deviation away"
+    early = "" if fit.adjustment.converged else "the search for the optimum ended before it was found"
+    doubt = doubt or against_marginal or early
     without_lengths = fit
     if known is not None:
         fit, details["known_lengths"] = with_lengths(task, fit, known.length, known.std)

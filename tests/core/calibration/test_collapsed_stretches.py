@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,8 +11,11 @@ import pytest
 
 from stereophd.core.calibration.adjustment import adjust
 from stereophd.core.calibration.collapsed_stretches import collapsed
-from stereophd.core.calibration.fits import FITTED_LOSS, adjusted_to
+from stereophd.core.calibration.fits import FITTED_LOSS, adjusted_to, fit_until
+from stereophd.core.calibration.known_scale import rescaled
+from stereophd.core.calibration.parameters import ParameterSet
 from stereophd.core.calibration.problem import Observations
+from stereophd.core.calibration.scale import ScaleMeasurement, log_scale
 from stereophd.core.calibration.task import Fit
 
 from .problems_of_unknowns import MOTION, observe, problem_of, rig, unknowns
@@ -50,13 +53,15 @@ def test_a_stretch_that_ends_in_its_camera_has_collapsed(
     assert found(cameras, distances) == expected
 
 
-def test_a_camera_that_is_near_the_objects_stays_beside_one_far_away() -> None:
-    """Camera 0 is 0.1 from the object all the time, camera 1 at 9."""
-    both = np.tile([0.1, 9.0], (7, 1))
-    cameras = np.array([0, 1, 0, 1, 0, 0, 0])
-    assert not collapsed(np.zeros(7, dtype=np.int64), np.arange(7.0), cameras, both).any()
-    both[6, 0] = 0.001
-    assert collapsed(np.zeros(7, dtype=np.int64), np.arange(7.0), cameras, both).tolist() == [False] * 4 + [True] * 3
+def test_a_camera_that_is_near_the_objects_stays_beside_others_far_away() -> None:
+    """Camera 0 is 0.1 from the object all the time, cameras 1 and 2 at 9: most stretches are of those."""
+    distances = np.tile([0.1, 9.0, 9.0], (9, 1))
+    cameras = np.array([1, 2, 0, 1, 2, 1, 0, 0, 0])
+    assert not collapsed(np.zeros(9, dtype=np.int64), np.arange(9.0), cameras, distances).any()
+    distances[8, 0] = 0.001
+    assert (
+        collapsed(np.zeros(9, dtype=np.int64), np.arange(9.0), cameras, distances).tolist() == [False] * 6 + [True] * 3
+    )
 
 
 def test_trajectories_are_apart_and_their_order_does_not_matter() -> None:
@@ -76,7 +81,7 @@ def test_trajectories_are_apart_and_their_order_does_not_matter() -> None:
 
 def of_rows(observations: Observations, rows: np.ndarray) -> Observations:
     """Some of the observations."""
-    columns = {field.name: getattr(observations, field.name) for field in fields(observations)}
+    columns = {one.name: getattr(observations, one.name) for one in fields(observations)}
     return replace(observations, **{name: one if one is None else one[rows] for name, one in columns.items()})
 
 
@@ -86,8 +91,22 @@ def nearest(fit: Fit, camera: int, task: Any) -> float:
     return float(np.linalg.norm(fit.adjustment.states[:, 0] - center, axis=1).min())
 
 
-def test_an_object_that_one_camera_alone_sees_for_long_is_not_put_into_the_camera() -> None:
-    """Two objects that all cameras see, and one that after three seconds camera 0 alone sees."""
+@dataclass(frozen=True)
+class SomeTask:
+    """What adjustments need of a task."""
+
+    parameters: ParameterSet
+    seen: Observations
+    scale: ScaleMeasurement | None = None
+    reference: int = 0
+    filter: Any = field(default_factory=lambda: SimpleNamespace(motion=MOTION))
+
+    def observations(self, _: object, trajectories: np.ndarray, detections: np.ndarray) -> Observations:
+        return replace(of_rows(self.seen, detections), trajectories=trajectories)
+
+
+def one_alone() -> tuple[Any, Fit, np.ndarray]:
+    """Two objects that all cameras see, and one that after three seconds camera 0 alone sees; and the true values."""
     true = unknowns(rig(), ("center", "rotation"))
     drawn = true.sample(np.random.default_rng(100), 1)[0]
     observations, _, points = observe(true.cameras, 1, 3, 15.0)
@@ -97,21 +116,43 @@ def test_an_object_that_one_camera_alone_sees_for_long_is_not_put_into_the_camer
     observations, points = of_rows(observations, rows), points[rows]
     guess = true.about(true.guess(drawn))
     problem, states = problem_of(guess, observations, points, FITTED_LOSS)
-    task: Any = SimpleNamespace(
-        parameters=guess, reference=0, scale=None, filter=SimpleNamespace(motion=MOTION),
-        observations=lambda _, numbers, detections: replace(of_rows(observations, detections), trajectories=numbers),
-    )  # fmt: skip
-    all_ = np.arange(len(observations))
-    joint = Fit(adjust(problem, drawn, states), problem.knots, observations, all_)
+    joint = Fit(adjust(problem, drawn, states), problem.knots, observations, np.arange(len(observations)))
+    return SomeTask(guess, observations), joint, drawn
+
+
+def test_an_object_that_one_camera_alone_sees_for_long_is_not_put_into_the_camera() -> None:
+    task, joint, drawn = one_alone()
     assert nearest(joint, 0, task) < 0.2  # the fault that is mended
 
-    fit = adjusted_to(task, joint, observations, observations.trajectories, all_, None)
+    observations = joint.observations
+    fit = adjusted_to(task, joint, observations, observations.trajectories, joint.detections)
     assert nearest(fit, 0, task) > 1.0
-    left = np.setdiff1d(all_, fit.detections)
+    left = np.setdiff1d(joint.detections, fit.detections)
     assert len(left)
     assert (observations.trajectories[left] == 0).all()
     assert (observations.cameras[left] == 0).all()
     # what two cameras see stays
     assert (observations.times[left] > 3.0 - 0.2).all()
     error = fit.adjustment.values - drawn
-    assert error @ np.linalg.solve(fit.adjustment.covariance, error) < 4.0 * guess.size
+    assert error @ np.linalg.solve(fit.adjustment.covariance, error) < 4.0 * len(drawn)
+
+
+def test_a_known_scale_holds_where_a_stretch_is_left_out() -> None:
+    task, joint, _ = one_alone()
+    size, _ = log_scale(task.parameters, task.reference, joint.adjustment.values)
+    fit = rescaled(task, joint, ScaleMeasurement("log_scale", size + 0.1, 1e-3))
+    assert len(fit.detections) < len(joint.detections)
+    found, gradient = log_scale(task.parameters, task.reference, fit.adjustment.values)
+    assert found == pytest.approx(size + 0.1, abs=3e-3)
+    assert gradient @ fit.adjustment.covariance @ gradient <= 1.01e-3**2
+
+
+def test_a_part_without_the_second_camera_of_an_object_leaves_the_object_out() -> None:
+    task, joint, _ = one_alone()
+    seen = joint.observations
+    rows = np.flatnonzero((seen.trajectories > 0) | (seen.cameras == 0))
+    until = fit_until(task, replace(joint, observations=of_rows(seen, rows), detections=rows), 15.0)
+    assert until is not None
+    assert (seen.trajectories[until.detections] > 0).all()
+    assert set(seen.trajectories[until.detections]) == {1, 2}
+    assert fit_until(task, replace(joint, observations=of_rows(seen, rows), detections=rows), -1.0) is None
