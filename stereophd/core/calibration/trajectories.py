@@ -34,6 +34,10 @@ KNOTS_PER_DETECTION = 3
 STATIC_WEIGHT = 1e6
 
 
+# In place of a spacing of 0, of objects that cameras at one place put into themselves.
+SMALLEST = float(np.finfo(np.float64).tiny)
+
+
 @dataclass(frozen=True)
 class Knots:
     """Where the knots of all trajectories are.
@@ -89,7 +93,7 @@ def place_knots(
         parts = 0
         if motion.noisy and end > start:
             most = np.inf if counts is None else KNOTS_PER_DETECTION * float(counts[j])
-            parts = int(max(min(np.ceil((end - start) / spacing), most), 1.0))
+            parts = int(max(min(np.ceil((end - start) / max(spacing, SMALLEST)), most), 1.0))
         pieces.append(np.linspace(start, end, parts + 1) if parts else np.array([start]))
     first = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
     times = np.concatenate([*pieces, np.empty(0)])
