@@ -143,7 +143,7 @@ def run_all(words: list[list[str]], capfd: pytest.CaptureFixture[str]) -> bool:
     return True
 
 
-@budget(max(EXAMPLES // 4, 1))
+@budget(max(EXAMPLES // 8, 1))
 @given(
     changes=changes_of(CALIBRATED, SECTIONS),
     own_log=st.booleans(),
