@@ -195,6 +195,7 @@ def raise_first(faults: list[Fault], rows: Rows, path: Any) -> None:
         if len(bad):
             i = int(bad[np.argmin(rows.row[bad])])
             if first is None or rows.row[i] < first[0]:
-                first = (int(rows.row[i]), fault.say(i))
+                add = "add the camera to the cameras, or " if fault.kind == "unknown_camera" else ""
+                first = (int(rows.row[i]), f"{fault.say(i)} ({add}input.on_bad_row: drop skips and counts bad rows)")
     if first is not None:
-        raise InputError(f"{path}: row {first[0]}: {first[1]} (input.on_bad_row: drop skips and counts bad rows)")
+        raise InputError(f"{path}: row {first[0]}: {first[1]}")

@@ -43,3 +43,19 @@ def test_a_log_that_is_missing(call: Callable[..., Outcome], config: Path, tmp_p
     found = call("check", config, tmp_path / "nothing.parquet")
     assert found.code == 2
     assert "nothing.parquet" in found.sentence
+
+
+def test_rows_that_a_run_refuses_are_a_warning(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    log = tmp_path / "log.parquet"
+    with LogWriter(log) as writer:
+        for frame in range(20):
+            for camera in ("left", "middle", "right"):
+                writer.write(float(frame), camera, frame, random.uniform(0, 100, (4, 2)))
+    found = json.loads(call("check", config, log, "--json").out)["checks"][0]
+    assert (found["name"], found["status"], found["value"], found["cause"]) == ("input.rows", "warning", 80, "bad_rows")
+    assert found["message"].startswith("80 of 240 rows that were read are bad (unknown_camera 80)")
+    assert found["remedy"] == "add the camera to the cameras, or drop them (input.on_bad_row: drop)"
+    refused = call("track", config, log, "--out", tmp_path / "out")
+    assert refused.code == 2
+    assert "found middle (add the camera to the cameras, or input.on_bad_row: drop" in refused.sentence

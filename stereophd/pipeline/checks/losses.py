@@ -1,4 +1,4 @@
-"""Findings about what a run left out: bad rows, detections beyond the lens model, full filters."""
+"""Findings about what a run leaves out: bad rows, detections beyond the lens model, full filters."""
 
 from __future__ import annotations
 
@@ -7,6 +7,33 @@ from typing import Any
 
 from stereophd.io.log_checks import KINDS
 from stereophd.pipeline.checks.finding import Finding
+
+
+def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
+    """Yield a warning if rows of a log are bad, so that a run refuses the log unless it drops them.
+
+    Parameters
+    ----------
+    counts : mapping
+        Counts of the rows that were read: ``rows`` and the kinds of bad rows.
+    """
+    if bad := _bad_rows(counts):
+        text = f"{_rows(bad, counts)} that were read are bad ({_each(bad)}): a run refuses the log, or drops them"
+        missing = "add the camera to the cameras" if "unknown_camera" in bad else "correct the rows"
+        remedy = f"{missing}, or drop them (input.on_bad_row: drop)"
+        yield Finding("input.rows", "warning", text, sum(bad.values()), 0, None, remedy, "bad_rows")
+
+
+def _bad_rows(counts: Mapping[str, int]) -> dict[str, int]:
+    return {kind: counts[kind] for kind in KINDS if counts.get(kind)}
+
+
+def _rows(bad: Mapping[str, int], counts: Mapping[str, int]) -> str:
+    return f"{sum(bad.values())} of {counts['rows']} rows"
+
+
+def _each(bad: Mapping[str, int]) -> str:
+    return ", ".join(f"{kind} {count}" for kind, count in bad.items())
 
 
 def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Iterator[Finding]:
@@ -19,10 +46,8 @@ def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Itera
     counts : mapping
         Counts of the log: ``rows``, the kinds of bad rows, ``not_invertible``.
     """
-    dropped = {kind: counts[kind] for kind in KINDS if counts.get(kind)}
-    if dropped:
-        why = ", ".join(f"{kind} {count}" for kind, count in dropped.items())
-        text = f"{sum(dropped.values())} of {counts['rows']} rows dropped ({why})"
+    if dropped := _bad_rows(counts):
+        text = f"{_rows(dropped, counts)} dropped ({_each(dropped)})"
         yield Finding("input.rows", "warning", text, sum(dropped.values()), 0, cause="rows_dropped")
     if count := counts["not_invertible"]:
         text = f"{count} detections lie where the lens model cannot be inverted: left out"

@@ -13,6 +13,7 @@ from stereophd.pipeline.checks.files import check_files
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.pipeline.checks.geometry import measure
 from stereophd.pipeline.checks.geometry_findings import check_geometry
+from stereophd.pipeline.checks.losses import check_rows
 from stereophd.pipeline.checks.residuals import check_residuals
 from stereophd.pipeline.checks.sample import MOST_FRAMES, CameraSample, sample_log
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
@@ -59,7 +60,9 @@ def check_log(
     most = MOST_FRAMES if thorough else QUICK_FRAMES
     samples = sample_log(covered(cameras, reader, str(log_path)), cameras, most)
     whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
-    return check_samples(loaded, samples, thorough, whole)
+    # a quick check precedes a run, which states what it drops
+    rows = tuple(check_rows(reader.counts)) if thorough else ()
+    return (*rows, *check_samples(loaded, samples, thorough, whole))
 
 
 def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:
