@@ -237,7 +237,8 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
             rounded(UNCERTAIN * middle), "a tenth of the middle depth: new tracks appear once two cameras locate them"
         ),
         "evaluation.cutoff": Choice(
-            rounded(CUTOFF * middle, 1), "a tenth of the middle depth: the largest error that still counts as a find"
+            rounded(CUTOFF * middle, 1),
+            "a tenth of the middle depth: the largest error at which an object still counts as found",
         ),
     }
     if figures.deaths > 1:

@@ -129,7 +129,7 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
         "filter.birth.velocity_std": guess(length(scale.velocity_std), f"typical speed divided by 1.7, {unit}/s"),
         "evaluation.cutoff": guess(
             length(0.1 * (scale.depth_range[0] * scale.depth_range[1]) ** 0.5),
-            f"largest position error that still counts as a find, {unit}",
+            f"largest position error at which an object still counts as found, {unit}",
         ),
     }
     return Draft(unit, cameras, choices)
