@@ -53,7 +53,12 @@ def _begins_with(path: Path, magic: bytes) -> bool:
 
 
 def _origin(record: dict[str, Any] | None) -> dict[str, Any] | None:
-    if record is None:
+    """Return what a record of provenance says about the origin; None if it is not one of stereophd's."""
+    if record is None or not isinstance(record.get("config_sha256"), str):
+        return None
+    if not isinstance(inputs := record.get("inputs") or {}, dict) or not all(
+        isinstance(d, str) for d in inputs.values()
+    ):
         return None
     return {key: record.get(key) for key in ("command", "version", "seed", "config_sha256", "inputs")}
 
