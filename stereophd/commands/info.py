@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.errors import InputError
+from stereophd.io.file_kinds import CSV, HDF5, LOG, kind_of_file, remedy
 from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.pipeline.inspection.log import summarise_log
@@ -108,6 +109,8 @@ def _text(path: Path) -> dict[str, Any]:
         if path.is_dir() or path.suffix.lower() in TEXT:
             raise
         known = "a log, a table, cameras, a configuration, report.json or an output folder"
+        if (found := kind_of_file(path)) in (CSV, HDF5):
+            raise InputError(f"{path}: expected {known}, found {found}{remedy(LOG, found)}") from error
         raise InputError(f"{path}: expected {known}, found none of these; as cameras: {error}") from error
     head = {"path": str(path), "kind": "cameras", "origin": None, "assumed": assumed}
     return {**head, **summarise_cameras(cameras, unit)}
