@@ -112,10 +112,8 @@ def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -
     memory = share * (states * _STATE_MEMORY + scene.detections * _DETECTION_MEMORY) + scene.objects * _OBJECT_MEMORY
     seconds = scene.frames * _FRAME_S + scene.detections * _DETECTION_S + states * _STATE_S + scene.objects * _OBJECT_S
     disk = scene.detections * _DETECTION_FILE + scene.truths * scene.alive * _TRUTH_FILE if kept else 0.0
-    cause = (
-        f"{runs:g} runs, {scene.frames:.3g} frames, {scene.objects:.3g} objects and {scene.clutter:.3g} false "
-        "detections each"
-    )
+    each = "1 run of" if runs == 1 else f"{runs:.3g} runs, each of"
+    cause = f"{each} {scene.frames:.3g} frames, {scene.objects:.3g} objects and {scene.clutter:.3g} false detections"
     return Size(runs * seconds, memory + runs * _RUN_MEMORY, runs * disk, cause)
 
 
@@ -133,7 +131,7 @@ def size_of_experiment(
         Processor time of the work of all runs besides making scenes, s, and the memory that it needs.
     """
     total = runs * parts
-    scenes = Size(0.0, 0.0, 0.0, f"{total:.3g} runs")
+    scenes = Size(0.0, 0.0, 0.0, "1 run" if total == 1 else f"{total:.3g} runs")
     if loaded.config.simulate is not None:
         scenes = size_of_simulation(loaded, total, kept=False)
     seconds = max(scenes.seconds, total * _LEAST_RUN_S) + work_s
@@ -194,10 +192,15 @@ def available_memory() -> float:
 
 
 def free_disk(folder: Path) -> float:
-    """Return the free disk space of a folder, or of the first folder above it that exists, in bytes."""
+    """Return the free disk space of a folder, or of the first folder above it that exists, in bytes.
+
+    A file system without a size, such as ``/proc``, is not full, but cannot be written: infinity, so that the write
+    fails and names its own cause.
+    """
     for place in (folder, *folder.absolute().parents):
         with contextlib.suppress(OSError):
-            return float(shutil.disk_usage(place).free)
+            usage = shutil.disk_usage(place)
+            return float(usage.free) if usage.total else float("inf")
     return float("inf")
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -46,6 +48,34 @@ def test_an_experiment_of_too_many_runs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="experiment: "):
         experiment(load_config(EXPERIMENT, ["experiment.runs=1000000000"]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("runs", "words"),
+    [
+        (None, "1 run of 5e+12 frames, 6 objects and 5e+13 f"),
+        (3, "3 runs, each of 5e+12 frames, 6 objects and 5e+13 f"),
+    ],
+)
+def test_the_message_counts_what_makes_a_run_large(tmp_path: Path, runs: int | None, words: str) -> None:
+    config = load_config(CONFIG, ["simulate.duration_s=2.5e12"])
+    with pytest.raises(InputError, match=re.escape(f"({words}alse detections)")):
+        simulate(config, tmp_path / "out", runs=runs)
+
+
+@pytest.mark.parametrize(("total", "free", "found"), [(100, 7, 7.0), (100, 0, 0.0), (0, 0, float("inf"))])
+def test_a_file_system_without_a_size_is_not_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, total: int, free: int, found: float
+) -> None:
+    usage = SimpleNamespace(total=total, used=total - free, free=free)
+    monkeypatch.setattr("shutil.disk_usage", lambda place: usage)
+    assert sizes.free_disk(tmp_path / "new" / "folder") == found
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a file system that cannot be written")
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot write /proc/none"):
+        simulate(load_config(CONFIG), Path("/proc/none"))
 
 
 def test_what_is_very_large_must_be_confirmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
