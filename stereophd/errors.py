@@ -45,11 +45,31 @@ class GateError(StereophdError):
         self.report = report
 
 
+# Letters from which on the beginning of a name stands for it.
+LEAST_LETTERS = 2
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``; did you mean NAME?``, or ``; expected one of ...`` where no known name is near."""
     names = list(known)
-    close = _near(name, names)
-    return close or (f"; expected one of {', '.join(names)}" if names else "")
+    return did_you_mean(name, names) or (f"; expected one of {', '.join(names)}" if names else "")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean NAME?``, or an empty text where no known name is near."""
+    close = near_name(name, known)
+    return f"; did you mean {close}?" if close else ""
+
+
+def near_name(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that a misspelt one resembles, else the only one that begins with it, else None."""
+    import difflib
+
+    names = list(known)
+    if close := difflib.get_close_matches(name, names, n=1, cutoff=0.6):
+        return close[0]
+    begun = [one for one in names if len(name) >= LEAST_LETTERS and one.startswith(name)]
+    return begun[0] if len(begun) == 1 else None
 
 
 def unknown_camera(name: object, known: Iterable[str], source: str = "") -> str:
@@ -59,11 +79,4 @@ def unknown_camera(name: object, known: Iterable[str], source: str = "") -> str:
     """
     names = list(known)
     of = f" of {source}" if source else ""
-    return f"expected one of the cameras {', '.join(names)}{of}, found {name}{_near(str(name), names)}"
-
-
-def _near(name: str, names: list[str]) -> str:
-    import difflib
-
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
-    return f"; did you mean {close[0]}?" if close else ""
+    return f"expected one of the cameras {', '.join(names)}{of}, found {name}{did_you_mean(str(name), names)}"

@@ -20,7 +20,7 @@ def complete_set(incomplete: str) -> list[str]:
     -----
     The configuration on the same line gives the names of the cameras and the kinds of sections.
     """
-    from stereophd.config.errors import branches_at, known_keys
+    from stereophd.config.known_keys import branches_at, known_keys
     from stereophd.config.loading import json_schema
 
     schema, data = json_schema(), _configuration()

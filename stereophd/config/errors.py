@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from stereophd.config.known_keys import known_keys, places_of
 from stereophd.config.yaml import KeyPath, Tree
-from stereophd.errors import nearest
+from stereophd.errors import did_you_mean, near_name, nearest
 
 # What pydantic expected, for each kind of error; the braces are filled from the error's context.
 _EXPECTED = {
@@ -42,6 +42,8 @@ _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 # A lower bound below this means "above 0"; a message names the bound only if the value is below it.
 TINY = 1e-5
 _MAX_SHOWN = 60
+# More places of a key are no suggestion.
+MOST_PLACES = 2
 
 
 def show(value: Any) -> str:
@@ -54,51 +56,6 @@ def _part(part: str | int) -> str:
     """Return a part of a key path, shortened."""
     text = str(part)
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
-
-
-def _branches(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield the alternatives of a JSON schema node, references followed."""
-    if "$ref" in schema:
-        yield from _branches(root["$defs"][schema["$ref"].rsplit("/", 1)[1]], root)
-        return
-    yield schema
-    for kind in ("anyOf", "oneOf", "allOf"):
-        for branch in schema.get(kind, ()):
-            yield from _branches(branch, root)
-
-
-def _of_this_kind(node: Mapping[str, Any], data: Any) -> bool:
-    """Whether a branch is the one that the data choose, by a key constant in it (`model: fisheye`)."""
-    if not isinstance(data, dict):
-        return True
-    return all(
-        data[key] == rule["const"]
-        for key, rule in node.get("properties", {}).items()
-        if key in data and isinstance(rule, Mapping) and "const" in rule
-    )
-
-
-def known_keys(schema: Mapping[str, Any], path: KeyPath, data: Any = None) -> list[str]:
-    """Return the keys that a JSON schema knows in the mapping `data` at a key path."""
-    nodes = [node for node in branches_at(schema, path) if _of_this_kind(node, data)]
-    return list(dict.fromkeys(key for node in nodes for key in node.get("properties", {})))
-
-
-def branches_at(schema: Mapping[str, Any], path: KeyPath) -> list[Mapping[str, Any]]:
-    """Return the alternatives of a JSON schema for the value at a key path; none for an unknown one."""
-    nodes: list[Mapping[str, Any]] = list(_branches(schema, schema))
-    for part in path:
-        below: list[Mapping[str, Any]] = []
-        for node in nodes:
-            child = node.get("properties", {}).get(part)
-            if child is None and isinstance(part, int):
-                child = node.get("items")
-            if child is None and isinstance(node.get("additionalProperties"), Mapping):
-                child = node["additionalProperties"]
-            if isinstance(child, Mapping):
-                below.extend(_branches(child, schema))
-        nodes = below
-    return nodes
 
 
 def _split_location(location: tuple[str | int, ...], data: Any) -> tuple[KeyPath, KeyPath]:
@@ -154,7 +111,7 @@ def _is_misspelt(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Map
     parent = _value(data, path[:-1])
     known = known_keys(schema, path[:-1], parent)
     unknown = [key for key in parent if key not in known]
-    return any(difflib.get_close_matches(key, known, n=1, cutoff=0.6) == [path[-1]] for key in unknown)
+    return any(near_name(key, known) == path[-1] for key in unknown)
 
 
 def _discriminator(error: Mapping[str, Any]) -> str:
@@ -171,7 +128,10 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
         return "expected this key, found none"
     if kind in _UNKNOWN_KEY:
         known = known_keys(schema, path[:-1], _value(data, path[:-1]))
-        return f"unknown key{nearest(str(path[-1]), known)}"
+        name = str(path[-1])
+        close = near_name(name, known)
+        candidates = [*([close] if close else ()), *_elsewhere(schema, (name,))]
+        return f"unknown key{_did_you_mean(candidates) or nearest(name, known)}"
     if kind == "union_tag_not_found":
         return f"expected a key {_discriminator(error)} that selects the kind, found none"
     if kind == "value_error":
@@ -179,12 +139,24 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
     found = _value(data, path)
     if kind == "union_tag_invalid":
         tags = re.findall(r"'([^']*)'", error["ctx"]["expected_tags"])
-        close = difflib.get_close_matches(str(found), tags, n=1, cutoff=0.6)
-        meant = f"; did you mean {close[0]}?" if close else ""
-        return f"expected one of {', '.join(tags)}, found {show(found)}{meant}"
+        return f"expected one of {', '.join(tags)}, found {show(found)}{did_you_mean(str(found), tags)}"
     if kind in ("too_long", "too_short") and isinstance(found, (list, dict)):
         return f"expected {_expected(error, found)}, found {len(found)}"
-    return f"expected {_expected(error, found)}, found {show(found)}"
+    meant = ""
+    if isinstance(found, dict) and found and path:
+        # a section in place of a plain value: one of another place, such as `detector` of a camera
+        meant = _did_you_mean(_elsewhere(schema, (str(path[-1]), str(next(iter(found))))))
+    return f"expected {_expected(error, found)}, found {show(found)}{meant}"
+
+
+def _elsewhere(schema: Mapping[str, Any], keys: tuple[str, ...]) -> list[str]:
+    """Return the places where the schema has these keys, one below the other; none if they are many."""
+    places = places_of(schema, keys)
+    return places if len(places) <= MOST_PLACES else []
+
+
+def _did_you_mean(names: list[str]) -> str:
+    return f"; did you mean {' or '.join(names)}?" if names else ""
 
 
 def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stereophd.config.yaml import KeyPath, Tree, parse_yaml
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 
 # A longer number in a key path is a name, not the index of a list.
 MAX_INDEX_DIGITS = 9
@@ -29,6 +29,7 @@ def key_path(key: str) -> KeyPath:
 
 def apply_override(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:
     """Put a value at a path of the tree; an InputError if something on the path is no mapping or list."""
+    _refuse_unknown_camera(tree, path, value)
     try:
         tree.graft(path, value, key)
     except TypeError as error:
@@ -36,3 +37,12 @@ def apply_override(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) ->
         raise InputError(
             f"{value.place(())}: {where}: expected the path of a key, found no mapping or list that has {error}"
         ) from None
+
+
+def _refuse_unknown_camera(tree: Tree, path: KeyPath, value: Tree) -> None:
+    """Refuse a single value of a camera that is not there: its other values would be missed one by one."""
+    cameras = tree.data.get("cameras") if isinstance(tree.data, dict) else None
+    if path[0] != "cameras" or len(path) <= 2 or not isinstance(cameras, dict) or not cameras:
+        return
+    if str(path[1]) not in cameras:
+        raise InputError(f"{value.place(())}: {'.'.join(map(str, path))}: {unknown_camera(path[1], cameras)}")

@@ -296,12 +296,31 @@ class TestErrors:
             ("filter.prune_wieght=1", "filter.prune_wieght: unknown key; did you mean prune_weight?"),
             ("fitler.kind=phd", "fitler: unknown key; did you mean filter?"),
             ("filter.prune_weight=-1", "filter.prune_weight: expected a number > 0, found -1"),
+            # the beginning of one key; of several; a key of another place; of two; a camera that is not there
+            ("filter.bi=1", "filter.bi: unknown key; did you mean birth?"),
+            ("filter.m=1", "filter.m: unknown key; expected one of kind, "),
+            ("birth.per_s=1", "birth: unknown key; did you mean filter.birth?"),
+            ("max_speed=1", "max_speed: unknown key; did you mean seed or motion.max_speed or simulate.motion.max_"),
+            ("samples=1", "samples: unknown key; did you mean moments.samples or calibration.sequential.samples?"),
+            (
+                "detector.sigma_px=1",
+                "detector: expected 'given' or 'estimate', found {\"sigma_px\": 1}; did you mean "
+                "cameras.NAME.detector.sigma_px?",
+            ),
+            ("detector.x=1", "detector: expected 'given' or 'estimate', found {\"x\": 1}"),
+            (
+                "cameras.alhpa.detector.p_detect=0.5",
+                "cameras.alhpa.detector.p_detect: expected one of the cameras zulu, alpha, found alhpa; did you mean "
+                "alpha?",
+            ),
             ("seed.x=1", "seed.x: expected the path of a key, found no mapping or list that has x"),
             ("cameras.alpha.pose.center.3=1", "cameras.alpha.pose.center.3: expected the path of a key"),
         ],
     )
     def test_of_an_override_names_the_override(self, path: Path, override: str, expected: str) -> None:
-        assert message(path, override).startswith(f"`overrides` {override}: {expected}")
+        found = message(path, override)
+        assert found.startswith(f"`overrides` {override}: {expected}")
+        assert len(found.splitlines()) == 1
 
     @pytest.mark.parametrize("override", ["seed", "=3", "filter..birth=3"])
     def test_of_an_override_that_is_none(self, path: Path, override: str) -> None:
