@@ -28,7 +28,14 @@ def calibrate_command(
     out: options.Out,
     cameras: options.Cameras = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", metavar="N", help="Processes (-1: all cores); the results do not depend on it.")
+        int,
+        typer.Option(
+            "--jobs",
+            metavar="N",
+            help="Processes; the results do not depend on it. The default is all cores (-1), because a calibration may "
+            "take minutes.",
+            show_default=False,
+        ),
     ] = -1,
     dask: options.Dask = None,
     resume: Annotated[

@@ -34,7 +34,10 @@ def show_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Print the complete configuration: defaults, overrides and cameras filled in."""
+    """Print the complete configuration.
+
+    Defaults, overrides and cameras are filled in.
+    """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
     if session.json:
@@ -61,7 +64,10 @@ def check_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Check a configuration, and print ok or every fault with its file, line and key."""
+    """Check a configuration, and print every fault.
+
+    Each fault is printed with its file, line and key; a configuration without a fault is ok.
+    """
     session = begin(context)
     loaded = load(config, overrides, seed, cameras)
     from stereophd.commands.check_config import check_config
@@ -81,7 +87,10 @@ def schema_command(
     verbose: options.Verbose = 0,
     debug: options.Debug = False,
 ) -> None:
-    """Print the JSON schema of a configuration, which editors use. --json changes nothing."""
+    """Print the JSON schema, which editors use.
+
+    --json changes nothing.
+    """
     from stereophd.config.loading import schema_text
 
     print_data(schema_text().rstrip("\n"))

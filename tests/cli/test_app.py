@@ -23,24 +23,30 @@ from stereophd.errors import GateError, InputError
 from .conftest import CONFIG, Outcome, start, write_config, write_log
 
 Call = Callable[..., Outcome]
-COMMANDS = [
-    [],
-    ["simulate"],
-    ["track"],
-    ["evaluate"],
-    ["config"],
-    *(["config", c] for c in ("show", "check", "schema")),
-]
+NAMES = (
+    "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "report", "export", "experiment",
+    "compile", "config",
+)  # fmt: skip
+COMMANDS = [[], *([name] for name in NAMES), *(["config", c] for c in ("show", "check", "schema"))]
 
 HEAVY = {"numpy", "numba", "scipy", "pyarrow", "matplotlib", "pandas", "yaml", "joblib"}
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_help(call: Call, command: list[str]) -> None:
+def test_help(call: Call, command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the usual width no line is longer, and no summary is cut."""
+    monkeypatch.setenv("COLUMNS", "80")
     outcome = call(*command, "--help")
     assert outcome.code == 0
-    assert outcome.out.startswith(f"Usage: {' '.join(['stereophd', *command])}")
+    usage, *lines = outcome.out.splitlines()
+    assert usage.startswith(f"Usage: {' '.join(['stereophd', *command])}")
     assert outcome.err == ""
+    assert not [line for line in lines if len(line) > 80 or line.endswith("...")]
+
+
+def test_help_names_all_commands(call: Call) -> None:
+    listed = call("--help").out.partition("Commands:\n")[2]
+    assert tuple(line.split()[0] for line in listed.splitlines()) == NAMES
 
 
 def test_help_imports_nothing_heavy() -> None:
