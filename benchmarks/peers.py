@@ -181,7 +181,7 @@ def _table(rows: dict[str, dict[str, float]], scenes: int) -> str:
     ]
     lines.extend(
         f"| {title} | {row['ospa_last_half']:.2f} ({row['ospa_last_half_median']:.2f}) | "
-        f"{row['ospa']:.2f} ({row['ospa_median']:.2f}) | {row['wrong_number']:.1%} | "
+        f"{row['ospa']:.2f} ({row['ospa_median']:.2f}) | {100 * row['wrong_number']:.1f} % | "
         f"{row['ms_per_second']:.2f} | {row.get('times_ours', 1.0):.1f} |"
         for title, row in rows.items()
     )

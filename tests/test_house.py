@@ -141,6 +141,19 @@ def test_nothing_below_the_command_line_names_an_option() -> None:
     assert not found
 
 
+def test_a_number_and_its_percent_sign_have_a_space_between_them() -> None:
+    """Messages and documents write 12 %; Python's own format of percentages does not (use `percent`)."""
+    sign = {".py": re.compile(r"\.\d+%\}|\d%[ .,;:)'\"]"), ".md": re.compile(r"\d%")}
+    files = [*(ROOT / "stereophd").rglob("*.py"), *DOCUMENTS]
+    found = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in files
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if sign[path.suffix].search(line)
+    ]
+    assert not found
+
+
 PLACEHOLDERS = re.compile(r"WORD|KIND|NAME|HASH")
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from stereophd.pipeline.checks.finding import percent
 from stereophd.report.inspection import table
 
 # Tracks that the terminal lists.
@@ -53,7 +54,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def share(value: float | None) -> str:
     """Return a share in per cent."""
-    return "-" if value is None else f"{100.0 * value:.0f} %"
+    return "-" if value is None else percent(value)
 
 
 def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, percent
 from stereophd.pipeline.checks.sample import CameraSample
 
 # Relative difference of frame rates that is reported.
@@ -107,8 +107,8 @@ def _pixels(sample: CameraSample) -> Iterator[Finding]:
     if clutter >= CORNER_COUNT and (filled < CORNER_SHARE).all():
         yield Finding(
             "log.pixels", "warning",
-            f"{camera.name}: the detections fill only {filled[0]:.0%} of the width and {filled[1]:.0%} of the height, "
-            "from the top-left corner: the image size seems to be too large",
+            f"{camera.name}: the detections fill only {percent(filled[0])} of the width and {percent(filled[1])} of "
+            "the height, from the top-left corner: the image size seems to be too large",
             round(float(filled.max()), 3), 1.0, camera.name, "state the size of the images that were searched",
             "image_size",
         )  # fmt: skip
@@ -116,7 +116,8 @@ def _pixels(sample: CameraSample) -> Iterator[Finding]:
     outside = ~camera.contains(sample.pixels)
     if outside.mean() > 0.01:
         yield Finding(
-            "log.pixels", "warning", f"{camera.name}: {outside.mean():.0%} of the detections lie outside the image",
+            "log.pixels", "warning",
+            f"{camera.name}: {percent(outside.mean())} of the detections lie outside the image",
             round(float(outside.mean()), 3), 0.0, camera.name, "check image_size_px, and the order of u and v",
             "outside_image",
         )  # fmt: skip

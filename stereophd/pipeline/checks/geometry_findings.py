@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from stereophd.pipeline.checks.explanations import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, percent
 from stereophd.pipeline.checks.geometry import LEAST_EXPECTED, MOST_CHANCE, SHARP, Geometry, pairs_of
 
 # Below this score the rays meet by chance only; the cause may be any.
@@ -33,8 +33,8 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     for pair, found, expected in zip(geometry.pairs, geometry.given, geometry.expected, strict=True):
         names = f"{geometry.samples[pair.a].camera.name} and {geometry.samples[pair.b].camera.name}"
         text = (
-            f"{names}: {found.share:.0%} of the detections have a partner on the epipolar line, chance gives "
-            f"{found.chance:.0%}"
+            f"{names}: {percent(found.share)} of the detections have a partner on the epipolar line, chance gives "
+            f"{percent(found.chance)}"
         )
         if expected < LEAST_EXPECTED:
             yield Finding("geometry.rays", "not checked", f"{text}; their fields of view hardly overlap")
@@ -85,8 +85,8 @@ def _named(geometry: Geometry, found: Explanation) -> Finding:
     everybody = len(names) == len(geometry.samples)
     who = "all cameras" if everybody else " and ".join(names)
     message = (
-        f"{who}: {found.text}: with this change {found.share:.0%} of the detections meet those of other cameras, "
-        f"as stated {found.given_share:.0%}, by chance {found.chance:.0%}"
+        f"{who}: {found.text}: with this change {percent(found.share)} of the detections meet those of other cameras, "
+        f"as stated {percent(found.given_share)}, by chance {percent(found.chance)}"
     )
     return Finding(
         "geometry.cause",

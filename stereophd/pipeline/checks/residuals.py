@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, percent
 from stereophd.pipeline.checks.geometry import pairs_of
 from stereophd.pipeline.checks.partners import Partners, partners, track_velocities
 from stereophd.pipeline.checks.residual_causes import PairFits, explain
@@ -82,8 +82,8 @@ def _warning(
         text += " depend on the place in the image: its pose seems to be slightly off"
         remedy = "let calibrate refine the poses, starting from these cameras"
     return Finding(
-        "geometry.residuals", "warning", f"{text} (this explains {share:.0%} of their squares)", round(value, 5), 0.0,
-        names if len(cameras) == 1 else None, remedy, CAUSES[cause],
+        "geometry.residuals", "warning", f"{text} (this explains {percent(share)} of their squares)", round(value, 5),
+        0.0, names if len(cameras) == 1 else None, remedy, CAUSES[cause],
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
@@ -49,14 +49,14 @@ def check_tracking(
     if explained < LEAST_EXPLAINED:
         yield Finding(
             "tracking.explained", "warning",
-            f"tracks explain {explained:.0%} of the detections that are not expected to be clutter",
+            f"tracks explain {percent(explained)} of the detections that are not expected to be clutter",
             round(explained, 3), float(np.mean([camera.detector.p_detect for camera in cameras])), None,
             "run `check` on the same configuration and log: cameras, clocks, clutter or births do not fit",
             "unexplained",
         )  # fmt: skip
     else:
         yield Finding(
-            "tracking.explained", "ok", f"tracks explain {min(explained, 1.0):.0%} of the expected detections",
+            "tracking.explained", "ok", f"tracks explain {percent(min(explained, 1.0))} of the expected detections",
             round(explained, 3),
         )  # fmt: skip
     if len(cameras) < 2:
@@ -64,7 +64,7 @@ def check_tracking(
     largest = own.max(axis=0) / np.maximum(own.sum(axis=0), 1.0)
     estimates = np.array([track["n_estimates"] for track in tracks], dtype=float)
     alone = float(estimates[largest >= ONE_CAMERA].sum() / max(estimates.sum(), 1.0))
-    text = f"{alone:.0%} of the estimates belong to tracks that one camera alone supports"
+    text = f"{percent(alone)} of the estimates belong to tracks that one camera alone supports"
     if alone > MOST_ALONE:
         yield Finding(
             "tracking.cameras", "warning", text, round(alone, 3), None, None,
