@@ -13,7 +13,7 @@ from stereophd.cli import evaluate_options as of
 from stereophd.cli import options
 from stereophd.cli.batch import finish_batch
 from stereophd.cli.options import Session
-from stereophd.cli.terminal import begin, load, print_report, progress_bar, quiet_pipe
+from stereophd.cli.terminal import begin, load, print_data, print_report, progress_bar, quiet_pipe
 from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
 from stereophd.errors import GateError, InputError
 
@@ -83,7 +83,7 @@ def evaluate_command(
 
         loaded = None if config is None else load(config, None, seed, true_cameras)
         score = partial(evaluate_calibration, cameras, true_cameras, out, loaded, None, above, below, force)
-        _run(score, partial(print_report, session))
+        _run(score, partial(_show_errors, session))
         return
     if tracks is None or truth is None:
         raise InputError("expected TRACKS and TRUTH, or --cameras and --true-cameras")
@@ -159,3 +159,13 @@ def _show_scores(session: Session, report: Mapping[str, Any]) -> None:
 
     with quiet_pipe():
         print_evaluation(report, Console())
+
+
+def _show_errors(session: Session, report: Mapping[str, Any]) -> None:
+    """Print the errors of cameras: JSON, or tables."""
+    if session.json or session.quiet:
+        print_report(session, report)
+        return
+    from stereophd.report.camera_scores import camera_scores_text
+
+    print_data(camera_scores_text(report))

@@ -201,11 +201,10 @@ def quantity_errors(estimated: list[Camera], true: list[Camera]) -> dict[str, An
         for quantity in quantities():
             if quantity.name in ("center", "rotation"):
                 continue
-            suffix, factor = SUFFIXES[quantity.unit]
-            found = factor * quantity.difference(other, one)
+            found = SUFFIXES[quantity.unit][1] * quantity.difference(other, one)
             for component, value in zip(quantity.components, found.tolist(), strict=True):
                 if component in quantity.available(other):
-                    figures[f"{component}{suffix}"] = finite_or_none(value)
+                    figures[quantity.key(component)] = finite_or_none(value)
         out[other.name] = figures
     return out
 

@@ -10,6 +10,7 @@ from typing import Any
 from stereophd.errors import InputError
 from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
 from stereophd.io.disk import write_error
+from stereophd.io.file_kinds import CSV, HDF5, PARQUET, kind_of_file
 from stereophd.io.interchange.base import ExportOptions, Format
 from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.consulted import consulted, refuse_unread
@@ -90,7 +91,10 @@ def _find_source(written: Format, form: str, path: Path) -> tuple[str, Path]:
         path = path / TRACKS_FILE
     elif path.is_dir() and (path / CAMERAS_FILE).is_file():
         path = path / CAMERAS_FILE
-    what = "tracks" if path.is_file() and _is_parquet(path) else "cameras"
+    found = kind_of_file(path)
+    what = "tracks" if found == PARQUET else "cameras"
+    if wants_tracks and written.write_cameras is None and found in (CSV, HDF5):
+        raise InputError(f"{path}: expected a table of tracks (Parquet file), found {found}")
     if (written.write_tracks if what == "tracks" else written.write_cameras) is None:
         able = [name for name in names() if _holds(find(name), what)]
         raise InputError(f"{path}: expected a format that holds {what} ({', '.join(able)}), found {form}")
@@ -99,11 +103,6 @@ def _find_source(written: Format, form: str, path: Path) -> tuple[str, Path]:
 
 def _holds(form: Format, what: str) -> bool:
     return (form.write_tracks if what == "tracks" else form.write_cameras) is not None
-
-
-def _is_parquet(path: Path) -> bool:
-    with open(path, "rb") as stream:
-        return stream.read(4) == b"PAR1"
 
 
 def _check_target(target: Path, force: bool, written: Format) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.errors import InputError
+from stereophd.io.file_kinds import CSV, HDF5, LOG, kind_of_file, remedy
 from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.pipeline.inspection.log import summarise_log
@@ -53,7 +54,12 @@ def _begins_with(path: Path, magic: bytes) -> bool:
 
 
 def _origin(record: dict[str, Any] | None) -> dict[str, Any] | None:
-    if record is None:
+    """Return what a record of provenance says about the origin; None if it is not one of stereophd's."""
+    if record is None or not isinstance(record.get("config_sha256"), str):
+        return None
+    if not isinstance(inputs := record.get("inputs") or {}, dict) or not all(
+        isinstance(d, str) for d in inputs.values()
+    ):
         return None
     return {key: record.get(key) for key in ("command", "version", "seed", "config_sha256", "inputs")}
 
@@ -103,6 +109,8 @@ def _text(path: Path) -> dict[str, Any]:
         if path.is_dir() or path.suffix.lower() in TEXT:
             raise
         known = "a log, a table, cameras, a configuration, report.json or an output folder"
+        if (found := kind_of_file(path)) in (CSV, HDF5):
+            raise InputError(f"{path}: expected {known}, found {found}{remedy(LOG, found)}") from error
         raise InputError(f"{path}: expected {known}, found none of these; as cameras: {error}") from error
     head = {"path": str(path), "kind": "cameras", "origin": None, "assumed": assumed}
     return {**head, **summarise_cameras(cameras, unit)}

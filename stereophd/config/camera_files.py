@@ -43,7 +43,7 @@ def read_camera_tree(path: Path) -> CameraTree:
     refused: InputError | None = None
     native: CameraTree | None = None
     try:
-        tree, content = read_yaml(path)
+        tree, content = read_yaml(path, "file of cameras")
         native = CameraTree(tree, True, hashlib.sha256(content).hexdigest())
     except InputError as error:
         refused = error

@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from stereophd.errors import InputError
+from stereophd.io.file_kinds import CONFIGURATION, CSV, HDF5, HEAD_BYTES, PARQUET, kind_of_content, remedy
 
 KeyPath = tuple[str | int, ...]
 
@@ -274,13 +275,13 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
     return Tree(data, builder.places)
 
 
-def read_yaml(path: Path) -> tuple[Tree, bytes]:
-    """Read a YAML file, and return it with its bytes.
+def read_yaml(path: Path, what: str = CONFIGURATION) -> tuple[Tree, bytes]:
+    """Read a YAML file, which should be a `what`, and return it with its bytes.
 
     Raises
     ------
     InputError
-        The file is not there or not readable, or as `parse_yaml`.
+        The file is not there or not readable, or a table; or as `parse_yaml`.
     """
     try:
         with open(path, "rb") as stream:
@@ -293,4 +294,6 @@ def read_yaml(path: Path) -> tuple[Tree, bytes]:
         raise InputError(f"{str(path)!a}: expected the path of a file, found one with a NUL") from None
     if len(content) > MAX_BYTES:
         raise InputError(f"{path}: expected a configuration of at most {MAX_BYTES // 10**6} MB, found more")
+    if (found := kind_of_content(content[:HEAD_BYTES])) in (PARQUET, HDF5, CSV):
+        raise InputError(f"{path}: expected a {what} (YAML), found {found}{remedy(what, found)}")
     return parse_yaml(content, str(path)), content

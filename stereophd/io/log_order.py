@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from stereophd.io.file_kinds import LOG
 from stereophd.io.log_rows import Floats, values_of
 from stereophd.io.table_reading import cast_column, check_texts, damaged_is_input_error, open_parquet
 from stereophd.io.table_schemas import FLOAT, STRING
@@ -68,5 +69,5 @@ def _times(batch: pa.RecordBatch, path: Path, start: int) -> Floats:
 
 
 def _pieces(path: Path, columns: list[str]) -> Iterator[pa.RecordBatch]:
-    with open_parquet(path, "detection log") as parquet, damaged_is_input_error(path):
+    with open_parquet(path, LOG) as parquet, damaged_is_input_error(path):
         yield from parquet.iter_batches(batch_size=PIECE_ROWS, columns=columns, use_threads=False)

@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError
+from stereophd.io.file_kinds import LOG
 from stereophd.io.log_checks import (
     KINDS,
     Fault,
@@ -123,7 +124,7 @@ class LogReader:
         self._margin = image_margin_px
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float).reshape(-1, 2)
         self.counts: dict[str, int] = {}
-        with open_parquet(self.path, "detection log") as parquet:
+        with open_parquet(self.path, LOG) as parquet:
             present = check_columns(parquet.schema_arrow, REQUIRED, OPTIONAL, self.path)
             self.num_rows: int = parquet.metadata.num_rows
             self.metadata: Mapping[bytes, bytes] = parquet.schema_arrow.metadata or {}
@@ -220,7 +221,7 @@ class LogReader:
 
     def _batches(self) -> Iterator[tuple[int, pa.RecordBatch]]:
         """Yield pieces of the file, each with the number of the first row that is read at all."""
-        with open_parquet(self.path, "detection log") as parquet:
+        with open_parquet(self.path, LOG) as parquet:
             groups, first_row = self._groups(parquet.metadata)
             pieces = parquet.iter_batches(ROW_GROUP_ROWS, groups, columns=self._columns, use_threads=False)
             while True:

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from stereophd.errors import InputError
 from stereophd.io.commit import complete
 from stereophd.io.disk import for_arrow
+from stereophd.io.file_kinds import HEAD_BYTES, PARQUET, kind_of_content, remedy
 
 
 def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
@@ -38,13 +39,14 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
         if size == 0:
             raise InputError(f"{file}: expected a {what} (Parquet file), found an empty file")
         with open(file, "rb") as stream:
-            magic = stream.read(4)
+            head = stream.read(HEAD_BYTES)
     except FileNotFoundError as error:
         raise InputError(f"{file}: there is no such file; expected a {what}") from error
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
-    if magic != b"PAR1":
-        raise InputError(f"{file}: expected a {what} (Parquet file), found something that is not Parquet")
+    if (found := kind_of_content(head)) != PARQUET:
+        described = found or "something that is not Parquet"
+        raise InputError(f"{file}: expected a {what} (Parquet file), found {described}{remedy(what, found)}")
     try:
         return pq.ParquetFile(for_arrow(file), memory_map=False)
     except (pa.ArrowException, OSError) as error:

@@ -10,6 +10,9 @@ from stereophd.pipeline.inspection.cameras import sketch
 
 # Tracks and files listed one by one.
 ROWS_SHOWN = 12
+# Kinds of files that `info` names after the tables, in this order; pictures are counted in one line at the end.
+AFTER_TABLES = ("report", "cameras", "configuration", "folder", "other")
+PICTURES = (".jpeg", ".jpg", ".pdf", ".png", ".svg")
 
 
 def info_text(found: Mapping[str, Any]) -> str:
@@ -155,11 +158,26 @@ def _report(found: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _folder(found: Mapping[str, Any]) -> Iterator[str]:
-    rows = [("file", "kind", "what")]
-    rows += [(Path(file["path"]).name, file["kind"], _brief(file)) for file in found["files"][:ROWS_SHOWN]]
-    yield from table(rows)
-    if len(found["files"]) > ROWS_SHOWN:
-        yield f"... and {len(found['files']) - ROWS_SHOWN} more"
+    pictures = [file for file in found["files"] if _is_picture(file)]
+    files = sorted((file for file in found["files"] if not _is_picture(file)), key=_rank)
+    if files:
+        rows = [("file", "kind", "what")]
+        rows += [(Path(file["path"]).name, file["kind"], _brief(file)) for file in files[:ROWS_SHOWN]]
+        yield from table(rows)
+    if len(files) > ROWS_SHOWN:
+        yield f"... and {len(files) - ROWS_SHOWN} more"
+    if pictures:
+        endings = sorted({Path(file["path"]).suffix[1:].lower() for file in pictures})
+        yield f"{len(pictures)} picture{'' if len(pictures) == 1 else 's'} ({', '.join(endings)})"
+
+
+def _is_picture(file: Mapping[str, Any]) -> bool:
+    return file["kind"] == "other" and Path(file["path"]).suffix.lower() in PICTURES
+
+
+def _rank(file: Mapping[str, Any]) -> int:
+    """Return the place of a file's kind in the list of a folder: tables are 0."""
+    return AFTER_TABLES.index(file["kind"]) + 1 if file["kind"] in AFTER_TABLES else 0
 
 
 def _brief(file: Mapping[str, Any]) -> str:

@@ -89,14 +89,16 @@ def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN
 
 def summary_text(report: Mapping[str, Any]) -> str:
     """Return the verdict and the tables of a report as text for a terminal."""
-    blocks = [verdict(report)]
-    for one in run_tables(report):
-        if one.title == CHECKS:
-            rows = [f"  {name} ({camera}): {found} Remedy: {remedy}." for name, camera, found, remedy in one.rows]
-        else:
-            rows = [f"  {line}" for line in table([one.header, *one.rows])] if one.rows else []
-        blocks.append("\n".join([one.title, *rows, *(f"  {note}" for note in one.notes)]))
-    return "\n\n".join(blocks)
+    return "\n\n".join([verdict(report), *map(table_text, run_tables(report))])
+
+
+def table_text(one: SummaryTable) -> str:
+    """Return a table as text for a terminal: its title, and its rows and notes indented."""
+    if one.title == CHECKS:
+        rows = [f"  {name} ({camera}): {found} Remedy: {remedy}." for name, camera, found, remedy in one.rows]
+    else:
+        rows = [f"  {line}" for line in table([one.header, *one.rows])] if one.rows else []
+    return "\n".join([one.title, *rows, *(f"  {note}" for note in one.notes)])
 
 
 def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:

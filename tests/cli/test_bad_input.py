@@ -119,7 +119,7 @@ class TestLog:
 
     def test_not_parquet(self, track: Callable[..., None], log: Path) -> None:
         log.write_text("time_s,camera,frame,u_px,v_px\n0,left,0,1,1\n")
-        track(f"{log}: expected a detection log (Parquet file), found something that is not Parquet")
+        track(f"{log}: expected a detection log (Parquet file), found a CSV table; `stereophd import csv` turns it")
 
     def test_not_there(self, track: Callable[..., None], log: Path) -> None:
         log.unlink()
@@ -144,6 +144,55 @@ class TestLog:
         outcome = call("track", config, log, "--out", tmp_path / "out", "--set", "input.on_bad_row=drop")
         assert outcome.code == 0, outcome.err
         assert (tmp_path / "out" / "tracks.parquet").exists()
+
+
+CSV_TEXT = "time_s,camera,frame,u_px,v_px\n0,left,0,1,1\n"
+ORDER = "commands take the configuration first, then the logs"
+WANTS_LOG = "expected a detection log (Parquet file), found"
+WANTS_CONFIG = "expected a configuration (YAML), found"
+WANTS_CAMERAS = "expected a file of cameras (YAML), found"
+WANTS_TRACKS = "expected a table of tracks (Parquet file), found"
+TURNS = "`stereophd import csv` turns it into a log"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["track", "LOG", "CONFIG"], f"LOG: {WANTS_CONFIG} a Parquet file; {ORDER}"),
+        (["calibrate", "LOG", "CONFIG"], f"LOG: {WANTS_CONFIG} a Parquet file; {ORDER}"),
+        (["simulate", "LOG"], f"LOG: {WANTS_CONFIG} a Parquet file; {ORDER}"),
+        (["experiment", "LOG"], f"LOG: {WANTS_CONFIG} a Parquet file; {ORDER}"),
+        (["track", "CSV", "LOG"], f"CSV: {WANTS_CONFIG} a CSV table; {TURNS}; {ORDER}"),
+        (["track", "CONFIG", "LOG", "--cameras", "LOG"], f"LOG: {WANTS_CAMERAS} a Parquet file"),
+        (["track", "CONFIG", "LOG", "--cameras", "CSV"], f"CSV: {WANTS_CAMERAS} a CSV table"),
+        (["track", "CONFIG", "CSV"], f"CSV: {WANTS_LOG} a CSV table; {TURNS}"),
+        (["track", "CONFIG", "CONFIG"], f"CONFIG: {WANTS_LOG} a YAML file; {ORDER}"),
+        (["track", "CONFIG", "JSON"], f"JSON: {WANTS_LOG} a JSON file; `stereophd import`"),
+        (["track", "CONFIG", "HDF5"], f"HDF5: {WANTS_LOG} an HDF5 file; `stereophd import`"),
+        (["check", "CONFIG", "CSV"], f"CSV: {WANTS_LOG} a CSV table; {TURNS}"),
+        (["init", "--log", "CSV"], f"CSV: {WANTS_LOG} a CSV table; {TURNS}"),
+        (["info", "CSV"], f"report.json or an output folder, found a CSV table; {TURNS}"),
+        (["evaluate", "CSV", "CSV", "--cutoff", "1"], f"CSV: {WANTS_TRACKS} a CSV table"),
+        (["export", "csv", "CSV"], f"CSV: {WANTS_TRACKS} a CSV table"),
+        (["import", "csv", "LOG"], "LOG: expected a file of format csv, found a Parquet file; a log needs no import"),
+        (["import", "mot", "LOG"], "LOG: expected a file of format mot, found a Parquet file; a log needs no import"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_file_of_another_kind(
+    call: Call, config: Path, log: Path, tmp_path: Path, words: list[str], expected: str
+) -> None:
+    """The refusal says what the file is, and what helps."""
+    files = {"CONFIG": config, "LOG": log, "CSV": tmp_path / "d.csv", "JSON": tmp_path / "d", "HDF5": tmp_path / "h5"}
+    files["CSV"].write_text(CSV_TEXT)
+    files["JSON"].write_text('{"a": 1}')
+    files["HDF5"].write_bytes(b"\x89HDF\r\n\x1a\n\0\0")
+    out = tmp_path / "out"
+    end = {"check": [], "info": [], "init": [out]}.get(words[0], ["--out", out])
+    outcome = call(*(files.get(word, word) for word in words), *end)
+    for name, path in files.items():
+        expected = expected.replace(f"{name}: ", f"{path}: ")
+    check(outcome, expected, out)
 
 
 class TestOutput:

@@ -118,6 +118,29 @@ def test_tracks_truth_and_a_folder(tmp_path: Path) -> None:
     assert "made by stereophd 9 track, seed 3, config abababababab" in text
     assert "  from log cdcdcdcdcdcd" in text
     assert "events: 5" in info_text(info(tmp_path / "report.json"))
+    for fault in ({"config_sha256": None}, {"inputs": [1]}, {"inputs": {"log": 3}}):
+        (tmp_path / "report.json").write_text(json.dumps({"events": 5, "provenance": {**origin, **fault}}))
+        assert info_text(info(tmp_path / "report.json")).splitlines()[1] == "events: 5"
+
+
+@pytest.mark.parametrize("pictures", [0, 1, 12])
+def test_a_folder_names_its_data_before_pictures(tmp_path: Path, pictures: int) -> None:
+    for k in range(pictures):
+        (tmp_path / f"figure{k}.{'PNG' if k % 2 else 'svg'}").write_bytes(b"\x89PNG")
+    (tmp_path / "a_note.txt").write_text("hello")
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "cameras.yaml").write_text(CAMERAS)
+    (tmp_path / "report.json").write_text('{"provenance": {}}')
+    for name in ("scans.parquet", "tracks.parquet"):
+        pq.write_table(pa.table({"a": [1]}), tmp_path / name)
+    found = info(tmp_path)
+    assert len(found["files"]) == pictures + 6
+    first, _, *lines = info_text(found).splitlines()
+    assert first.endswith(": folder")
+    data = ["scans.parquet", "tracks.parquet", "report.json", "cameras.yaml", "runs", "a_note.txt"]
+    assert [line.split()[0] for line in lines[:6]] == data
+    counted = {0: [], 1: ["1 picture (svg)"], 12: ["12 pictures (png, svg)"]}
+    assert lines[6:] == counted[pictures]
 
 
 def test_other_things_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -180,7 +180,8 @@ def good_bytes(path: Path) -> bytes:
     ("damage", "message"),
     [
         (lambda content: b"", "found an empty file"),
-        (lambda content: b"time_s,x\n1,2\n", "found something that is not Parquet"),
+        (lambda content: b"time_s,x\n1,2\n", "found a CSV table"),
+        (lambda content: b"time_s", "found something that is not Parquet"),
         (lambda content: content[: len(content) // 2], "truncated or damaged"),
         (lambda content: content[:-1], "truncated or damaged"),
         (

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from stereophd.errors import InputError
+from stereophd.io.file_kinds import PARQUET, kind_of_file
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions, Piece
 from stereophd.io.interchange.registry import find
 
@@ -55,6 +56,12 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
     read = find(form).read
     if read is None:
         raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
+    for source in sources:
+        if kind_of_file(source) == PARQUET:
+            raise InputError(
+                f"{source}: expected a file of format {form}, found a Parquet file; a log needs no import (`stereophd "
+                "info` shows what a file holds)"
+            )
     with _malformed_is_input_error(form, sources):
         recording = read(sources, options)
     if recording.pieces is not None:

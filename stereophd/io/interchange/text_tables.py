@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import re
 from collections.abc import Iterator, Mapping
@@ -16,7 +17,11 @@ if TYPE_CHECKING:
 
 NULLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "None"]
 _QUOTED = re.compile(r'"[^"]*"')
+# Arrow's words for a row with another number of columns; it shows long rows in part.
+_TOO_SHORT = re.compile(r"Expected (?P<expected>\d+) columns, got (?P<found>\d+): (?P<line>.*)")
 BLOCK_BYTES = 1 << 22
+# Bytes from the end of a file in which its last line is looked for.
+TAIL_BYTES = 1 << 16
 
 
 def first_lines(path: Path, count: int) -> list[str]:
@@ -94,9 +99,21 @@ def read_batches(
             ),
         )
     except pa.ArrowException as error:
-        raise InputError(
-            f"{where}: expected rows of a table of numbers, found: {str(error).splitlines()[0]}"
-        ) from error
+        reason = str(error).splitlines()[0]
+        hint = "; the last line is too short: the file seems to be cut off" if _is_cut_off(source, reason) else ""
+        raise InputError(f"{where}: expected rows of a table of numbers, found: {reason}{hint}") from error
+
+
+def _is_cut_off(source: Path | IO[bytes], reason: str) -> bool:
+    """Whether Arrow refused the last line of a file because it has too few columns."""
+    refused = _TOO_SHORT.search(reason)
+    if refused is None or not isinstance(source, Path) or int(refused["found"]) >= int(refused["expected"]):
+        return False
+    with contextlib.suppress(OSError), open(source, "rb") as stream:
+        stream.seek(max(0, source.stat().st_size - TAIL_BYTES))
+        lines = stream.read().decode("utf-8", "replace").splitlines()
+        return bool(lines) and lines[-1].startswith(refused["line"].removesuffix(" ..."))
+    return False
 
 
 def numbers(batch: Any, column: str) -> Floats:

@@ -17,6 +17,7 @@ from stereophd.core.metrics.events import EventKeys, find_events, first_repeated
 from stereophd.core.metrics.truth_interpolation import Events, Truth
 from stereophd.core.metrics.visibility import Sightings
 from stereophd.errors import InputError
+from stereophd.io.file_kinds import LOG
 from stereophd.io.provenance import from_metadata, length_unit
 from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet, read_table
 from stereophd.io.table_schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
@@ -165,7 +166,7 @@ def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
         path,
         {"time_s": FLOAT, "camera": STRING},
         optional={"u_px": FLOAT, "object_id": INTEGER},
-        what="detection log",
+        what=LOG,
     )
     if "u_px" not in table.column_names:
         raise InputError(f"{path}: missing column u_px; expected a detection log")

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from stereophd.errors import InputError
+from stereophd.io.file_kinds import LOG
 from stereophd.io.log_rows import OPTIONAL, REQUIRED, Floats, Rows, decode
 from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.table_writing import ROW_GROUP_ROWS
@@ -113,7 +114,7 @@ def summarise_log(path: Path) -> dict[str, Any]:
     InputError
         Not a log, or damaged.
     """
-    with open_parquet(path, "detection log") as parquet:
+    with open_parquet(path, LOG) as parquet:
         schema = parquet.schema_arrow
         present = check_columns(schema, REQUIRED, OPTIONAL, path)
         rows_of_file = parquet.metadata.num_rows
@@ -153,5 +154,5 @@ def summarise_log(path: Path) -> dict[str, Any]:
 
 
 def _batches(path: Path, columns: list[str]) -> Iterator[pa.RecordBatch]:
-    with open_parquet(path, "detection log") as parquet, damaged_is_input_error(path):
+    with open_parquet(path, LOG) as parquet, damaged_is_input_error(path):
         yield from parquet.iter_batches(batch_size=ROW_GROUP_ROWS, columns=columns, use_threads=False)

@@ -160,3 +160,7 @@ class Quantity:
     prior_unit: float = 1.0
     largest_std: float = LARGEST_LENGTH
     pack: Callable[[Array, Camera, Array], None] | None = None
+
+    def key(self, component: str) -> str:
+        """Return how a key of a report names one of the components."""
+        return component + SUFFIXES[self.unit][0]

@@ -1,0 +1,104 @@
+"""Scores of calibrated cameras against true ones as tables for readers: rounded, with units, without what is empty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from stereophd.core.calibration.quantities.base import RADIANS, Quantity
+from stereophd.core.calibration.quantities.registry import quantities, quantity_of
+from stereophd.report.summaries import SummaryTable, number, share, table_text
+
+# Errors up to this are rounding of the files of cameras, in any unit.
+ROUNDING = 1e-12
+
+
+def camera_scores_text(report: Mapping[str, Any]) -> str:
+    """Return the report of `stereophd.commands.evaluate_cameras.evaluate_calibration` as text for a terminal."""
+    tables = [_poses(report), _bounds(report), _others(report), _parameters(report), _gates(report)]
+    return "\n\n".join(table_text(table) for table in tables if table.rows or table.notes)
+
+
+def _poses(report: Mapping[str, Any]) -> SummaryTable:
+    rows = [(name, *_pose_cells(errors)) for name, errors in report["cameras"].items()]
+    if len(rows) > 1:
+        rows.append(("all together", *_pose_cells(report["joint"])))
+    unit = report["length_unit"]
+    header = ("camera", "rotation [deg]", "direction [deg]", "scale ratio", f"centre [{unit}]",
+              f"centre after scale [{unit}]")  # fmt: skip
+    notes = ("all together: root mean squares, and the scale of the whole scene",) if len(rows) > 1 else ()
+    return SummaryTable(f"Errors of the poses relative to camera {report['reference']}", header, tuple(rows), notes)
+
+
+def _pose_cells(errors: Mapping[str, Any]) -> tuple[str, ...]:
+    keys = ("rotation_deg", "direction_deg", "scale_ratio", "center", "center_after_scale")
+    return tuple(number(errors[key], 5 if key == "scale_ratio" else 3) for key in keys)
+
+
+def _bounds(report: Mapping[str, Any]) -> SummaryTable:
+    cameras = report.get("bounds", {}).get("cameras", {})
+    keys = ("rotation_deg", "direction_deg", "scale", "center")
+    rows = tuple((name, *(number(bound[key]) for key in keys)) for name, bound in cameras.items())
+    header = ("camera", "rotation [deg]", "direction [deg]", "scale", f"centre [{report['length_unit']}]")
+    return SummaryTable("Cramer-Rao bounds of these errors", header, rows)
+
+
+def _others(report: Mapping[str, Any]) -> SummaryTable:
+    """Errors of lenses, clocks and movements that are not the true ones."""
+    found: Mapping[str, Mapping[str, float | None]] = report["quantities"]
+    rows = []
+    for quantity, component in ((one, name) for one in quantities() for name in one.components):
+        key = quantity.key(component)
+        errors = [figures.get(key, 0.0) for figures in found.values()]
+        if any(error is None or abs(error) > ROUNDING for error in errors):
+            cells = (number(figures.get(key)) for figures in found.values())
+            rows.append((component, _unit(quantity, report["length_unit"]), *cells))
+    notes = () if rows else ("none: intrinsics, lenses, clocks and movements are the true ones",)
+    return SummaryTable("Other errors, estimated less true", ("value", "unit", *found), tuple(rows), notes)
+
+
+def _unit(quantity: Quantity, length_unit: str) -> str:
+    return quantity.unit.replace(RADIANS, "deg").replace("length", length_unit)
+
+
+def _parameters(report: Mapping[str, Any]) -> SummaryTable:
+    """Errors of the parameters of the posterior, and the bounds of their standard deviations."""
+    posterior, bounds = report.get("posterior") or {}, report.get("bounds", {}).get("parameters", {})
+    errors = posterior.get("parameters", {})
+    header = ["parameter", "unit", *(("error", "std", "in 90 % interval") if errors else ())]
+    header += ["bound of std"] if bounds else []
+    rows = []
+    for name in dict.fromkeys((*errors, *bounds)):
+        quantity = quantity_of(name.rpartition(".")[2])
+        factor = math.degrees(1.0) if quantity.unit.startswith(RADIANS) else 1.0
+        row = [name, _unit(quantity, report["length_unit"])]
+        if errors:
+            one = errors.get(name)
+            row += ["-"] * 3 if one is None else [
+                number(factor * one["error"]), number(factor * one["std"]), "yes" if one["covered_90"] else "no"
+            ]  # fmt: skip
+        if bounds:
+            row.append(number(factor * bounds[name]) if name in bounds else "-")
+        rows.append(tuple(row))
+    notes: tuple[str, ...] = ()
+    if errors:
+        notes = (
+            f"NEES for each parameter: {number(posterior['nees'])} (1 if consistent)",
+            f"{share(posterior['covered_90'])} of the parameters lie in their 90 % intervals",
+        )
+    title = "Parameters of the posterior" if errors else "Cramer-Rao bounds of the parameters"
+    return SummaryTable(title, tuple(header), tuple(rows), notes)
+
+
+def _gates(report: Mapping[str, Any]) -> SummaryTable:
+    rows = tuple(
+        (
+            gate["name"],
+            number(gate["value"], 4),
+            f"{gate['fails']} {gate['limit']:g}",
+            "yes" if gate["passed"] else "no",
+        )
+        for gate in report["gates"]
+    )
+    return SummaryTable("Limits", ("figure", "value", "fails if", "passed"), rows)
