@@ -15,7 +15,7 @@ from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW,
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation import compiled, compiled_fast
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.core.numerics.sorting import copy_gaussian
@@ -165,7 +165,10 @@ def move_components(
         fraction[k] = seen_weight / whole_weight if unseen_weight > 0.0 else 1.0
         # the effective number of samples: their count, where all weigh the same
         if seen_weight * seen_weight >= minimum * squares and seen_weight > 0.0:
-            weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
+            if alike and inside[k] == 1.0 and seen == count:
+                weighted_moments(points, None, seen_weight, out_means[k], out_covariances[k])
+            else:
+                weighted_moments(points, seen_weights, seen_weight, out_means[k], out_covariances[k])
             if condition(out_covariances[k], scratch):
                 status[k] = PARTLY_IN_VIEW if unseen_weight > 0.0 else IN_VIEW
         if status[k] == OUT_OF_VIEW:
@@ -202,12 +205,7 @@ def missed_moments(
     size = mean.shape[0]
     count = samples.shape[1]
     weights = np.empty(count)
-    total = 0.0
-    squares = 0.0
-    for i in range(count):
-        weights[i] = sample_weights[i] * (1.0 - p_detect * mask[i])
-        total += weights[i]
-        squares += weights[i] * weights[i]
+    total, squares = _missed_weights(sample_weights, mask, p_detect, weights)
     unit_mean = np.zeros(size)
     unit_covariance = np.eye(size)
     if total * total >= minimum * squares and total > 0.0:
@@ -218,14 +216,32 @@ def missed_moments(
         missed_mean[a] = mean[a]
         for b in range(a + 1):
             missed_mean[a] += factor[a, b] * unit_mean[b]
+    # the factor is lower triangular
+    half = np.empty((size, size))
+    for a in range(size):
+        for d in range(size):
+            half[a, d] = 0.0
+            for c in range(a + 1):
+                half[a, d] += factor[a, c] * unit_covariance[c, d]
     for a in range(size):
         for b in range(a + 1):
             value = 0.0
-            for c in range(a + 1):
-                for d in range(b + 1):
-                    value += factor[a, c] * unit_covariance[c, d] * factor[b, d]
+            for d in range(b + 1):
+                value += half[a, d] * factor[b, d]
             missed_covariance[a, b] = value
             missed_covariance[b, a] = value
+
+
+@compiled_fast
+def _missed_weights(sample_weights: Array, mask: Array, p_detect: float, weights: Array) -> tuple[float, float]:
+    """Fill the weights (n,) of samples that were not detected; return their sum and that of their squares."""
+    total = squares = 0.0
+    for i in range(len(weights)):
+        weight = sample_weights[i] * (1.0 - p_detect * mask[i])
+        weights[i] = weight
+        total += weight
+        squares += weight * weight
+    return total, squares
 
 
 @compiled
