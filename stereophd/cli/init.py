@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -85,8 +86,12 @@ def _lines(report: dict[str, Any], log: Path | None) -> list[str]:
     """Return the values with their sources, and what to run next."""
     width = max(len(row["key"]) for row in report["values"])
     lines = [f"{row['key']:<{width}}  {_shown(row['value']):<18}  {row['source']}" for row in report["values"]]
-    following = f"stereophd track {report['config']} {log or 'LOG'} --out tracks"
-    return [*lines, f"Written: {report['config']}; next: {following}"]
+    config = Path(report["config"])
+    # beside the configuration and quoted, so that the line can be copied as it is
+    following = shlex.join(
+        ["stereophd", "track", str(config), str(log or "LOG"), "--out", str(config.parent / "tracks")]
+    )
+    return [*lines, f"Written: {config}; next:", f"  {following}"]
 
 
 def _shown(value: Any) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from stereophd.cli.app import run
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.init import init
 from stereophd.commands.simulate import simulate
@@ -53,6 +56,22 @@ def test_track_runs_with_what_init_writes(scene: Path, written: tuple[Path, dict
     score = evaluate(tmp_path / "out" / "tracks.parquet", scene / "truth.parquet", plots=False)
     assert (score["tracks"], score["identity_switches"], score["ospa"]["cutoff"]) == (4, 0, cutoff)
     assert score["ospa"]["mean"] < 0.1
+
+
+@pytest.mark.parametrize("stand", [".", "elsewhere"])
+def test_the_printed_command_works_as_it_is(
+    stand: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the folder in which the user stands, and with spaces in names."""
+    (tmp_path / "elsewhere").mkdir()
+    shutil.copytree(scene, tmp_path / "my scene")
+    monkeypatch.chdir(tmp_path / stand)
+    up = "" if stand == "." else "../"
+    assert run(["init", f"{up}my study", "--log", f"{up}my scene/detections.parquet"]) == 0
+    name, *words = shlex.split(capsys.readouterr().out.splitlines()[-1])
+    assert name == "stereophd"
+    assert run(words) == 0
+    assert (tmp_path / "my study" / "tracks" / "tracks.parquet").exists()
 
 
 def test_every_value_has_its_source(written: tuple[Path, dict[str, Any]]) -> None:
