@@ -52,6 +52,7 @@ def calibrate_command(
     overrides: options.Set = None,
     seed: options.Seed = None,
     force: options.Force = False,
+    force_size: options.ForceSize = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = 0,
@@ -71,7 +72,7 @@ def calibrate_command(
 
         report_jobs_beside_dask(context, dask)
         with progress_bar(session, "calibrate") as progress:
-            found = calibrate_logs(loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least)
+            found = calibrate_logs(loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least, force_size=force_size)
         finish_batch(session, found, strict)
         return
     if dask is not None:
@@ -83,7 +84,7 @@ def calibrate_command(
         with progress_bar(session, "calibrate") as progress:
             report = calibrate(
                 loaded, expand(log)[0], out, force=force, jobs=jobs, resume=resume, plots=plots, progress=progress,
-                require=least,
+                require=least, force_size=force_size,
             )  # fmt: skip
     except GateError as error:
         if error.report is not None:

@@ -29,11 +29,13 @@ from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
+from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.tracking import check_tracking
 from stereophd.pipeline.finished import finished_report
+from stereophd.pipeline.sizes import check_size
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
@@ -84,6 +86,7 @@ def calibrate(
     plots: bool | None = None,
     progress: Progress | None = None,
     require: Literal["determined", "partly"] | None = None,
+    force_size: bool = False,
 ) -> dict[str, Any]:
     """Calibrate cameras from a detection log (paper section VII).
 
@@ -109,6 +112,8 @@ def calibrate(
         Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
     require : str, optional
         The least that the data must determine: all directions of the cameras (``determined``) or some (``partly``).
+    force_size : bool
+        Whether a calibration that takes very long is confirmed.
 
     Returns
     -------
@@ -118,7 +123,9 @@ def calibrate(
     Raises
     ------
     InputError
-        Configuration, log, checkpoint or output folder are not usable.
+        Configuration, log, checkpoint or output folder are not usable; the calibration needs too much memory.
+    SizeError
+        It takes very long, and is not confirmed.
     GateError
         The data determine less than `require`. Everything has been written; the error carries the report.
     """
@@ -136,6 +143,9 @@ def calibrate(
         if is_checkpoint(checkpoint_path(out_dir)):  # of a run that was killed at its very end
             checkpoint_path(out_dir).unlink()
         return _accepted(done, require, log_path)
+    recording = problem.recording
+    size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
+    check_size(size, f"{log_path}: calibration", out_dir, force_size)
     drawn = whether_to_draw(plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 LONGEST_S, LARGEST_DISK_BYTES = 6 * 3600.0, 50e9
 
 # Measured with `simulate` on one core, for an estimate of the order of magnitude: time of a frame, a detection, an
-# object at an instant, a drawn object; bytes of the files; bytes in memory.
-_FRAME_S, _DETECTION_S, _STATE_S, _OBJECT_S = 4e-5, 1e-6, 3e-6, 1e-3
+# object in a frame, a drawn object, an object at a time of the truth; bytes of the files; bytes in memory.
+_FRAME_S, _DETECTION_S, _STATE_S, _OBJECT_S, _TRUTH_S = 4e-5, 1e-6, 3e-6, 1e-3, 5e-7
 _DETECTION_FILE, _TRUTH_FILE = 16.0, 40.0
 _LEAST_RUN_S, _RUN_FILE = 1e-3, 100.0
 _STATE_MEMORY, _DETECTION_MEMORY, _OBJECT_MEMORY, _RUN_MEMORY = 200.0, 150.0, 3000.0, 2000.0
@@ -111,6 +111,8 @@ def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -
     share = min(1.0, INSTANTS_PER_WINDOW / max(scene.frames, 1.0))
     memory = share * (states * _STATE_MEMORY + scene.detections * _DETECTION_MEMORY) + scene.objects * _OBJECT_MEMORY
     seconds = scene.frames * _FRAME_S + scene.detections * _DETECTION_S + states * _STATE_S + scene.objects * _OBJECT_S
+    # also where the truth is not written: it shows whether an object stays in view
+    seconds += scene.truths * scene.alive * _TRUTH_S
     disk = scene.detections * _DETECTION_FILE + scene.truths * scene.alive * _TRUTH_FILE if kept else 0.0
     each = "1 run of" if runs == 1 else f"{runs:.3g} runs, each of"
     cause = f"{each} {scene.frames:.3g} frames, {scene.objects:.3g} objects and {scene.clutter:.3g} false detections"

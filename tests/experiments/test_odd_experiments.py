@@ -41,7 +41,10 @@ SMALL = {
         ("figure12", "simulate.truth_rate_hz=1e7", "this takes about"),
         ("figure12", "simulate.frame_rate_hz=1e5", "this takes about"),
         ("figure13", "experiment.scenario.every_s=1e-5", "fits into the memory|this takes about"),
-        ("figure13", "simulate.objects.count=10000", "this takes about"),
+        ("figure13", "simulate.objects.count=10000", "fits into the memory|this takes about"),
+        ("figure13", "simulate.truth_rate_hz=1e6", "this takes about"),
+        ("figure13", "calibration.sequential.particles=100000", "fits into the memory|this takes about"),
+        ("static_scene", "simulate.objects.count=1000", "this takes about"),
         ("static_scene", "experiment.scenario.bound_scenes=1000000", "this takes about"),
     ],
 )
@@ -53,3 +56,17 @@ def test_an_experiment_is_refused(
     small = ["experiment.runs=1", *SMALL.get(name, ())]
     with pytest.raises(InputError, match=message):
         experiment(load_config(PAPER / f"{name}.yaml", [*small, override]), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("figure13", "simulate.objects.count=0", "simulate.duration_s=9", "calibration.sequential.particles=8"),
+        ("static_scene", "simulate.objects.count=0", "experiment.scenario.bound_scenes=1"),
+    ],
+)
+@pytest.mark.usefixtures("without_figure")
+def test_an_experiment_without_objects_gives_a_result(tmp_path: Path, overrides: tuple[str, ...]) -> None:
+    name, *settings = overrides
+    config = load_config(PAPER / f"{name}.yaml", ["experiment.runs=1", *settings])
+    assert experiment(config, tmp_path / "out")

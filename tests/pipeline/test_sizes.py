@@ -13,6 +13,7 @@ from stereophd.commands.experiment import experiment
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError, SizeError
+from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.sizes import Size, check_size, size_of_simulation
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "multi_object.yaml"
@@ -88,3 +89,24 @@ def test_what_is_very_large_must_be_confirmed(tmp_path: Path, monkeypatch: pytes
     check_size(Size(60.0, 1e8, 1e9, ""), "x", tmp_path, confirmed=False)
     with pytest.raises(InputError, match=r"the memory \(1 GB available\), found one of about 2 GB"):
         check_size(Size(1.0, 2e9, 0.0, ""), "x", tmp_path, confirmed=True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "least", "most"),
+    [
+        # 3,200 detections in 200 frames; measured: 4.6 s
+        ([], 2.0, 30.0),
+        # the paper's filter with 1,500 hypotheses takes 85 s
+        (["calibration.method=sequential", "calibration.sequential.particles=1500"], 40.0, 200.0),
+    ],
+)
+def test_the_time_of_a_calibration_has_the_right_order(settings: list[str], least: float, most: float) -> None:
+    loaded = load_config(
+        CONFIG.parent / "calibration.yaml",
+        ["calibration.sequential.moves=none", "calibration.sequential.likelihood=phd", *settings],
+    )
+    assert loaded.config.calibration is not None
+    size = size_of_calibration(loaded.config.calibration, 200.0, 3200.0)
+    assert least < size.seconds < most
+    twice = size_of_calibration(loaded.config.calibration, 400.0, 6400.0)
+    assert size.seconds < twice.seconds <= 2.0 * size.seconds

@@ -284,5 +284,5 @@ def fit_states(knots: Knots, knot: Integers, weights: Array, offsets: Array, poi
                 value = precision * weights[:, row] * weights[:, column]
                 np.add.at(bands[3 * (row - column)], (6 * knot + 3 * column + axis)[used], value[used])
     # a trace of weight on every unknown: a track of a single estimate has no velocity
-    bands[0] += 1e-9 * max(float(bands[0].max()), 1e-300)
+    bands[0] += 1e-9 * max(float(bands[0].max(initial=0.0)), 1e-300)
     return np.asarray(solveh_banded(bands, right, lower=True)).reshape(-1, 2, 3)

@@ -37,6 +37,7 @@ from stereophd.pipeline.calibration.outcome import HistoryRow
 from stereophd.pipeline.calibration.report import status_of
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
+from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.sizes import counts_of_scene
@@ -49,9 +50,9 @@ if TYPE_CHECKING:
 INTERVAL_90 = 1.6448536269514722
 
 
-# Measured, for estimates of the order of magnitude: processor time of a small calibration, of a detection and a pair of
-# objects in it, and of the bound at a time, s; memory of that bound, bytes.
-RUN_S, DETECTION_S, PAIR_S, BOUND_S, TIME_BYTES = 1.0, 2e-3, 1e-3, 5e-3, 5e3
+# Measured, for estimates of the order of magnitude: processor time of a pair of objects in a calibration, and of the
+# bound at a time, s; memory of that bound, bytes.
+PAIR_S, BOUND_S, TIME_BYTES = 1e-3, 5e-3, 5e3
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -229,8 +230,9 @@ def effort(loaded: LoadedConfig) -> Effort:
     settings, scene = scenario_of(loaded.config, CalibrationScenario), counts_of_scene(loaded)
     times = loaded.config.simulate.duration_s / settings.every_s
     bounds_s = times * BOUND_S
-    run_s = RUN_S + scene.detections * DETECTION_S + scene.objects**2 * PAIR_S
-    return Effort(run_s + bounds_s, settings.bound_scenes * bounds_s, times * TIME_BYTES)
+    size = size_of_calibration(calibration_section(loaded), scene.frames, scene.detections)
+    run_s = size.seconds + scene.objects**2 * PAIR_S
+    return Effort(run_s + bounds_s, settings.bound_scenes * bounds_s, times * TIME_BYTES + size.memory_bytes)
 
 
 KIND = Kind(run, bounds, check, effort)

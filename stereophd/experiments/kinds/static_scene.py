@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.config.experiment import StaticSceneScenario
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from stereophd.io.logs import Frame
 
 # Measured, for estimates of the order of magnitude: processor time of a frame and of a detection of the bound, s.
-FRAME_S, DETECTION_S = 2e-4, 1e-5
+FRAME_S, DETECTION_S = 2e-4, 1e-4
 # Squared Mahalanobis distance beyond which a detection is not that of a landmark: 99.99 % of a pixel's.
 GATE = 18.4
 
@@ -78,7 +79,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     scores = score_scans(found, truth, 2.0, scenario.cutoff)
     unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
     last = scores.pair_scan == len(times) - 1
-    pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % count])
+    pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % max(count, 1)])
     bias = (found.counts - count).astype(np.float64)
     return [
         Series("ospa", unit, scores.ospa, over),
@@ -93,15 +94,17 @@ def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> 
     count, reported = len(views.labels), int(found.counts[-1])
     errors = found.position[pairs[:, 0]] - views.positions[pairs[:, 1]]
     squared = (errors**2).sum(axis=1)
-    limit = np.trace(np.linalg.inv(views.information[pairs[:, 1]]), axis1=1, axis2=2)
+    # an estimate may lie next to a point that too few views show: such a point has no bound
+    shown = _determined(views.information[pairs[:, 1]])
+    limit = _bounds_of(views.information[pairs[shown, 1]])
     assert found.covariance is not None
     nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(found.covariance[pairs[:, 0]]), errors)
     figures = {
-        "points_found": len(pairs) / count,
+        "points_found": len(pairs) / count if count else np.nan,
         "points_false": float(reported - len(pairs)),
         "position_error": _root(squared),
-        "error_over_bound": _root(squared) / _root(limit),
-        "error_over_bound_median": _root_median(squared / limit),
+        "error_over_bound": _root(squared[shown]) / _root(limit),
+        "error_over_bound_median": _root_median(squared[shown] / limit),
         "nees": float(nees.mean()) if len(nees) else np.nan,
     }
     return [
@@ -179,10 +182,20 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
     variances = []
     for number in scenes:
         information = _views(loaded, number).information
-        seen = np.linalg.matrix_rank(information) == 3
-        variances.append(np.trace(np.linalg.inv(information[seen]), axis1=1, axis2=2).mean())
+        limits = _bounds_of(information[_determined(information)])
+        variances.append(float(limits.mean()) if len(limits) else np.nan)
     unit = loaded.config.units.length
     return [Series("position_rmse", unit, np.array([float(np.sqrt(np.mean(variances)))]))]
+
+
+def _determined(information: Array) -> NDArray[np.bool_]:
+    """Return whether information (n, 3, 3) determines a position."""
+    return np.asarray(np.linalg.matrix_rank(information) == 3, dtype=np.bool_)
+
+
+def _bounds_of(information: Array) -> Array:
+    """Return the bounds (n,) on the squared errors of positions with this information (n, 3, 3)."""
+    return np.trace(np.linalg.inv(information), axis1=1, axis2=2)
 
 
 def _root(squared: Sequence[float] | Array) -> float:
