@@ -9,6 +9,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, exit_if_strict, load, print_data, print_report
+from stereophd.wording import counted
 
 MARKS = {"ok": "ok", "warning": "WARNING", "not checked": "not checked"}
 
@@ -47,4 +48,4 @@ def _lines(checks: list[dict[str, Any]]) -> list[str]:
         if one["remedy"] and one["status"] == "warning":
             lines.append(f"{'':>11}  remedy: {one['remedy']}")
     count = sum(one["status"] == "warning" for one in checks)
-    return [*lines, f"{len(checks)} checks, {count} warning{'' if count == 1 else 's'}"]
+    return [*lines, f"{counted(len(checks), 'check')}, {counted(count, 'warning')}"]

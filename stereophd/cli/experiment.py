@@ -43,7 +43,7 @@ def experiment_command(
     except (KeyboardInterrupt, SystemExit):
         count = finished_runs(loaded, out)
         if count:
-            print(f"{count} finished runs are kept in {out}; --resume runs the others", file=sys.stderr)
+            print(f"finished runs are kept in {out} ({count}); --resume runs the others", file=sys.stderr)
         raise
     from stereophd.cli.experiment_table import print_results
     from stereophd.experiments.engine.results import report_of

@@ -19,6 +19,7 @@ from matplotlib.ticker import LogFormatter
 from stereophd.experiments.engine.base import Array
 from stereophd.report.experiment_moves import draw_moves
 from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right
+from stereophd.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,7 +118,7 @@ def _add_title(figure: Figure, results: Results) -> None:
     title = results.config.figure.title
     if title:
         bands = "" if results.config.scenario.kind == "move" else ", 95 % intervals"
-        text = f"{title}: {results.config.runs} runs{bands}"
+        text = f"{title}: {counted(results.config.runs, 'run')}{bands}"
         figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
 
 

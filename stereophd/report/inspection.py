@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.pipeline.inspection.cameras import sketch
+from stereophd.wording import counted
 
 # Tracks and files listed one by one.
 ROWS_SHOWN = 12
@@ -41,7 +42,7 @@ def _origin(origin: Mapping[str, Any] | None) -> Iterator[str]:
 
 def _log(found: Mapping[str, Any]) -> Iterator[str]:
     yield (
-        f"{found['rows']} rows, {found['first_s']:.6g} to {found['last_s']:.6g} s, all cameras at once for "
+        f"{counted(found['rows'], 'row')}, {found['first_s']:.6g} to {found['last_s']:.6g} s, all cameras at once for "
         f"{found['overlap_s']:.6g} s"
     )
     yield f"columns: {', '.join(found['columns'])}"
@@ -89,13 +90,13 @@ def _log(found: Mapping[str, Any]) -> Iterator[str]:
 
 def _objects(found: Mapping[str, Any]) -> Iterator[str]:
     unit = found["length_unit"] or "length"
-    what = "tracks" if found["kind"] == "tracks" else "objects"
-    yield f"{found['objects']} {what}, {found['rows']} rows"
+    what = "track" if found["kind"] == "tracks" else "object"
+    yield f"{counted(found['objects'], what)}, {counted(found['rows'], 'row')}"
     if not found["objects"]:
         return
     duration = found["duration_s"]
     yield (
-        f"{found['first_s']:.6g} to {found['last_s']:.6g} s; {what} last {duration['shortest']:.4g} to "
+        f"{found['first_s']:.6g} to {found['last_s']:.6g} s; {what}s last {duration['shortest']:.4g} to "
         f"{duration['longest']:.4g} s, median {duration['median']:.4g} s"
     )
     spans = zip("xyz", found["lowest"], found["highest"], strict=True)
@@ -168,7 +169,7 @@ def _folder(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"... and {len(files) - ROWS_SHOWN} more"
     if pictures:
         endings = sorted({Path(file["path"]).suffix[1:].lower() for file in pictures})
-        yield f"{len(pictures)} picture{'' if len(pictures) == 1 else 's'} ({', '.join(endings)})"
+        yield f"{counted(len(pictures), 'picture')} ({', '.join(endings)})"
 
 
 def _is_picture(file: Mapping[str, Any]) -> bool:
@@ -184,15 +185,16 @@ def _brief(file: Mapping[str, Any]) -> str:
     if file["kind"] in ("cameras", "configuration"):
         return ", ".join(file.get("cameras", ())) or "no cameras"
     if file["kind"] == "detections":
-        return f"{file['rows']} rows of {', '.join(file['cameras'])}, {file['first_s']:.6g} to {file['last_s']:.6g} s"
+        rows, names = counted(file["rows"], "row"), ", ".join(file["cameras"])
+        return f"{rows} of {names}, {file['first_s']:.6g} to {file['last_s']:.6g} s"
     if file["kind"] in ("tracks", "truth"):
-        return f"{file['objects']} objects, {file['rows']} rows"
-    return f"{file['rows']} rows" if "rows" in file else ""
+        return f"{counted(file['objects'], 'object')}, {counted(file['rows'], 'row')}"
+    return counted(file["rows"], "row") if "rows" in file else ""
 
 
 def _table(found: Mapping[str, Any]) -> Iterator[str]:
     if "rows" in found:
-        yield f"{found['rows']} rows"
+        yield counted(found["rows"], "row")
     if "first_s" in found:
         yield f"{found['first_s']:.6g} to {found['last_s']:.6g} s"
     for name, kind in found.get("columns", {}).items():

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stereophd.pipeline.checks.finding import percent
 from stereophd.report.inspection import table
+from stereophd.wording import counted, percent
 
 # Tracks that the terminal lists.
 TRACKS_SHOWN = 20
@@ -250,7 +250,7 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         count = len(tracks)
         cameras = tracking.get("cameras") or {}
         yield (
-            f"{count} track{'' if count == 1 else 's'} in {number(span)} s from {len(cameras)} cameras"
+            f"{counted(count, 'track')} in {number(span)} s from {counted(len(cameras), 'camera')}"
             if count
             else "No tracks"
         )

@@ -102,6 +102,9 @@ def test_tracks_truth_and_a_folder(tmp_path: Path) -> None:
     pq.write_table(pa.table({**rows, "track_id": [1, 1, 2, 1]}), tmp_path / "tracks.parquet")
     found = info(tmp_path / "tracks.parquet")
     assert (found["kind"], found["objects"], found["duration_s"]["longest"]) == ("tracks", 2, 2.0)
+    pq.write_table(pa.table({"object_id": [1], "time_s": [0.0], "x": [0.0], "y": [0.0], "z": [0.0]}), tmp_path / "one")
+    assert "1 object, 1 row" in info_text(info(tmp_path / "one")).splitlines()
+    (tmp_path / "one").unlink()
     assert found["rows_by_object"][0] == {"id": 1, "first_s": 0.0, "last_s": 2.0, "rows": 3}
     (tmp_path / "notes.txt").write_text("hello")
     origin = {"command": "track", "version": "9", "seed": 3, "config_sha256": "ab" * 32, "inputs": {"log": "cd" * 32}}

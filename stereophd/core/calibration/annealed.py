@@ -32,6 +32,7 @@ from stereophd.core.calibration.recording import Scans
 from stereophd.core.calibration.scale import collapse
 from stereophd.core.calibration.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.tracking_scale import KEPT_WITHIN, depth_ratio, enlarged
+from stereophd.wording import percent
 
 Array = NDArray[np.float64]
 
@@ -167,7 +168,7 @@ def disagreement(task: Task, fit: Fit) -> str | None:
     """Why a fit does not agree with the data or the prior; None if it does."""
     part = explained(task, fit)
     if part < task.settings.min_tracked:
-        return f"shared tracks explain only {100 * part:.0f} % of the detections that are not expected to be false"
+        return f"shared tracks explain only {percent(part)} of the detections that are not expected to be false"
     residual = float(np.minimum(fit.adjustment.distances, LEFT_OUT).mean()) / 2.0
     if residual > MOST_RESIDUAL:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stereophd.pipeline.checks.finding import Finding, percent
+from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.sample import CameraSample
+from stereophd.wording import percent
 
 # Relative difference of frame rates that is reported.
 RATE_TOLERANCE = 0.02

@@ -44,11 +44,6 @@ class Finding:
         return asdict(self)
 
 
-def percent(share: float) -> str:
-    """Return a share in per cent, with a space before the sign as everywhere in messages and reports."""
-    return f"{100.0 * share:.0f} %"
-
-
 def warnings_of(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Return the findings that are warnings."""
     return tuple(finding for finding in findings if finding.status == "warning")

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from stereophd.pipeline.checks.explanations import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
-from stereophd.pipeline.checks.finding import Finding, percent
+from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry import LEAST_EXPECTED, MOST_CHANCE, SHARP, Geometry, pairs_of
+from stereophd.wording import percent
 
 # Below this score the rays meet by chance only; the cause may be any.
 CHANCE_SCORE, CHANCE_SHARE = 2.5, 0.4

@@ -14,11 +14,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.pipeline.checks.finding import Finding, percent
+from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry import pairs_of
 from stereophd.pipeline.checks.partners import Partners, partners, track_velocities
 from stereophd.pipeline.checks.residual_causes import PairFits, explain
 from stereophd.pipeline.checks.sample import CameraSample
+from stereophd.wording import percent
 
 Array = NDArray[np.float64]
 

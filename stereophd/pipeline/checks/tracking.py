@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.pipeline.checks.finding import Finding, percent
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.wording import percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
