@@ -72,7 +72,10 @@ def calibrate_command(
 
         report_jobs_beside_dask(context, dask)
         with progress_bar(session, "calibrate") as progress:
-            found = calibrate_logs(loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least, force_size=force_size)
+            found = calibrate_logs(
+                loaded, log, out, force, jobs, resume, progress, dask, plots=plots, require=least,
+                force_size=force_size,
+            )  # fmt: skip
         finish_batch(session, found, strict)
         return
     if dask is not None:
