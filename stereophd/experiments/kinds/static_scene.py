@@ -195,7 +195,7 @@ def _determined(information: Array) -> NDArray[np.bool_]:
 
 def _bounds_of(information: Array) -> Array:
     """Return the bounds (n,) on the squared errors of positions with this information (n, 3, 3)."""
-    return np.trace(np.linalg.inv(information), axis1=1, axis2=2)
+    return np.asarray(np.trace(np.linalg.inv(information), axis1=1, axis2=2))
 
 
 def _root(squared: Sequence[float] | Array) -> float:
