@@ -202,7 +202,10 @@ class TestOutput:
         for options in ([], ["--force"]):
             outcome = call("track", config, log, "--out", tmp_path / "out", *options)
             assert outcome.code == 2
-            assert "exists and is not of this command, which does not write the thesis.tex in it" in outcome.sentence
+            assert (
+                "found one with thesis.tex, which this command does not write; choose another folder"
+                in outcome.sentence
+            )
         assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.tex"]
 
     def test_a_file_in_its_place(self, call: Call, config: Path, log: Path) -> None:

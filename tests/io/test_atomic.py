@@ -116,7 +116,10 @@ def test_an_earlier_run_is_refused_without_force(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_ours_is_refused_even_with_force(tmp_path: Path, force: bool, name: str) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("precious")
-    with pytest.raises(InputError, match="exists and is not of this command"), OutputFolder(tmp_path, NAMES, force):
+    with (
+        pytest.raises(InputError, match=f"found one with {name}, which this command"),
+        OutputFolder(tmp_path, NAMES, force),
+    ):
         pass
     assert contents(tmp_path) == {name: "precious"}
 
