@@ -140,8 +140,8 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
                 continue
             if not _matches(relative, names):
                 raise InputError(
-                    f"output folder {folder}: expected a new folder or one of an earlier run of this command, found one "
-                    f"with {relative}, which this command does not write; choose another folder"
+                    f"output folder {folder}: expected a new folder or one of an earlier run of this command, found "
+                    f"one with {relative}, which this command does not write; choose another folder"
                 )
             existing.append(relative)
     except OSError as error:
