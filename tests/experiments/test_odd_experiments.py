@@ -30,6 +30,7 @@ SMALL = {
     ("name", "override", "message"),
     [
         ("figure4", "cameras.left.image_size_px=[3, 3]", "experiment.scenario: expected a Gaussian partly in view"),
+        ("figure4", "experiment.scenario.velocity=[1e9, 0, 0]", "too far apart"),
         ("figure11", "motion={model: damped_velocity, time_constant_s: 1e-9, acceleration_std: 1}", "too far apart"),
         ("figure12", "disparity.baseline=1e-12", "too far apart"),
         # sizes that were not estimated before work began

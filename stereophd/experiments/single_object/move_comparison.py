@@ -106,6 +106,20 @@ def gaussian_of_object(
     return states.mean(axis=0), np.cov(states.T)
 
 
+def _draw(rng: np.random.Generator, mean: Array, covariance: Array, count: int) -> Array:
+    """Draw from a Gaussian; its covariance may be singular.
+
+    Raises
+    ------
+    LinAlgError
+        Rounding has made a variance negative: the numbers are too far apart.
+    """
+    try:
+        return rng.multivariate_normal(mean, covariance, count, check_valid="raise")
+    except ValueError as error:
+        raise np.linalg.LinAlgError(str(error).rstrip(".")) from error
+
+
 def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1_000_000) -> MoveMoments:
     """Moments of the part in view of a very large pseudo-random sample carried over by the textbook.
 
@@ -123,11 +137,11 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
     while remaining > 0:
         drawn = min(remaining, CLOUD)
         remaining -= drawn
-        world = case.home.to_world(rng.multivariate_normal(case.mean, case.covariance, drawn))
+        world = case.home.to_world(_draw(rng, case.mean, case.covariance, drawn))
         if case.motion.max_speed is not None:
             speed = np.linalg.norm(world[:, 3:], axis=1, keepdims=True)
             world[:, 3:] *= np.minimum(1.0, case.motion.max_speed / speed)
-        world = world @ transition.T + drift + rng.multivariate_normal(np.zeros(6), noise, drawn)
+        world = world @ transition.T + drift + _draw(rng, np.zeros(6), noise, drawn)
         camera = case.destination.camera
         seen = camera.in_view(world[:, :3]) if case.in_view else camera.pose.to_camera(world[:, :3])[:, 2] > 0.0
         moved = case.destination.from_world(world[seen]) - origin
