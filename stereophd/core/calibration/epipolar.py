@@ -10,6 +10,7 @@ Geometry in Computer Vision", section 11.4.3), free of scale.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,6 +21,7 @@ from stereophd.core.calibration.quantities.base import MOVES
 from stereophd.core.calibration.track_pairs import TrackPairs
 from stereophd.core.calibration.track_rays import Rays, rays_of
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.compilation import compiled
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -39,34 +41,106 @@ def epipolar_distances(
     if pairs.raw is not None:
         return _raw_distances(cameras, pairs, rows, known)
     focal = np.array([[c.fx, c.fy] for c in cameras])
-    index = pairs.cameras[pairs.pair[rows]]
     essential = np.zeros((len(cameras), len(cameras), 3, 3))
-    for i, j in set(map(tuple, pairs.cameras.tolist())):
+    for i, j in pairs.camera_pairs:
         turn = cameras[j].pose.rotation @ cameras[i].pose.rotation.T
         x, y, z = cameras[j].pose.rotation @ (cameras[i].pose.center - cameras[j].pose.center)
         essential[i, j] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ turn
-    matrix = essential[index[:, 0], index[:, 1]]
-    a, b = pairs.rays[rows, 0], pairs.rays[rows, 1]
-    line_b = np.einsum("nij,nj->ni", matrix, a)
-    line_a = np.einsum("nij,ni->nj", matrix, b)
-    slopes = ((line_b[:, :2] / focal[index[:, 1]]) ** 2 + (line_a[:, :2] / focal[index[:, 0]]) ** 2).sum(axis=1)
-    distance = (b * line_b).sum(axis=1) / np.sqrt(np.maximum(slopes, 1e-300))
-    return np.asarray(distance / pairs.sigma[rows])
+    out = np.empty(len(rows))
+    _fixed_distances(essential, focal, pairs.cameras, pairs.pair, pairs.rays, pairs.sigma, rows, out)
+    return out
 
 
 def _raw_distances(cameras: Sequence[Camera], pairs: TrackPairs, rows: Integers, known: Rays | None) -> Array:
     assert pairs.raw is not None
     found = rays_of(cameras, pairs.raw, pairs.entries[rows], pairs.others[rows], known)
-    focal = np.array([[c.fx, c.fy] for c in cameras])[pairs.cameras[pairs.pair[rows]]]
-    turn_a, turn_b = found.rotations[:, 0], found.rotations[:, 1]
-    # x_b^T [t]_x R x_a with t = R_b (c_a - c_b) and R = R_b R_a^T, and its derivatives by x_a and x_b
-    along = np.einsum("nij,nj->ni", turn_b, found.centers[:, 0] - found.centers[:, 1])
-    a_in_b = np.einsum("nij,nkj,nk->ni", turn_b, turn_a, found.rays[:, 0])
-    line_b = np.cross(along, a_in_b)
-    line_a = np.einsum("nij,nkj,nk->ni", turn_a, turn_b, np.cross(found.rays[:, 1], along))
-    slopes = ((line_b[:, :2] / focal[:, 1]) ** 2 + (line_a[:, :2] / focal[:, 0]) ** 2).sum(axis=1)
-    distance = (found.rays[:, 1] * line_b).sum(axis=1) / np.sqrt(np.maximum(slopes, 1e-300))
-    return np.asarray(np.where(found.seen, distance / pairs.sigma[rows], np.nan))
+    focal = np.array([[c.fx, c.fy] for c in cameras])
+    out = np.empty(len(rows))
+    _moving_distances(
+        found.rotations, found.centers, found.rays, found.seen, focal, pairs.cameras, pairs.pair, pairs.sigma, rows, out
+    )
+    return out
+
+
+@compiled
+def _fixed_distances(
+    essential: Array,
+    focal: Array,
+    cameras: Integers,
+    pair: Integers,
+    rays: Array,
+    sigma: Array,
+    rows: Integers,
+    out: Array,
+) -> None:
+    """Distances (r,) of rows of pairs, from the essential matrices (c, c, 3, 3) and focal lengths (c, 2)."""
+    line_a, line_b = np.empty(3), np.empty(3)
+    for n in range(len(rows)):
+        row = rows[n]
+        i, j = cameras[pair[row], 0], cameras[pair[row], 1]
+        matrix, a, b = essential[i, j], rays[row, 0], rays[row, 1]
+        for k in range(3):
+            line_b[k] = matrix[k, 0] * a[0] + matrix[k, 1] * a[1] + matrix[k, 2] * a[2]
+            line_a[k] = matrix[0, k] * b[0] + matrix[1, k] * b[1] + matrix[2, k] * b[2]
+        out[n] = _distance(line_a, line_b, b, focal[i], focal[j]) / sigma[row]
+
+
+@compiled
+def _moving_distances(
+    rotations: Array,
+    centers: Array,
+    rays: Array,
+    seen: NDArray[np.bool_],
+    focal: Array,
+    cameras: Integers,
+    pair: Integers,
+    sigma: Array,
+    rows: Integers,
+    out: Array,
+) -> None:
+    """Distances (r,) of rows of pairs, from the `Rays` of these rows; NaN where they were not seen."""
+    apart, along, axis, normal = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    line_a, line_b = np.empty(3), np.empty(3)
+    for n in range(len(rows)):
+        if not seen[n]:
+            out[n] = np.nan
+            continue
+        turn_a, turn_b, a, b = rotations[n, 0], rotations[n, 1], rays[n, 0], rays[n, 1]
+        # x_b^T [t]_x R x_a with t = R_b (c_a - c_b) and R = R_b R_a^T, and its derivatives by x_a and x_b
+        for k in range(3):
+            apart[k] = centers[n, 0, k] - centers[n, 1, k]
+            axis[k] = turn_a[0, k] * a[0] + turn_a[1, k] * a[1] + turn_a[2, k] * a[2]
+        _turned(turn_b, apart, along)
+        _turned(turn_b, axis, normal)
+        _cross(along, normal, line_b)
+        _cross(b, along, normal)
+        for k in range(3):
+            axis[k] = turn_b[0, k] * normal[0] + turn_b[1, k] * normal[1] + turn_b[2, k] * normal[2]
+        _turned(turn_a, axis, line_a)
+        i, j = cameras[pair[rows[n]], 0], cameras[pair[rows[n]], 1]
+        out[n] = _distance(line_a, line_b, b, focal[i], focal[j]) / sigma[rows[n]]
+
+
+@compiled
+def _turned(rotation: Array, vector: Array, out: Array) -> None:
+    for k in range(3):
+        out[k] = rotation[k, 0] * vector[0] + rotation[k, 1] * vector[1] + rotation[k, 2] * vector[2]
+
+
+@compiled
+def _cross(one: Array, other: Array, out: Array) -> None:
+    out[0] = one[1] * other[2] - one[2] * other[1]
+    out[1] = one[2] * other[0] - one[0] * other[2]
+    out[2] = one[0] * other[1] - one[1] * other[0]
+
+
+@compiled
+def _distance(line_a: Array, line_b: Array, ray_b: Array, focal_a: Array, focal_b: Array) -> float:
+    """Signed distance, px, from the derivatives of the numerator by both rays (3,)."""
+    slopes = (line_b[0] / focal_b[0]) ** 2 + (line_b[1] / focal_b[1]) ** 2
+    slopes += (line_a[0] / focal_a[0]) ** 2 + (line_a[1] / focal_a[1]) ** 2
+    numerator = ray_b[0] * line_b[0] + ray_b[1] * line_b[1] + ray_b[2] * line_b[2]
+    return float(numerator / math.sqrt(max(slopes, 1e-300)))
 
 
 def slopes_of(

@@ -63,7 +63,7 @@ def pair_gains(pairs: TrackPairs, distances: Array, tolerance: float) -> Array:
 def choose_pairs(pairs: TrackPairs, gains: Array) -> tuple[Integers, float]:
     """Pair tracks one to one for each two cameras, at the greatest total gain; return the pairs and the total."""
     chosen, total = [], 0.0
-    for i, j in sorted(set(map(tuple, pairs.cameras.tolist()))):
+    for i, j in pairs.camera_pairs:
         here = np.flatnonzero((pairs.cameras == (i, j)).all(axis=1))
         firsts, row = np.unique(pairs.tracks[here, 0], return_inverse=True)
         seconds, column = np.unique(pairs.tracks[here, 1], return_inverse=True)

@@ -100,7 +100,7 @@ def hypotheses(parameters: ParameterSet, pairs: TrackPairs, values: Array, colum
     `columns` are the values that matter for pairing. The list is empty if no two cameras pair.
     """
     of_cameras = {}
-    for two in sorted(set(map(tuple, pairs.cameras.tolist()))):
+    for two in pairs.camera_pairs:
         found = _of_two(parameters, pairs, values, columns, two)
         if found:
             of_cameras[two] = found

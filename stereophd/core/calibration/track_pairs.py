@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,11 @@ class TrackPairs:
     entries: Integers
     others: Integers
     raw: RawTracks | None
+
+    @cached_property
+    def camera_pairs(self) -> list[tuple[int, int]]:
+        """Each two cameras that have pairs, in order."""
+        return [(int(i), int(j)) for i, j in np.unique(self.cameras, axis=0)]
 
     def take(self, members: Integers) -> TrackPairs:
         """Return some of the pairs, in increasing order, with their rows."""
