@@ -72,7 +72,7 @@ def origin(path: Path | str) -> dict[str, str] | None:
 
         try:
             metadata = pq.read_schema(stream).metadata  # by the stream: names may be no text
-        except (pa.ArrowException, OSError):
+        except (pa.ArrowException, OSError, UnicodeDecodeError):
             return None  # The file is damaged; the reader of its rows reports that.
     text = (metadata or {}).get(METADATA_KEY)
     record = from_metadata(metadata)

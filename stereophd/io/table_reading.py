@@ -14,6 +14,9 @@ from stereophd.io.commit import complete
 from stereophd.io.disk import for_arrow
 from stereophd.io.file_kinds import HEAD_BYTES, PARQUET, kind_of_content, remedy
 
+# What pyarrow raises for a damaged Parquet file; the last where the name of a column is no text.
+DAMAGED = (pa.ArrowException, OSError, UnicodeDecodeError)
+
 
 def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
     """Open a Parquet file.
@@ -49,7 +52,7 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
         raise InputError(f"{file}: expected a {what} (Parquet file), found {described}{remedy(what, found)}")
     try:
         return pq.ParquetFile(for_arrow(file), memory_map=False)
-    except (pa.ArrowException, OSError) as error:
+    except DAMAGED as error:
         raise InputError(
             f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"
         ) from error
@@ -64,7 +67,7 @@ def damaged_is_input_error(path: Path | str) -> Iterator[None]:
     """Turn the errors that reading the data of a damaged Parquet file raises into `InputError`."""
     try:
         yield
-    except (pa.ArrowException, OSError) as error:
+    except DAMAGED as error:
         raise InputError(f"{path}: the file is damaged or truncated: {_first_line(error)}") from error
 
 
