@@ -302,7 +302,8 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
     Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
-    the motion model. Not for objects of one knot each, which stand still: the volume counts a velocity with
+    the motion model. The joint optimum of objects that manoeuvre is biased, and its residuals look like shared errors:
+    only those count that the marginal optimum of independent errors shows too. Not for objects of one knot each, which stand still: the volume counts a velocity with
     every knot, and would take the scene for too small. Not where that noise is not believed
     (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the prior although the
     fit does not.
@@ -315,8 +316,21 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     doubt : str
         Why neither optimum is trusted, whether the search for it converged or not; empty if there is no reason.
     """
-    if fit.observations.weights is not None or not len(fit.knots.links()):
+    if not len(fit.knots.links()):
         return fit, 1.0, ""
+    if fit.observations.weights is None:
+        return _at_marginal(task, fit, any_noise)
+    seen = replace(fit.observations, weights=None)
+    independent = adjusted_to(task, fit, seen, seen.trajectories, fit.detections)
+    found, noise_factor, doubt = _at_marginal(task, independent, any_noise)
+    sure = found is not independent and found.adjustment.converged and not doubt
+    if sure and _weights(task, found, found.observations, found.detections) is None:
+        return found, noise_factor, ""
+    return fit, 1.0, ""
+
+
+def _at_marginal(task: Task, fit: Fit, any_noise: bool) -> tuple[Fit, float, str]:
+    """`marginal_fit` of a fit whose detections have independent errors."""
     found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
     if not (found.believed or any_noise):
         return fit, found.noise_factor, ""
