@@ -303,10 +303,10 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
 
     Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
     the motion model. The joint optimum of objects that manoeuvre is biased, and its residuals look like shared errors:
-    only those count that the marginal optimum of independent errors shows too. Not for objects of one knot each, which stand still: the volume counts a velocity with
-    every knot, and would take the scene for too small. Not where that noise is not believed
-    (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the prior although the
-    fit does not.
+    only those count that the marginal optimum of independent errors shows too. Not for objects of one knot each, which
+    stand still: the volume counts a velocity with every knot, and would take the scene for too small. Not where that
+    noise is not believed (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the
+    prior although the fit does not.
 
     Returns
     -------

@@ -1,13 +1,19 @@
 """Detections that share an error: cells, components of variance, and what a fit absorbs of them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
+from stereophd.core.calibration import fits
 from stereophd.core.calibration.adjustment import adjust
 from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.problem import Observations, Problem
 from stereophd.core.calibration.shared_errors import cells_of, shared_errors, variance_components
+from stereophd.core.calibration.task import Fit
+from tests.core.calibration.problems_of_unknowns import some_problem
 from tests.core.calibration.scenes import MadeUp, make_problem
 from tests.core.calibration.test_adjustment import solve
 
@@ -74,3 +80,32 @@ def test_a_detection_of_weight_two_counts_as_two() -> None:
     other = adjust(replace(problem, observations=weighted), found.values, found.states)
     np.testing.assert_allclose(one.values, other.values, atol=1e-9)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "stay"), [(0.0, False), (0.6, True)])
+def test_shared_errors_count_only_if_the_marginal_optimum_shows_them(
+    monkeypatch: pytest.MonkeyPatch, size: float, stay: bool
+) -> None:
+    """The joint optimum of a scene has claimed that all errors are shared."""
+    problem, states, values = some_problem(("center", "rotation"))
+    observations, rows = problem.observations, np.arange(len(problem.observations))
+    cells = cells_of(observations, 40.0)
+    errors = size * np.random.default_rng(2).standard_normal((int(cells.max()) + 1, 2))[cells]
+    observations = replace(observations, points=observations.points + errors)
+    problem = replace(problem, observations=observations)
+    independent = Fit(adjust(problem, values, states), problem.knots, observations, rows)
+    monkeypatch.setattr(fits, "adjusted_to", lambda *arguments: independent)
+    task: Any = SimpleNamespace(
+        parameters=problem.parameters, reference=problem.reference, scale=problem.scale,
+        settings=SimpleNamespace(shared_error_px=40.0),
+    )  # fmt: skip
+    claimed = replace(independent, observations=replace(observations, weights=np.full(len(rows), 0.1)))
+    found, _, doubt = fits.marginal_fit(task, claimed)
+    assert doubt == ""
+    if stay:
+        assert found is claimed
+    else:
+        expected, _, _ = fits.marginal_fit(task, independent)
+        assert expected is not independent
+        assert found.observations.weights is None
+        np.testing.assert_array_equal(found.adjustment.values, expected.adjustment.values)
