@@ -110,3 +110,20 @@ def test_the_time_of_a_calibration_has_the_right_order(settings: list[str], leas
     assert least < size.seconds < most
     twice = size_of_calibration(loaded.config.calibration, 400.0, 6400.0)
     assert size.seconds < twice.seconds <= 2.0 * size.seconds
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "calibration.method=sequential calibration.sequential.likelihood",
+        "calibration.posterior=smc calibration.smc.evidence",
+    ],
+)
+def test_hypotheses_of_the_phd_filter_take_longer(key: str) -> None:
+    method, setting = key.split()
+    seconds = []
+    for kind in ("pmb", "phd"):
+        section = load_config(CONFIG.parent / "calibration.yaml", [method, f"{setting}={kind}"]).config.calibration
+        assert section is not None
+        seconds.append(size_of_calibration(section, 200.0, 3200.0).seconds)
+    assert seconds[1] > 1.5 * seconds[0]

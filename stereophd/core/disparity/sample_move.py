@@ -15,7 +15,7 @@ from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW,
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.numerics.compilation import compiled, compiled_fast
+from stereophd.core.numerics.compilation import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.core.numerics.sorting import copy_gaussian
@@ -232,15 +232,28 @@ def missed_moments(
             missed_covariance[b, a] = value
 
 
-@compiled_fast
+@compiled
 def _missed_weights(sample_weights: Array, mask: Array, p_detect: float, weights: Array) -> tuple[float, float]:
-    """Fill the weights (n,) of samples that were not detected; return their sum and that of their squares."""
-    total = squares = 0.0
-    for i in range(len(weights)):
-        weight = sample_weights[i] * (1.0 - p_detect * mask[i])
-        weights[i] = weight
-        total += weight
-        squares += weight * weight
+    """Fill the weights (n,) of samples that were not detected; return their sum and that of their squares.
+
+    Four sums of each kind do not wait for one another. Their order is written down: it must not depend on the caller
+    (`compiled_fast`).
+    """
+    count = len(weights)
+    for i in range(count):
+        weights[i] = sample_weights[i] * (1.0 - p_detect * mask[i])
+    total_a = total_b = total_c = total_d = 0.0
+    squares_a = squares_b = squares_c = squares_d = 0.0
+    whole = count - count % 4
+    for i in range(0, whole, 4):
+        a, b, c, d = weights[i], weights[i + 1], weights[i + 2], weights[i + 3]
+        total_a, total_b, total_c, total_d = total_a + a, total_b + b, total_c + c, total_d + d
+        squares_a, squares_b = squares_a + a * a, squares_b + b * b
+        squares_c, squares_d = squares_c + c * c, squares_d + d * d
+    total, squares = (total_a + total_b) + (total_c + total_d), (squares_a + squares_b) + (squares_c + squares_d)
+    for i in range(whole, count):
+        total += weights[i]
+        squares += weights[i] * weights[i]
     return total, squares
 
 

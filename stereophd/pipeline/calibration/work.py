@@ -23,6 +23,8 @@ _STARTS, _PASSES = 2, 6
 # Of a camera hypothesis: a detection in the PMB filter, and for each sample in the PHD filter; how many times moves
 # and inflated noise repeat the filter.
 _PMB_S, _PHD_SAMPLE_S, _REPETITIONS = 4e-6, 2e-7, 10
+# Samples of the PHD filter where its settings do not state them.
+_PHD_SAMPLES = 64
 # Memory of a hypothesis for each detection of a frame, and of a detection.
 _HYPOTHESIS_BYTES, _DETECTION_BYTES = 8e3, 1e3
 
@@ -75,7 +77,8 @@ def _filter_seconds(settings: SequentialSettings, detections: float) -> float:
 
 
 def _tempered_seconds(settings: TemperedSettings, detections: float) -> float:
-    return settings.particles * detections * _PMB_S * _REPETITIONS * (1 + settings.moves)
+    each = _PMB_S if settings.evidence == "pmb" else _PHD_SAMPLE_S * _PHD_SAMPLES
+    return settings.particles * detections * each * _REPETITIONS * (1 + settings.moves)
 
 
 def _bytes_of_hypothesis(frames: float, detections: float) -> float:
