@@ -34,10 +34,11 @@ def test_labels_detected_more_probably_than_not(seed: int) -> None:
 
 
 def test_an_undecided_label_has_no_detection() -> None:
-    labels, weights = np.array([3, 3, 3, 4]), np.array([0.2, 0.35, 0.45, 0.9])
-    found, by = detected_labels(labels, weights, 1, np.array([5, 6]))
-    assert found.tolist() == [3, 4]
-    assert by.tolist() == [UNDECIDED, 0]
+    # one missed, two detected, and the newborn of both detections
+    labels, weights = np.array([3, 3, 3, 4, 5]), np.array([0.2, 0.35, 0.45, 0.9, 0.1])
+    found, by = detected_labels(labels, weights, 1, np.array([0, 1]))
+    assert found.tolist() == [3, 4, 5]
+    assert by.tolist() == [UNDECIDED, 0, 1]
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads the memory as Linux states it")
