@@ -220,7 +220,7 @@ def test_an_output_folder_is_replaced_only_with_force(scenario: LoadedConfig, tm
         simulate(scenario, tmp_path / "out", runs=2)
     simulate(scenario, tmp_path / "out", runs=2, force=True)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["run-0000", "run-0001"]
-    with pytest.raises(InputError, match="not of this command"):
+    with pytest.raises(InputError, match="which this command does not write"):
         simulate(scenario, tmp_path / "out", force=True)
 
 
