@@ -67,12 +67,13 @@ def origin(path: Path | str) -> dict[str, str] | None:
     with open(path, "rb") as stream:
         if stream.read(4) != b"PAR1":
             return None
-        import pyarrow as pa  # only here: most commands name no Parquet file that carries a provenance
-        import pyarrow.parquet as pq
+        import pyarrow.parquet as pq  # only here: most commands name no Parquet file that carries a provenance
+
+        from stereophd.io.table_reading import DAMAGED
 
         try:
             metadata = pq.read_schema(stream).metadata  # by the stream: names may be no text
-        except (pa.ArrowException, OSError, UnicodeDecodeError):
+        except DAMAGED:
             return None  # The file is damaged; the reader of its rows reports that.
     text = (metadata or {}).get(METADATA_KEY)
     record = from_metadata(metadata)

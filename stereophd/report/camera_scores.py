@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
-from stereophd.core.calibration.quantities.base import RADIANS, Quantity
+from stereophd.core.calibration.quantities.base import RADIANS, SUFFIXES, Quantity
 from stereophd.core.calibration.quantities.registry import quantities, quantity_of
 from stereophd.report.summaries import SummaryTable, number, share, table_text
 
@@ -71,7 +70,7 @@ def _parameters(report: Mapping[str, Any]) -> SummaryTable:
     rows = []
     for name in dict.fromkeys((*errors, *bounds)):
         quantity = quantity_of(name.rpartition(".")[2])
-        factor = math.degrees(1.0) if quantity.unit.startswith(RADIANS) else 1.0
+        factor = SUFFIXES[quantity.unit][1]
         row = [name, _unit(quantity, report["length_unit"])]
         if errors:
             one = errors.get(name)

@@ -2,10 +2,10 @@
 
 The joint optimum of cameras and trajectories weighs the acceleration of objects in lengths. Where one camera alone sees
 an object for long, the nearer the object is, the less it has to accelerate for the same motion in the image: the cost
-is least where the object stands in the camera. No other camera contradicts, and the image shows no depth. What such a
-stretch says of the cameras is wrong: their derivatives grow without bound as the depth goes to zero, and the way to the
-marginal optimum is lost. The marginal posterior itself does not have this fault, for its volume grows with the inverse
-square of the depth.
+is least where the object stands in the camera. No other camera contradicts, and the image shows no depth. Such a
+stretch misleads about the cameras: their derivatives grow without bound as the depth goes to zero, and the search for
+the marginal optimum fails. The marginal posterior itself does not have this fault, for its volume grows with the
+inverse square of the depth.
 """
 
 from __future__ import annotations

@@ -215,7 +215,7 @@ def without_left_out(task: Task, fit: Fit) -> Fit:
 def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:
     """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
 
-    Trajectories of which one camera alone is left say nothing of the cameras, and collapse into it.
+    Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it.
     """
     chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
     rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]

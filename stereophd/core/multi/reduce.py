@@ -128,9 +128,8 @@ def _mark_candidates(
 ) -> None:
     """Mark components (n,) at home at the same place and time that the first coordinate does not rule out.
 
-    One loop without branches and over whole arrays, which the compiler turns into vector instructions: it rules out
-    most components in a ninth of the time. `reach` and `reaches` are the largest squares of differences of the first
-    coordinate.
+    One loop without branches and over whole arrays, which the compiler turns into vector instructions, rules out most
+    components. `reach` and `reaches` are the largest squares of differences of the first coordinate.
     """
     for k in range(len(first)):
         square = (first[k] - place) * (first[k] - place)

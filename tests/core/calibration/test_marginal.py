@@ -12,7 +12,7 @@ from stereophd.core.calibration.adjustment import adjust
 from stereophd.core.calibration.fits import FITTED_LOSS, marginal_fit
 from stereophd.core.calibration.linearisation import Linearisation
 from stereophd.core.calibration.marginal import MarginalPosterior, marginal_optimum
-from stereophd.core.calibration.problem import SQUARED
+from stereophd.core.calibration.problem import SQUARED, Problem
 from stereophd.core.calibration.quantities.center import CENTER
 from stereophd.core.calibration.task import Fit
 from stereophd.core.motion.ballistic import Ballistic
@@ -21,16 +21,21 @@ from stereophd.core.motion.base import Motion
 from .problems_of_unknowns import ACCELERATION, MOTION, observe, problem_of, rig, some_problem, unknowns
 
 
-def test_the_marginal_posterior_has_the_gradient_of_its_objective() -> None:
-    problem, states, drawn = some_problem(("center", "rotation", "focal", "clock_offset"))
+def check_gradient(problem: Problem, states: np.ndarray, values: np.ndarray, **tolerance: float) -> None:
+    """Compare the gradient with differences of the objective along four steps."""
     posterior = MarginalPosterior(Linearisation.of(problem))
-    at = posterior.at(np.append(drawn, 0.1), states)
+    at = posterior.at(np.append(values, 0.1), states)
     gradient, root = posterior.gradient(at)
     rng = np.random.default_rng(3)
     for _ in range(4):
         step = 0.02 * root @ rng.standard_normal(posterior.size)
         ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
-        assert ahead - behind == pytest.approx(2.0 * float(gradient @ step), rel=0.02, abs=1e-4)
+        assert ahead - behind == pytest.approx(2.0 * float(gradient @ step), **tolerance)
+
+
+def test_the_marginal_posterior_has_the_gradient_of_its_objective() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal", "clock_offset"))
+    check_gradient(problem, states, drawn, rel=0.02, abs=1e-4)
 
 
 def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_for_long() -> None:
@@ -40,14 +45,7 @@ def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_
     observations, _, points = observe(true.cameras, 1, 3, 12.0)
     rows = np.flatnonzero((observations.trajectories > 0) | (observations.cameras == 0) | (observations.times < 3.0))
     problem, states = problem_of(true.about(true.guess(drawn)), observations.take(rows), points[rows])
-    posterior = MarginalPosterior(Linearisation.of(problem))
-    at = posterior.at(np.append(drawn, 0.1), states)
-    gradient, root = posterior.gradient(at)
-    rng = np.random.default_rng(3)
-    for _ in range(4):
-        step = 0.02 * root @ rng.standard_normal(posterior.size)
-        ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
-        assert ahead - behind == pytest.approx(2.0 * float(gradient @ step), abs=1e-3)
+    check_gradient(problem, states, drawn, abs=1e-3)
 
 
 @pytest.mark.parametrize("motion", [MOTION, Ballistic([ACCELERATION] * 3, gravity=[0.0, 9.8, 0.0])])
