@@ -33,15 +33,15 @@ from numpy.typing import NDArray
 
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
-from stereophd.core.calibration import sequential
-from stereophd.core.calibration.likelihood import hypothesis_spaces
-from stereophd.core.calibration.parameters import ParameterSet
+from stereophd.core.calibration.sampling import sequential
+from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.trips import motion_noise, moving_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.constant_velocity import POSITION_ALONE, POSITION_WITH_VELOCITY
-from stereophd.core.multi.batch import CHUNK, BatchState, FilterBatch
-from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.multi.camera_hypotheses.batch import CHUNK, BatchState, FilterBatch
+from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.numerics.linear_algebra import cholesky
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.pipeline.calibration.filters import phd_filter

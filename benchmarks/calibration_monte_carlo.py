@@ -36,7 +36,7 @@ from stereophd.commands.evaluate_cameras import evaluate_calibration, read_poste
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_cameras, load_config
-from stereophd.core.calibration.quantities.registry import quantities
+from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.io.cameras import write_cameras

@@ -29,7 +29,7 @@ from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
-from stereophd.core.calibration.quantities.registry import quantity_of
+from stereophd.core.calibration.unknowns.quantities.registry import quantity_of
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 PAPER, CLOCKS = CONFIGS / "paper" / "calibration.yaml", CONFIGS / "clocks_calibration.yaml"

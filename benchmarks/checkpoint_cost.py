@@ -38,7 +38,7 @@ from scipy.stats import t as student
 from stereophd.commands import track as command
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking import checkpoint
 from stereophd.pipeline.tracking.checkpoint import RecordJournal
 from stereophd.pipeline.tracking.run import open_journal

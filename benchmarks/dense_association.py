@@ -20,7 +20,7 @@ import common  # noqa: F401  (first: sets the number of threads)
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.multi import belief, exact_association
+from stereophd.core.multi.association import belief, exact_association
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -33,8 +33,8 @@ from stereophd.commands.calibrate import calibrate
 from stereophd.config.loading import load_cameras, load_config
 from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.metrics.registration import Freedom, Registration, register
-from stereophd.core.metrics.truth_interpolation import Truth
+from stereophd.core.metrics.truth.interpolation import Truth
+from stereophd.core.metrics.truth.registration import Freedom, Registration, register
 from stereophd.io.cameras import write_cameras
 from stereophd.pipeline.calibration.unknowns import with_quantities
 

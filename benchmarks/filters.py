@@ -24,17 +24,17 @@ from numpy.typing import NDArray
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
-from stereophd.core.metrics.clear_mot import match_within
-from stereophd.core.metrics.confirmation_delay import Waits
+from stereophd.core.metrics.errors.confirmation_delay import Waits
+from stereophd.core.metrics.matching.clear_mot import match_within
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures as figures_of_run
 from stereophd.core.metrics.summary import pair_errors, track_ospa
-from stereophd.core.metrics.truth_interpolation import DEFAULT_GAP_STEPS, align_truth, last_event_of_each_time
-from stereophd.core.multi.estimates import Estimates
+from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, align_truth, last_event_of_each_time
+from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import simulate_frames
 from stereophd.experiments.kinds.multi_object import KIND, points_of_estimates, scene_truth
-from stereophd.io.logs import Frame
+from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import EventStream, frames_in_order

@@ -165,7 +165,7 @@ def cases(folder: Path) -> dict[str, Case]:
     from stereophd.commands.track import track
     from stereophd.commands.track_logs import track_logs
     from stereophd.config.loading import load_config
-    from stereophd.io import table_writing
+    from stereophd.io.tables import writing as table_writing
     from stereophd.pipeline.calibration import checkpoint as calibration_checkpoint
     from stereophd.pipeline.tracking import checkpoint
 

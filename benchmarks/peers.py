@@ -29,8 +29,8 @@ from peers_stonesoup import Knowledge, Scan, run_gnn, run_phd
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.disparity.events import Event
-from stereophd.core.metrics.ospa import ospa
-from stereophd.core.metrics.truth_interpolation import align_truth
+from stereophd.core.metrics.distances.ospa import ospa
+from stereophd.core.metrics.truth.interpolation import align_truth
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.evaluation.inputs import read_truth

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from stereophd.core.geometry.lens import Lens
     from stereophd.core.geometry.pose import Pose
     from stereophd.errors import GateError, InputError, StereophdError
-    from stereophd.io.logs import Frame
+    from stereophd.io.logs.reading import Frame
     from stereophd.pipeline.array_filters import make_filter, run_filter
     from stereophd.pipeline.files import read_cameras, read_log, write_cameras, write_log
     from stereophd.pipeline.tracking.loop import Record
@@ -55,7 +55,7 @@ _HOMES = {
     "Camera": "core.geometry.camera",
     "Clock": "core.geometry.camera",
     "Detector": "core.geometry.camera",
-    "Frame": "io.logs",
+    "Frame": "io.logs.reading",
     "GateError": "errors",
     "InputError": "errors",
     "Lens": "core.geometry.lens",

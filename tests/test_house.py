@@ -159,7 +159,7 @@ PLACEHOLDERS = re.compile(r"WORD|KIND|NAME|HASH")
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_modules_that_a_document_names_exist(document: Path) -> None:
-    """A path in backticks, such as `multi/pmb.py`, ends the path of a file of the repository."""
+    """A path in backticks, such as `multi/pmb/filter.py`, ends the path of a file of the repository."""
     files = {path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py") if ".venv" not in path.parts}
     named = re.findall(r"`((?:[\w.-]+/)*[\w-]+\.py)(?:::\w+)?`", document.read_text())
     named = [name for name in named if not PLACEHOLDERS.search(name)]

@@ -200,7 +200,7 @@ def _explain_usage(error: Exception, session: Session) -> int:
 
 def _is_users(error: OSError) -> bool:
     """Whether an error of the operating system is about a file or folder that the user named."""
-    from stereophd.io.disk import USER_ERRNOS
+    from stereophd.io.outputs.disk import USER_ERRNOS
 
     return error.filename is not None and (error.errno in USER_ERRNOS or error.errno == errno.ENOENT)
 

@@ -55,7 +55,7 @@ def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = Fals
 
 def say_what_is_kept(out: Path) -> None:
     """Report that an interrupted command can be continued, if it can."""
-    from stereophd.pipeline.unfinished import can_resume
+    from stereophd.pipeline.runs.unfinished import can_resume
 
     if can_resume(out) or any(out.glob("*/report.json")):
         print(f"finished parts are kept in {out}; --resume continues", file=sys.stderr)

@@ -71,7 +71,7 @@ def quiet_pipe() -> Iterator[None]:
 
 def to_json(report: Mapping[str, Any]) -> str:
     """Return a report as JSON; NaN and infinity become null, which JSON knows."""
-    from stereophd.io.json_text import json_text
+    from stereophd.io.outputs.json_text import json_text
 
     return json_text(report, ascii_only=not (sys.stdout.encoding or "utf-8").lower().startswith("utf"))
 
@@ -82,7 +82,7 @@ def print_report(session: Session, report: Mapping[str, Any]) -> None:
         session.printed = True
         print_data(to_json(report))
     elif not session.quiet:
-        from stereophd.io.json_text import plain
+        from stereophd.io.outputs.json_text import plain
 
         print_data("\n".join(_lines(plain(report))))
 

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.posterior import DETERMINED, PARTLY, UNDETERMINED
+from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
-from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
-from stereophd.io.checkpoints import is_checkpoint
-from stereophd.io.json_text import write_json
-from stereophd.io.provenance import provenance, sha256_of, to_metadata
-from stereophd.io.table_schemas import history_schema, posterior_schema
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.checkpoints import is_checkpoint
+from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
+from stereophd.io.tables.schemas import history_schema, posterior_schema
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
@@ -31,11 +31,11 @@ from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
 from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
-from stereophd.pipeline.checks.tracking import check_tracking
-from stereophd.pipeline.finished import finished_report
-from stereophd.pipeline.sizes import check_size
+from stereophd.pipeline.checks.run_figures.losses import check_losses
+from stereophd.pipeline.checks.run_figures.tracking import check_tracking
+from stereophd.pipeline.runs.finished import finished_report
+from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from stereophd.config.calibration import CalibrationConfig
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.pipeline.progress import Progress
+    from stereophd.pipeline.runs.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"

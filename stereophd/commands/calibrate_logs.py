@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.calibrate import FILES, calibrate
-from stereophd.io.atomic import tidy
-from stereophd.io.provenance import provenance
-from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
+from stereophd.io.outputs.atomic import tidy
+from stereophd.io.outputs.provenance import provenance
+from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
-from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.runs.progress import Progress
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereophd.io.provenance import provenance
+from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.checks.run import check_log
 

@@ -7,9 +7,9 @@ from typing import Any
 
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.preparation import prepare, prepare_last_first
-from stereophd.core.numerics.kernel_cache import place_to_keep
+from stereophd.core.numerics.compilation.kernel_cache import place_to_keep
 from stereophd.errors import InputError
-from stereophd.pipeline.processes import on_processes
+from stereophd.pipeline.workers.processes import on_processes
 
 LOGGER = logging.getLogger("stereophd")
 

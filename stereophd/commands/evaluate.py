@@ -8,13 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from stereophd.core.metrics.truth_interpolation import (
+from stereophd.core.metrics.truth.interpolation import (
     DEFAULT_GAP_STEPS,
 )
 from stereophd.errors import InputError
-from stereophd.io.atomic import OutputFolder
-from stereophd.io.json_text import write_json
-from stereophd.io.provenance import provenance, to_metadata
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.pipeline.evaluation.gates import Limits, check_limits, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,

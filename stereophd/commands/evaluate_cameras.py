@@ -14,17 +14,17 @@ from pydantic import ValidationError
 
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
-from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.quantities.base import SUFFIXES
-from stereophd.core.calibration.quantities.registry import quantities
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.quantities.base import SUFFIXES
+from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.errors import InputError, unknown_camera
-from stereophd.io.atomic import OutputFolder
-from stereophd.io.json_text import finite_or_none, write_json
-from stereophd.io.provenance import from_metadata, provenance
-from stereophd.io.table_reading import open_parquet
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.json_text import finite_or_none, write_json
+from stereophd.io.outputs.provenance import from_metadata, provenance
+from stereophd.io.tables.reading import open_parquet
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, raise_if_failed

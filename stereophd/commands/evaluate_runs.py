@@ -10,11 +10,11 @@ from typing import Any
 
 from stereophd.commands.evaluate import PER_SCAN_NAME, PLOT_NAMES, REPORT_NAME, evaluate
 from stereophd.errors import InputError
-from stereophd.io.provenance import provenance
-from stereophd.io.table_schemas import FLOAT, INTEGER
+from stereophd.io.outputs.provenance import provenance
+from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, run_batch
-from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.runs.progress import Progress
 
 # Columns of ``summary.parquet`` besides those of every batch.
 COLUMNS = {

@@ -28,9 +28,9 @@ from stereophd.experiments.engine.results import (
 )
 from stereophd.experiments.engine.summary import QuantityCheck
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN
-from stereophd.io.atomic import OutputFolder, output_lock
-from stereophd.pipeline.progress import Progress
-from stereophd.pipeline.sizes import check_size, size_of_experiment
+from stereophd.io.outputs.atomic import OutputFolder, output_lock
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
 from stereophd.report.installed import can_draw
 
 if TYPE_CHECKING:

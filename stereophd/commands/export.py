@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.errors import InputError
-from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
-from stereophd.io.disk import write_error
 from stereophd.io.file_kinds import CSV, HDF5, PARQUET, kind_of_file
 from stereophd.io.interchange.base import ExportOptions, Format
 from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.consulted import consulted, refuse_unread
 from stereophd.io.interchange.registry import find, names
-from stereophd.io.provenance import provenance
+from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write
+from stereophd.io.outputs.disk import write_error
+from stereophd.io.outputs.provenance import provenance
 
 TRACKS_FILE, CAMERAS_FILE = "tracks.parquet", "cameras.yaml"
 REPORT_VERSION = 1

@@ -12,7 +12,6 @@ import numpy as np
 
 from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
-from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
@@ -20,13 +19,14 @@ from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread, with_source_names
 from stereophd.io.interchange.reading import read_foreign
 from stereophd.io.interchange.registry import find
-from stereophd.io.json_text import write_json
-from stereophd.io.logs import LogReader
-from stereophd.io.provenance import provenance, to_metadata
-from stereophd.pipeline.checks.files import check_files
+from stereophd.io.logs.reading import LogReader
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
-from stereophd.pipeline.checks.sample import sample_log
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 FILES = (DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE)
@@ -66,7 +66,7 @@ def import_recording(
     -------
     dict
         The report, as in ``report.json``: counts by camera; ``assumed`` and ``warnings``: sentences about what the
-        sources do not state; ``checks``: the findings of `stereophd.pipeline.checks.files`.
+        sources do not state; ``checks``: the findings of `stereophd.pipeline.checks.log.findings`.
 
     Raises
     ------

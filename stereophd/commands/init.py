@@ -9,8 +9,8 @@ from typing import Any
 import stereophd
 from stereophd.config.loading import load_cameras, load_config
 from stereophd.errors import InputError
-from stereophd.io.atomic import atomic_write
-from stereophd.io.disk import write_error
+from stereophd.io.outputs.atomic import atomic_write
+from stereophd.io.outputs.disk import write_error
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log
 from stereophd.pipeline.initial.template import METRES, SCALES, Draft, Kind, template

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.errors import InputError
-from stereophd.io.atomic import atomic_write
+from stereophd.io.outputs.atomic import atomic_write
 from stereophd.pipeline.inspection.runs import read_runs
 
 

@@ -17,15 +17,15 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OB
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.core.simulation.timing import FloatArray
 from stereophd.errors import InputError
-from stereophd.io.atomic import OutputFolder
 from stereophd.io.cameras import write_cameras
-from stereophd.io.log_writing import LogWriter
-from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.table_schemas import TRUTH
-from stereophd.io.table_writing import TableWriter
-from stereophd.pipeline.progress import Progress
+from stereophd.io.logs.writing import LogWriter
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.io.tables.schemas import TRUTH
+from stereophd.io.tables.writing import TableWriter
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.sizes import check_size, size_of_simulation
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -133,7 +133,7 @@ def _simulate_runs(
 ) -> list[dict[str, int]]:
     tasks = [(loaded, run, files) for run, files in enumerate(paths)]
     # Only here: a single run starts without it.
-    from stereophd.pipeline.processes import on_processes
+    from stereophd.pipeline.workers.processes import on_processes
 
     counts = []
     for count in map(_simulate_one, tasks) if jobs == 1 else on_processes(_simulate_one, tasks, jobs):

@@ -15,20 +15,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.core.disparity.sample_move import carry_components
-from stereophd.core.numerics.kernel_cache import is_kept
-from stereophd.io.atomic import OutputFolder, output_lock
+from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras import write_cameras
-from stereophd.io.json_text import write_json
-from stereophd.io.provenance import provenance, sha256_of, to_metadata
-from stereophd.pipeline.checks.estimated_detectors import check_estimated_detectors
+from stereophd.io.outputs.atomic import OutputFolder, output_lock
+from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.losses import check_losses
 from stereophd.pipeline.checks.run import check_log, report_findings
-from stereophd.pipeline.checks.tracking import check_tracking
-from stereophd.pipeline.compile_ahead import compiling_ahead
-from stereophd.pipeline.finished import finished_report
+from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
+from stereophd.pipeline.checks.run_figures.losses import check_losses
+from stereophd.pipeline.checks.run_figures.tracking import check_tracking
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
-from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.runs.finished import finished_report
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.checkpoint import RecordJournal
 from stereophd.pipeline.tracking.lifetimes import lasting
@@ -48,7 +48,7 @@ from stereophd.pipeline.tracking.run import (
 )
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.tracking.table_journal import TableJournal
-from stereophd.pipeline.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.track import FILES, track
-from stereophd.io.provenance import provenance
-from stereophd.io.table_schemas import FLOAT, INTEGER
+from stereophd.io.outputs.provenance import provenance
+from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
-from stereophd.pipeline.progress import Progress
-from stereophd.pipeline.unfinished import UNFINISHED_FILES
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

@@ -12,7 +12,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS
 from stereophd.core.geometry.pose import Pose
 from stereophd.errors import InputError
-from stereophd.io.trajectories import pack_poses
+from stereophd.io.tables.trajectories import pack_poses
 
 
 def camera_config(camera: Camera) -> CameraConfig:

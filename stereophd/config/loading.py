@@ -21,9 +21,9 @@ from stereophd.config.overrides import apply_override, key_path, parse_override
 from stereophd.config.report import CameraTimes
 from stereophd.config.yaml import Place, Tree, read_yaml
 from stereophd.errors import InputError, unknown_camera
-from stereophd.io.json_text import infinity_as_text
-from stereophd.io.provenance import ConfigRecord, sha256_of
-from stereophd.io.trajectories import pack_poses, read_trajectory
+from stereophd.io.outputs.json_text import infinity_as_text
+from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
+from stereophd.io.tables.trajectories import pack_poses, read_trajectory
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera

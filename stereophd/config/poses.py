@@ -12,7 +12,7 @@ from stereophd.config.base import Model
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 from stereophd.core.settings import FINITE, Degrees, DegreesPerSecond, Time, Vector3, parameter
-from stereophd.io.trajectories import read_trajectory, unpack_poses
+from stereophd.io.tables.trajectories import read_trajectory, unpack_poses
 
 Entry = Annotated[float, Interval(ge=-2, le=2), FINITE]
 Row = tuple[Entry, Entry, Entry]

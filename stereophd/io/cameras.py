@@ -29,7 +29,7 @@ def cameras_text(
     length_unit : str
         Unit of the camera centres.
     provenance : mapping, optional
-        As `stereophd.io.provenance.provenance` returns it; version, command, seed and hash of the
+        As `stereophd.io.outputs.provenance.provenance` returns it; version, command, seed and hash of the
         configuration go into a comment.
     """
     text = CONVENTIONS

@@ -8,7 +8,7 @@ from typing import Any
 from stereophd.config.loading import make_config
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.io.logs import Frame
+from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import Record, run_estimator

@@ -15,10 +15,10 @@ from stereophd.config.tracking import RegionConfig
 from stereophd.core.disparity.events import make_rig
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.births.undetected import LEAST_PRUNING
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.undetected import LEAST_PRUNING
 from stereophd.core.numerics.random_streams import FILTER_SAMPLES
 from stereophd.core.numerics.samples import draw_sample_sets
 from stereophd.core.single.settings import SingleSettings

@@ -14,11 +14,11 @@ from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
 from stereophd.io import cameras as camera_files
-from stereophd.io.atomic import atomic_write
-from stereophd.io.log_rows import OPTIONAL, REQUIRED
-from stereophd.io.logs import LogReader
-from stereophd.io.table_schemas import DETECTIONS
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.logs.reading import LogReader
+from stereophd.io.logs.rows import OPTIONAL, REQUIRED
+from stereophd.io.outputs.atomic import atomic_write
+from stereophd.io.tables.schemas import DETECTIONS
+from stereophd.io.tables.writing import TableWriter
 
 # Columns that a frame without detections leaves empty.
 _OF_DETECTIONS = frozenset({"u_px", "v_px", *OPTIONAL})

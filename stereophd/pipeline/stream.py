@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.errors import InputError
-from stereophd.io.logs import Frame, LogReader
-from stereophd.pipeline.progress import Progress
+from stereophd.io.logs.reading import Frame, LogReader
+from stereophd.pipeline.runs.progress import Progress
 
 if TYPE_CHECKING:
     from stereophd.config.model import Config
@@ -140,7 +140,7 @@ def open_stream(
     Raises
     ------
     InputError
-        The log cannot be read (see `stereophd.io.logs.LogReader`).
+        The log cannot be read (see `stereophd.io.logs.reading.LogReader`).
     """
     reader = LogReader(path, cameras, config.input.on_bad_row, config.input.image_margin_px)
     return EventStream(cameras, reader, progress)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from stereophd.core.calibration.quantities.base import RADIANS, SUFFIXES, Quantity
-from stereophd.core.calibration.quantities.registry import quantities, quantity_of
+from stereophd.core.calibration.unknowns.quantities.base import RADIANS, SUFFIXES, Quantity
+from stereophd.core.calibration.unknowns.quantities.registry import quantities, quantity_of
 from stereophd.report.summaries import SummaryTable, number, share, table_text
 
 # Errors up to this are rounding of the files of cameras, in any unit.

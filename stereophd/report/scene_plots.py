@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from stereophd.core.metrics.assignment import FloatArray, IntArray
-from stereophd.core.metrics.consistency import UNLABELLED
+from stereophd.core.metrics.errors.consistency import UNLABELLED
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets
-from stereophd.core.metrics.truth_interpolation import in_window
+from stereophd.core.metrics.truth.interpolation import in_window
 from stereophd.report.style import (
     BLUE,
     CAMERA_COLOUR,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from stereophd.core.metrics.scans import PointSets
-from stereophd.core.metrics.truth_interpolation import Truth
+from stereophd.core.metrics.truth.interpolation import Truth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.assignment import FloatArray, IntArray
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, Pictures, bracketed, legend_right, unit_text
 
 if TYPE_CHECKING:

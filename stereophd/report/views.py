@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.core.metrics.assignment import FloatArray
+from stereophd.core.metrics.matching.assignment import FloatArray
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import stereophd.commands.track  # noqa: F401 (imported before the tests that run without permissions)
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.tables.writing import TableWriter
 
 from .conftest import CONFIG, Outcome, write_config, write_log
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stereophd.io.log_writing import LogWriter
+from stereophd.io.logs.writing import LogWriter
 from tests.cli.conftest import Outcome
 
 

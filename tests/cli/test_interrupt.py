@@ -16,7 +16,7 @@ import pytest
 import stereophd.commands.simulate
 from stereophd.cli import interrupts
 from stereophd.cli.app import run
-from stereophd.io.logs import Frame, LogReader
+from stereophd.io.logs.reading import Frame, LogReader
 
 from .conftest import start, write_log
 

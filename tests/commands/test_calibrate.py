@@ -16,7 +16,7 @@ from stereophd.commands.calibrate import calibrate, checkpoint_path
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
-from stereophd.core.calibration import marginal
+from stereophd.core.calibration.adjustment import marginal
 from stereophd.errors import GateError, InputError
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"

@@ -9,8 +9,8 @@ import pytest
 
 from stereophd.cli.app import run
 from stereophd.commands import compile
-from stereophd.core.multi import preparation
-from stereophd.pipeline import compile_ahead
+from stereophd.core.numerics.compilation import preparation
+from stereophd.pipeline.workers import compile_ahead
 
 
 def test_compile_prepares_every_filter(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

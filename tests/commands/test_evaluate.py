@@ -15,7 +15,7 @@ import pytest
 
 from stereophd.commands.evaluate import evaluate
 from stereophd.errors import GateError, InputError
-from stereophd.io.table_schemas import TRACKS
+from stereophd.io.tables.schemas import TRACKS
 
 CAMERA = """\
     image_size_px: [800, 600]

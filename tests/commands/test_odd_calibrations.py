@@ -13,7 +13,7 @@ import pytest
 from stereophd.commands.calibrate import calibrate
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
-from stereophd.core.calibration.posterior import UNDETERMINED
+from stereophd.core.calibration.unknowns.observability import UNDETERMINED
 from stereophd.errors import InputError
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"

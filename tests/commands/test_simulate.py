@@ -13,8 +13,8 @@ import pytest
 from stereophd.commands.simulate import CAMERAS_FILE, DETECTIONS_FILE, TRUTH_FILE, simulate
 from stereophd.config.loading import LoadedConfig, load_cameras, load_config
 from stereophd.errors import InputError
-from stereophd.io.logs import LogReader
-from stereophd.io.provenance import from_metadata
+from stereophd.io.logs.reading import LogReader
+from stereophd.io.outputs.provenance import from_metadata
 
 SCENARIO = """
 units: {length: cm}

@@ -20,7 +20,7 @@ from stereophd.experiments.engine.base import Kind, Series, method_clock
 from stereophd.experiments.engine.parts import experiment_hash
 from stereophd.experiments.engine.plan import cases_of
 from stereophd.experiments.kinds import multi_object
-from stereophd.io.provenance import METADATA_KEY
+from stereophd.io.outputs.provenance import METADATA_KEY
 
 from .conftest import Load
 

@@ -53,7 +53,7 @@ SMALL = {
 def test_an_experiment_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, override: str, message: str
 ) -> None:
-    monkeypatch.setattr("stereophd.pipeline.sizes.LONGEST_S", 60.0)  # usually hours
+    monkeypatch.setattr("stereophd.pipeline.runs.sizes.LONGEST_S", 60.0)  # usually hours
     small = ["experiment.runs=1", *SMALL.get(name, ())]
     with pytest.raises(InputError, match=message):
         experiment(load_config(PAPER / f"{name}.yaml", [*small, override]), tmp_path / "out")

@@ -16,7 +16,7 @@ import pytest
 from stereophd.commands.experiment import experiment
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
-from stereophd.pipeline import workers
+from stereophd.pipeline.workers import places as workers
 
 from .conftest import CAN_DRAW, Load, write_config
 from .test_experiment import contents

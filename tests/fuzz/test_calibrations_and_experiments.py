@@ -119,7 +119,7 @@ def changes_of(document: dict[str, Any], sections: Sequence[str]) -> st.SearchSt
 @pytest.fixture(autouse=True)
 def low_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs that are estimated to take long are refused."""
-    monkeypatch.setattr("stereophd.pipeline.sizes.LONGEST_S", LONGEST_ESTIMATE_S)
+    monkeypatch.setattr("stereophd.pipeline.runs.sizes.LONGEST_S", LONGEST_ESTIMATE_S)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.disparity.events import Event
-from stereophd.io.logs import Frame
+from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record, ReportTimes, RunState, run_estimator
 from stereophd.pipeline.tracking.run import build_tracking

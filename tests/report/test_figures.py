@@ -13,7 +13,7 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.metrics.scans import PointSets
-from stereophd.core.metrics.truth_interpolation import Truth
+from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.report.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
 
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.adjustment import posterior_covariance
-from stereophd.core.calibration.linearisation import Linearisation
-from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.problem import SQUARED, Observations, Problem
-from stereophd.core.calibration.quantities.pixel_derivatives import look
-from stereophd.core.calibration.scale import ScaleMeasurement
-from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.problem import SQUARED, Observations, Problem
+from stereophd.core.calibration.adjustment.solver import posterior_covariance
+from stereophd.core.calibration.adjustment.trajectories import fit_states, interpolation, knot_spacing, place_knots
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.motion.base import Motion
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.space import BASELINE, VERTICAL
 from stereophd.core.geometry.layout import CX, CY, FX, FY
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.trips import disparity_scale, relative_pose
 from stereophd.core.geometry.layout import CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 
 Array = NDArray[np.float64]
 

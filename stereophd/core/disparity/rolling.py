@@ -9,7 +9,7 @@ satisfies
     z_u = u - rho (f_x D_x - (z_u - c_x) D_z),    z_v = v - rho (f_y D_y - (z_v - c_y) D_z):
 
 for a detection, of which z is known, linear in the disparity d. An object moves on by tau_j (du, dv) besides
-(`stereophd.core.multi.association`), so that its observation stays linear.
+(`stereophd.core.multi.association.likelihoods`), so that its observation stays linear.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW,
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.core.numerics.sorting import copy_gaussian

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.space import BASELINE, VERTICAL
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE, LENS_NONE, ROTATION, WIDTH
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 
 Array = NDArray[np.float64]
 

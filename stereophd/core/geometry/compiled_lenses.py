@@ -37,7 +37,7 @@ from stereophd.core.geometry.layout import (
     WIDTH,
 )
 from stereophd.core.geometry.lenses import brown_conrady, fisheye
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 
 # Other kernels take the layout of a packed camera from here too.
 __all__ = [

@@ -1,7 +1,7 @@
 """Projections with their derivatives: of points in a camera's axes, and by projective matrices.
 
 These are the parts. `stereophd.core.bounds.cramer_rao.pixel_jacobian` is the Jacobian of the undistorted pixel by a
-position in the world, and `stereophd.core.calibration.quantities.pixel_derivatives.look` the whole derivative of the
+position in the world, and `calibration.unknowns.quantities.pixel_derivatives.look` the whole derivative of the
 distorted pixel: through the lens, and by the pose, the motion of object and camera, and time.
 """
 

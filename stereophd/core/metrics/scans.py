@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.assignment import (
+from stereophd.core.metrics.distances.ospa import Matching, gospa_of_matching, match, ospa_of_matching
+from stereophd.core.metrics.matching.assignment import (
     FloatArray,
     IntArray,
     euclidean_distances,
     mahalanobis_distances,
 )
-from stereophd.core.metrics.ospa import Matching, gospa_of_matching, match, ospa_of_matching
 
 # Distances held at once: bounds the memory of a batch to a few megabytes and keeps it in cache.
 BATCH_ENTRIES = 100_000

@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.assignment import FloatArray
-from stereophd.core.metrics.confirmation_delay import Waits
-from stereophd.core.metrics.consistency import UNLABELLED, independent_count, nees_interval, whitened
-from stereophd.core.metrics.hota import hota
-from stereophd.core.metrics.identity import identity_switches
-from stereophd.core.metrics.identity_figures import has_identities, identity_figures
-from stereophd.core.metrics.idf1 import identity_score
-from stereophd.core.metrics.near_pairs import NearPairs
-from stereophd.core.metrics.ospa import Ospa
-from stereophd.core.metrics.ospa2 import ospa2_of_windows
-from stereophd.core.metrics.rmse import (
+from stereophd.core.metrics.distances.hota import hota
+from stereophd.core.metrics.distances.ospa import Ospa
+from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
+from stereophd.core.metrics.errors.confirmation_delay import Waits
+from stereophd.core.metrics.errors.consistency import UNLABELLED, independent_count, nees_interval, whitened
+from stereophd.core.metrics.errors.rmse import (
     cardinality_error,
     error_percentiles,
     mean_per_group,
     root_mean_square,
     root_mean_square_per_group,
 )
+from stereophd.core.metrics.identities.figures import has_identities, identity_figures
+from stereophd.core.metrics.identities.idf1 import identity_score
+from stereophd.core.metrics.matching.assignment import FloatArray
+from stereophd.core.metrics.matching.identity import identity_switches
+from stereophd.core.metrics.matching.near_pairs import NearPairs
 from stereophd.core.metrics.scans import PointSets, ScanScores
 
 POSITION_DIMENSION = 3

@@ -19,15 +19,15 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.birth import birth_moments, newborn_prior
-from stereophd.core.multi.estimates import Estimates, Info
+from stereophd.core.multi.births.birth import birth_moments, newborn_prior
+from stereophd.core.multi.births.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.births.undetected import Undetected, burst_of, expected_births, undetected_shares
+from stereophd.core.multi.crosswise.history import History
 from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
-from stereophd.core.multi.history import History
-from stereophd.core.multi.inputs import Detections, EventArrays, EventNumbers, NewbornPrior
-from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
-from stereophd.core.multi.undetected import Undetected, burst_of, expected_births, undetected_shares
+from stereophd.core.multi.state.estimates import Estimates, Info
+from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, NewbornPrior
+from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
@@ -132,7 +132,7 @@ class DisparityFilter(ABC):
     @property
     @abstractmethod
     def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
-        """The compiled update and reduction of many camera hypotheses (`stereophd.core.multi.batch_kernels`)."""
+        """The compiled update and reduction of many camera hypotheses (`multi.camera_hypotheses.batch_kernels`)."""
 
     @property
     @abstractmethod

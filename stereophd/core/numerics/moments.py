@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.numerics.compilation import compiled, compiled_fast
+from stereophd.core.numerics.compilation.compiled import compiled, compiled_fast
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.single.base import SingleState
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
-from stereophd.core.numerics.compilation import compiled
+from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.resampling import SCHEMES
 from stereophd.core.single.base import (
     SingleEstimate,

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.multi.exact_association import association_marginals
+from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.core.trajectories.stitching import STITCH_DISTANCE
 

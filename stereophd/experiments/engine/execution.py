@@ -11,8 +11,8 @@ from stereophd.errors import InputError, StereophdError
 from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.parts import PartStore
 from stereophd.experiments.engine.work import Chunk, ChunkResult, Part, run_chunk
-from stereophd.pipeline.progress import Progress
-from stereophd.pipeline.workers import ATTEMPTS, Workers, WorkersLostError, open_workers
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.workers.places import ATTEMPTS, Workers, WorkersLostError, open_workers
 
 # Called with method, case and series of a run.
 See = Callable[[str, str, Sequence[Series]], None]

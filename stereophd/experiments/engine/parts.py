@@ -24,13 +24,13 @@ from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Series
 from stereophd.experiments.engine.tables import columns_of, pieces
 from stereophd.experiments.engine.work import BOUND_RUN, Chunk, RunOutcome
-from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write
-from stereophd.io.commit import files_below
-from stereophd.io.disk import for_arrow
-from stereophd.io.provenance import sha256_of
-from stereophd.io.table_reading import damaged_is_input_error, open_parquet
-from stereophd.io.table_schemas import RUNS
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write
+from stereophd.io.outputs.commit import files_below
+from stereophd.io.outputs.disk import for_arrow
+from stereophd.io.outputs.provenance import sha256_of
+from stereophd.io.tables.reading import damaged_is_input_error, open_parquet
+from stereophd.io.tables.schemas import RUNS
+from stereophd.io.tables.writing import TableWriter
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

@@ -19,11 +19,11 @@ from stereophd.experiments.engine.plan import cases_of
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
 from stereophd.experiments.engine.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part
-from stereophd.io.atomic import OutputFolder, output_folder
-from stereophd.io.json_text import write_json
-from stereophd.io.provenance import from_metadata, provenance, to_metadata
-from stereophd.io.table_schemas import RUNS, SUMMARY
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.outputs.atomic import OutputFolder, output_folder
+from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata
+from stereophd.io.tables.schemas import RUNS, SUMMARY
+from stereophd.io.tables.writing import TableWriter
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

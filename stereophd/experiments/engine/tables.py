@@ -10,8 +10,8 @@ import numpy as np
 
 from stereophd.experiments.engine.base import Array, Series
 from stereophd.experiments.engine.summary import Summary
-from stereophd.io.table_reading import read_table
-from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
+from stereophd.io.tables.reading import read_table
+from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
 
 STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
 
@@ -53,7 +53,7 @@ def read_summaries(path: Path) -> Iterator[tuple[str, str, Summary]]:
     Raises
     ------
     InputError
-        As `stereophd.io.table_reading.read_table`.
+        As `stereophd.io.tables.reading.read_table`.
     """
     texts = ("method", "case", "quantity", "unit")
     numbers = ("time_s", *STATISTICS)

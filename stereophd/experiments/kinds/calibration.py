@@ -18,10 +18,10 @@ import numpy as np
 from stereophd.config.experiment import CalibrationScenario
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
-from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.posterior import UNDETERMINED, observability, pose_spread, posed_cameras
-from stereophd.core.calibration.quantities.base import RADIANS
-from stereophd.core.calibration.recording import Recording
+from stereophd.core.calibration.adjustment.recording import Recording
+from stereophd.core.calibration.unknowns.observability import UNDETERMINED, observability, pose_spread, posed_cameras
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.quantities.base import RADIANS
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_METHOD, RUN_OBJECTS
 from stereophd.core.numerics.times import SAME_TIME_S
@@ -39,8 +39,8 @@ from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
 from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
+from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.sizes import counts_of_scene
 from stereophd.pipeline.stream import frames_in_order
 
 if TYPE_CHECKING:

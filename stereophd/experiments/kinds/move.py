@@ -24,7 +24,7 @@ from stereophd.experiments.single_object.move_comparison import (
     gaussian_of_object,
     reference_moments,
 )
-from stereophd.io.provenance import canonical_json
+from stereophd.io.outputs.provenance import canonical_json
 from stereophd.pipeline.build import build_motion
 
 if TYPE_CHECKING:

@@ -16,23 +16,23 @@ from stereophd.config.experiment import MultiObjectScenario
 from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.scans import PointSets, score_scans
-from stereophd.core.metrics.truth_interpolation import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
+from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.runs.sizes import SceneCounts, counts_of_scene
 from stereophd.pipeline.simulation import build_scene, scene_motion
-from stereophd.pipeline.sizes import SceneCounts, counts_of_scene
 from stereophd.pipeline.stream import EventStream, frames_in_order
 from stereophd.pipeline.tracking.run import reported_records
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.core.multi.estimates import Estimates
-    from stereophd.io.logs import Frame
+    from stereophd.core.multi.state.estimates import Estimates
+    from stereophd.io.logs.reading import Frame
 
 
 # Measured, for estimates of the order of magnitude: processor time of the filter for an event and for a detection, of a

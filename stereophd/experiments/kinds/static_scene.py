@@ -27,14 +27,14 @@ from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.kinds.multi_object import filter_seconds, filtered_points, scene_truth
 from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.sizes import counts_of_scene
 from stereophd.pipeline.stream import frames_in_order
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
-    from stereophd.io.logs import Frame
+    from stereophd.io.logs.reading import Frame
 
 # Measured, for estimates of the order of magnitude: processor time of a frame and of a detection of the bound, s.
 FRAME_S, DETECTION_S = 2e-4, 1e-4

@@ -30,7 +30,7 @@ from stereophd.core.simulation.walk import walk
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings
-from stereophd.io.logs import Frame
+from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.stream import EventStream
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.disparity.events import Rig, make_rig
-from stereophd.core.metrics.consistency import nees
+from stereophd.core.metrics.errors.consistency import nees
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Array, Effort, Series

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stereophd.io.atomic import TEMPORARY_PREFIX
 from stereophd.io.interchange.base import ExportOptions, Format, need_extra
 from stereophd.io.interchange.tracks import length_unit, on_grid
+from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
 
 
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:

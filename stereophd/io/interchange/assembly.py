@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions
 from stereophd.io.interchange.spool import FRAME, TIME, Spool, U, V, extra_columns, read_rows, spool_pieces
-from stereophd.io.table_schemas import DETECTIONS, FLOAT, INTEGER
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
+from stereophd.io.tables.writing import TableWriter
 
 Floats = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from pyarrow.parquet import ParquetFile
 
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
-from stereophd.io.provenance import from_metadata
-from stereophd.io.provenance import length_unit as unit_of
-from stereophd.io.table_reading import cast_column, check_columns, damaged_is_input_error, open_parquet
-from stereophd.io.table_schemas import CONFIRMED, STD, STRING, TRACKS
+from stereophd.io.outputs.provenance import from_metadata
+from stereophd.io.outputs.provenance import length_unit as unit_of
+from stereophd.io.tables.reading import cast_column, check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.tables.schemas import CONFIRMED, STD, STRING, TRACKS
 
 Floats = NDArray[np.float64]
 

@@ -20,13 +20,13 @@ import pyarrow as pa
 
 import stereophd
 from stereophd.errors import GateError, InputError, StereophdError
-from stereophd.io.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
-from stereophd.io.provenance import to_metadata
-from stereophd.io.table_schemas import FLOAT, INTEGER, STRING
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
+from stereophd.io.outputs.provenance import to_metadata
+from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
-from stereophd.pipeline.progress import Progress
-from stereophd.pipeline.workers import ATTEMPTS, Workers, complete, open_workers
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.workers.places import ATTEMPTS, Workers, complete, open_workers
 
 SUMMARY_FILE = "summary.parquet"
 

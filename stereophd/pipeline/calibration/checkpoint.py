@@ -6,14 +6,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from stereophd.core.calibration.bridging_state import BridgeInfo, BridgeState
-from stereophd.core.calibration.sequential import SequentialInfo, SequentialState
-from stereophd.core.calibration.task import Start
+from stereophd.core.calibration.annealing.task import Start
+from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeState
+from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.settings import motion_models
 from stereophd.errors import InputError
-from stereophd.io.atomic import atomic_write, temporary_beside
-from stereophd.io.checkpoints import is_checkpoint, read_checkpoint, write_checkpoint
+from stereophd.io.outputs.atomic import atomic_write, temporary_beside
+from stereophd.io.outputs.checkpoints import is_checkpoint, read_checkpoint, write_checkpoint
 
 # Seconds between two checkpoints; more where writing one takes more than a hundredth of it.
 CHECKPOINT_EVERY_S = 60.0

@@ -9,8 +9,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.multi.pmb import PmbFilter
+from stereophd.core.multi.phd.filter import PhdFilter
+from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError

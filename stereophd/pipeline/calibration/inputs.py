@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
-from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.recording import Recording, Scans
-from stereophd.core.calibration.scale import ScaleMeasurement
-from stereophd.core.calibration.task import Task
-from stereophd.core.calibration.unknown_sets import UnknownSet, default_stages, stages_named
+from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.annealing.task import Task
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
+from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
 from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section

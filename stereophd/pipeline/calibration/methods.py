@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedScale
-from stereophd.core.calibration.annealed import (
+from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
+from stereophd.core.calibration.adjustment.selection import compare
+from stereophd.core.calibration.annealing.fits import fit_until, marginal_fit, problem_of, restricted_fit
+from stereophd.core.calibration.annealing.known_lengths import with_lengths
+from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
+from stereophd.core.calibration.annealing.starts import (
     agreeing_with_best,
     best_of,
     distinct,
@@ -21,16 +26,11 @@ from stereophd.core.calibration.annealed import (
     run_start,
     start_values,
 )
-from stereophd.core.calibration.clock_search import offset_places
-from stereophd.core.calibration.fits import fit_until, marginal_fit, problem_of, restricted_fit
-from stereophd.core.calibration.known_lengths import with_lengths
-from stereophd.core.calibration.known_scale import measured_scale, rescaled
-from stereophd.core.calibration.marginal import LEFT_OUT
-from stereophd.core.calibration.posterior import laplace_draws
-from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
-from stereophd.core.calibration.selection import compare
-from stereophd.core.calibration.task import Fit, Start, Task
-from stereophd.core.calibration.unknown_sets import candidates
+from stereophd.core.calibration.annealing.task import Fit, Start, Task
+from stereophd.core.calibration.pairing.clock_search import offset_places
+from stereophd.core.calibration.unknowns.observability import laplace_draws
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
+from stereophd.core.calibration.unknowns.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
@@ -40,8 +40,8 @@ from stereophd.pipeline.calibration.outcome import (
     Outcome,
 )
 from stereophd.pipeline.calibration.samplers import smc_outcome
-from stereophd.pipeline.processes import on_processes
-from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.workers.processes import on_processes
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

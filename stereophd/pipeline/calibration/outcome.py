@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.task import Fit
+from stereophd.core.calibration.annealing.task import Fit
 
 if TYPE_CHECKING:
     pass

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.calibration import CalibrationConfig
-from stereophd.core.calibration.posterior import (
+from stereophd.core.calibration.unknowns.observability import (
     DETERMINED,
     PARTLY,
     UNDETERMINED,
@@ -19,7 +19,7 @@ from stereophd.core.calibration.posterior import (
     pose_spread,
     posed_cameras,
 )
-from stereophd.io.json_text import finite_or_none
+from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
 

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig
-from stereophd.core.calibration import bridging, sequential
-from stereophd.core.calibration.annealed import RIVAL_DISTANCE, disagreement, explained
-from stereophd.core.calibration.blocks import BlockPath, block_sampler
-from stereophd.core.calibration.bridging_state import BridgeResult, BridgeState
-from stereophd.core.calibration.fits import fit_from
-from stereophd.core.calibration.likelihood import Evidence, LogEvidence
-from stereophd.core.calibration.modes import Modes
-from stereophd.core.calibration.recording_evidence import RecordingEvidence
-from stereophd.core.calibration.scale import ScaleMeasurement, scale_is_free
-from stereophd.core.calibration.task import Fit
-from stereophd.core.calibration.tempered import TemperedPath, tempered_sampler
-from stereophd.core.calibration.tracking_scale import can_be_enlarged
+from stereophd.core.calibration.annealing.fits import fit_from
+from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagreement, explained
+from stereophd.core.calibration.annealing.task import Fit
+from stereophd.core.calibration.sampling import bridging, sequential
+from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
+from stereophd.core.calibration.sampling.bridging_state import BridgeResult, BridgeState
+from stereophd.core.calibration.sampling.likelihood import Evidence, LogEvidence
+from stereophd.core.calibration.sampling.modes import Modes
+from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
+from stereophd.core.calibration.sampling.tempered import TemperedPath, tempered_sampler
+from stereophd.core.calibration.unknowns.gauge import can_be_enlarged
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.batch import FilterBatch
+from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
@@ -31,7 +31,7 @@ from stereophd.pipeline.calibration.outcome import (
     HistoryRow,
     Outcome,
 )
-from stereophd.pipeline.progress import Progress
+from stereophd.pipeline.runs.progress import Progress
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

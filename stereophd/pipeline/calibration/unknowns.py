@@ -13,9 +13,9 @@ from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.cameras import CameraConfig
 from stereophd.config.errors import describe
 from stereophd.config.yaml import Place, Tree
-from stereophd.core.calibration.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.quantities.base import IMAGES, Quantity
-from stereophd.core.calibration.quantities.registry import quantities
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.unknowns.quantities.base import IMAGES, Quantity
+from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 

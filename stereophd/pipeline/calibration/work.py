@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from stereophd.pipeline.sizes import Size
+from stereophd.pipeline.runs.sizes import Size
 
 if TYPE_CHECKING:
     from stereophd.config.calibration import CalibrationConfig

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stereophd.io.logs import LogReader
-from stereophd.pipeline.checks.files import check_files
+from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.checks.finding import Finding, warnings_of
-from stereophd.pipeline.checks.geometry import measure
-from stereophd.pipeline.checks.geometry_findings import check_geometry
-from stereophd.pipeline.checks.losses import check_rows
-from stereophd.pipeline.checks.residuals import check_residuals
-from stereophd.pipeline.checks.sample import MOST_FRAMES, CameraSample, sample_log
+from stereophd.pipeline.checks.geometry.findings import check_geometry
+from stereophd.pipeline.checks.geometry.measure import measure
+from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.sample import MOST_FRAMES, CameraSample, sample_log
+from stereophd.pipeline.checks.residuals.findings import check_residuals
+from stereophd.pipeline.checks.run_figures.losses import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
 

@@ -16,9 +16,9 @@ from stereophd.config.model import Config
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry import Geometry
-from stereophd.pipeline.checks.rays import distances
-from stereophd.pipeline.checks.sample import CameraSample
+from stereophd.pipeline.checks.geometry.measure import Geometry
+from stereophd.pipeline.checks.geometry.rays import distances
+from stereophd.pipeline.checks.log.sample import CameraSample
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.multi.base import DisparityFilter, FilterState
-from stereophd.core.multi.estimates import Estimates, Info
+from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.detectors.statistics import DetectorEstimate, DetectorSums, estimate_detector, observe
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator

@@ -36,9 +36,9 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.multi.association import pair_likelihoods
+from stereophd.core.multi.association.exact_association import association_marginals
+from stereophd.core.multi.association.likelihoods import pair_likelihoods
 from stereophd.core.multi.base import Prediction
-from stereophd.core.multi.exact_association import association_marginals
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

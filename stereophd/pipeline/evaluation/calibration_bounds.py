@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.bounds.calibration import calibration_bound
-from stereophd.core.calibration.parameters import ParameterSet
-from stereophd.core.calibration.posterior import PoseSpread, pose_spread, posed_cameras
+from stereophd.core.calibration.unknowns.observability import PoseSpread, pose_spread, posed_cameras
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
-from stereophd.io.json_text import finite_or_none
+from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import build_scale
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene

@@ -12,15 +12,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.assignment import FloatArray, IntArray
-from stereophd.core.metrics.events import EventKeys, find_events, first_repeated, first_rows_of_events
-from stereophd.core.metrics.truth_interpolation import Events, Truth
-from stereophd.core.metrics.visibility import Sightings
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
+from stereophd.core.metrics.truth.interpolation import Events, Truth
+from stereophd.core.metrics.truth.visibility import Sightings
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
-from stereophd.io.provenance import from_metadata, length_unit
-from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet, read_table
-from stereophd.io.table_schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
+from stereophd.io.outputs.provenance import from_metadata, length_unit
+from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet, read_table
+from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from stereophd.core.metrics.registration import Registration
 from stereophd.core.metrics.scans import PointSets
-from stereophd.io.json_text import plain
-from stereophd.io.table_schemas import FLOAT, INTEGER
-from stereophd.io.table_writing import TableWriter
+from stereophd.core.metrics.truth.registration import Registration
+from stereophd.io.outputs.json_text import plain
+from stereophd.io.tables.schemas import FLOAT, INTEGER
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.evaluation.gates import Limits, gates
 from stereophd.pipeline.evaluation.options import Options
 from stereophd.pipeline.evaluation.registering import registration_report

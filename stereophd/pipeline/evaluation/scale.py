@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from stereophd.core.metrics.truth_interpolation import Truth
+from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
-from stereophd.io.provenance import origin
+from stereophd.io.outputs.provenance import origin
 from stereophd.pipeline.evaluation.inputs import Tracks
 
 # The paper's cutoff: 20 cm, or 20 standard deviations.

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.assignment import IntArray, is_positive_definite
-from stereophd.core.metrics.clear_mot import beside_another, match_within
-from stereophd.core.metrics.confirmation_delay import FirstReports, first_reports, waits
-from stereophd.core.metrics.near_pairs import near_pairs
+from stereophd.core.metrics.errors.confirmation_delay import FirstReports, first_reports, waits
+from stereophd.core.metrics.matching.assignment import IntArray, is_positive_definite
+from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
+from stereophd.core.metrics.matching.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa
-from stereophd.core.metrics.truth_interpolation import (
+from stereophd.core.metrics.truth.interpolation import (
     Events,
     Truth,
     add_truth_times,
@@ -22,7 +22,7 @@ from stereophd.core.metrics.truth_interpolation import (
     in_window,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.visibility import Sightings, cameras_that_saw, leave_out_unseen
+from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
 from stereophd.pipeline.evaluation.options import Options

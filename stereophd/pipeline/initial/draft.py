@@ -18,12 +18,12 @@ from stereophd.config.cameras import CameraConfig, DetectorConfig
 from stereophd.config.loading import LoadedConfig, make_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.io.logs import LogReader
+from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.build import build_labelled_filter
-from stereophd.pipeline.checks.estimated_detectors import LASTING
-from stereophd.pipeline.checks.files import check_files
-from stereophd.pipeline.checks.geometry import measure
-from stereophd.pipeline.checks.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.geometry.measure import measure
+from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.run_figures.estimated_detectors import LASTING
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.initial.acceleration import LEAST_EVENTS, estimate_acceleration, stretches

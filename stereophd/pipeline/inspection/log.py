@@ -12,9 +12,9 @@ import pyarrow as pa
 
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
-from stereophd.io.log_rows import OPTIONAL, REQUIRED, Floats, Rows, decode
-from stereophd.io.table_reading import check_columns, damaged_is_input_error, open_parquet
-from stereophd.io.table_writing import ROW_GROUP_ROWS
+from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Floats, Rows, decode
+from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.tables.writing import ROW_GROUP_ROWS
 
 # Intervals of a camera of which the median is taken.
 INTERVALS_KEPT = 1_000_000

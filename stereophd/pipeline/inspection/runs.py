@@ -13,11 +13,11 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.truth_interpolation import Truth
+from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
-from stereophd.io.provenance import file_sha256
-from stereophd.io.table_reading import read_table
-from stereophd.io.table_schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING
+from stereophd.io.outputs.provenance import file_sha256
+from stereophd.io.tables.reading import read_table
+from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.tables import kind_of
 

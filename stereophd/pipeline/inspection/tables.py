@@ -11,9 +11,9 @@ import pyarrow.compute as pc
 
 from stereophd.core.geometry.trajectory import COLUMNS
 from stereophd.errors import InputError
-from stereophd.io.provenance import from_metadata, length_unit
-from stereophd.io.table_reading import open_parquet, read_table
-from stereophd.io.table_schemas import CONFIRMED, FLOAT, INTEGER, STRING
+from stereophd.io.outputs.provenance import from_metadata, length_unit
+from stereophd.io.tables.reading import open_parquet, read_table
+from stereophd.io.tables.schemas import CONFIRMED, FLOAT, INTEGER, STRING
 
 #: Kind of table -> columns by which it is recognised, the most particular first.
 KINDS = (

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
-from stereophd.core.multi.attribution import Claims
-from stereophd.core.multi.estimates import Estimates
+from stereophd.core.multi.association.attribution import Claims
+from stereophd.core.multi.state.estimates import Estimates
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -4,7 +4,7 @@ Runs that are smoothed keep their records; all others keep their tables
 (`stereophd.pipeline.tracking.table_journal`). A run writes its records in chunks to a folder inside its output folder,
 and about once a minute the state of its estimator. A killed run continues from there. The records of the folder,
 together with those that follow from the state and the rest of the log, equal the records of an undisturbed run, and so
-do the files written from them. What the folder holds is data, never code (`stereophd.io.checkpoints`).
+do the files written from them. What the folder holds is data, never code (`stereophd.io.outputs.checkpoints`).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.errors import InputError
-from stereophd.io.atomic import atomic_write
-from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
-from stereophd.io.columns import pack, pack_counts, unpack, unpack_counts
+from stereophd.io.outputs.atomic import atomic_write
+from stereophd.io.outputs.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
+from stereophd.io.outputs.columns import pack, pack_counts, unpack, unpack_counts
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.loop import (
     LEFT_OUT,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.io.json_text import finite_or_none
+from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.tracking.loop import Record
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.estimates import Estimates
-from stereophd.io.columns import pack_counts, unpack_counts
+from stereophd.core.multi.state.estimates import Estimates
+from stereophd.io.outputs.columns import pack_counts, unpack_counts
 from stereophd.pipeline.tracking.explained import CameraSums, Explained
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.losses import Losses
@@ -45,7 +45,7 @@ class SavedFigures:
     track_ids, identities : array (n,), array (n, 6)
         Running figures of each track.
     detections : mapping
-        Track -> camera -> detections, as `stereophd.io.columns.pack_counts` returns them.
+        Track -> camera -> detections, as `stereophd.io.outputs.columns.pack_counts` returns them.
     """
 
     events: int

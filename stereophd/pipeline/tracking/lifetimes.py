@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.numerics.times import same_time
-from stereophd.io.checkpoints import reachable_classes
-from stereophd.io.columns import pack, unpack
+from stereophd.io.outputs.checkpoints import reachable_classes
+from stereophd.io.outputs.columns import pack, unpack
 from stereophd.pipeline.tracking.loop import LEFT_OUT, Record
 
 
@@ -39,7 +39,7 @@ class SavedLasting:
     Attributes
     ----------
     waiting : mapping, optional
-        Records that wait, as `stereophd.io.columns.pack` returns them; None without any.
+        Records that wait, as `stereophd.io.outputs.columns.pack` returns them; None without any.
     track_ids, spans : array (n,), array (n, 2)
         Tracks so far, and the times of their first and last reported estimate, s.
     """

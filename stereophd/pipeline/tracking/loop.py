@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.multi.estimates import Estimates, Info
+from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations

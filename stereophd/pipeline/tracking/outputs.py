@@ -10,9 +10,9 @@ import numpy as np
 
 from stereophd.config.report import ReportConfig
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.estimates import Estimates
-from stereophd.io.table_schemas import CONFIRMED, STD, TENTATIVE
-from stereophd.io.table_writing import TableWriter
+from stereophd.core.multi.state.estimates import Estimates
+from stereophd.io.tables.schemas import CONFIRMED, STD, TENTATIVE
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking.figures import RunFigures, SavedFigures
 from stereophd.pipeline.tracking.loop import Record
 

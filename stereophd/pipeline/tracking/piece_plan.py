@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from stereophd.errors import InputError
-from stereophd.io.logs import Frame
-from stereophd.pipeline.progress import Progress
+from stereophd.io.logs.reading import Frame
+from stereophd.pipeline.runs.progress import Progress
 
 # A piece is tracked this long before its span, s: an object that one camera alone sees keeps the depth that it had
 # when two did, so that the time is that for which objects stay in one view.

@@ -26,16 +26,16 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.trajectories.joining import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError, StereophdError
-from stereophd.io.checkpoints import read_checkpoint
-from stereophd.io.logs import LogReader
-from stereophd.pipeline.progress import Progress
+from stereophd.io.logs.reading import LogReader
+from stereophd.io.outputs.checkpoints import read_checkpoint
+from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import RecordChunks
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import tracking_with
 from stereophd.pipeline.tracking.single import SingleTrackerState
-from stereophd.pipeline.workers import ATTEMPTS, complete, open_workers
+from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

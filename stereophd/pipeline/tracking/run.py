@@ -16,9 +16,9 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.io.atomic import OutputFolder
-from stereophd.io.table_schemas import ASSOCIATIONS, SCANS, STD, TRACKS
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.tables.schemas import ASSOCIATIONS, SCANS, STD, TRACKS
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
 from stereophd.pipeline.stream import EventStream

@@ -14,8 +14,8 @@ from stereophd.config.model import Config
 from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.attribution import Claims
-from stereophd.core.multi.estimates import Estimates, Info
+from stereophd.core.multi.association.attribution import Claims
+from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
 from stereophd.core.single.build import build_estimator

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.estimates import Estimates
+from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch

@@ -1,7 +1,7 @@
 """The tables of an unfinished run on the disk, with the state from which the run continues them.
 
 About once a minute a run keeps the state of its estimator, its running figures, and how far its tables are written
-(`stereophd.io.continued_tables`). Nothing is kept of a single event. The files of the tables lie in the folder of the
+(`io.tables.continued_tables`). Nothing is kept of a single event. The files of the tables lie in the folder of the
 unfinished run from the first state on, and a killed run continues them there. At the end they have the bytes of an
 undisturbed run.
 
@@ -23,15 +23,15 @@ import pyarrow as pa
 
 from stereophd.core.disparity.events import Event
 from stereophd.errors import InputError
-from stereophd.io.atomic import atomic_write
-from stereophd.io.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
-from stereophd.io.columns import pack, unpack
-from stereophd.io.continued_tables import ContinuedTable, WrittenTable
+from stereophd.io.outputs.atomic import atomic_write
+from stereophd.io.outputs.checkpoints import reachable_classes, read_checkpoint, write_checkpoint
+from stereophd.io.outputs.columns import pack, unpack
+from stereophd.io.tables.continued_tables import ContinuedTable, WrittenTable
+from stereophd.pipeline.runs.unfinished import UNFINISHED_TABLE
 from stereophd.pipeline.tracking.checkpoint import STATE_FILE, Pace, SavedRun, classes_of
 from stereophd.pipeline.tracking.lifetimes import LastingTracks, SavedLasting
 from stereophd.pipeline.tracking.loop import LEFT_OUT, Estimator, Record, ReportTimes, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, SavedWriting
-from stereophd.pipeline.unfinished import UNFINISHED_TABLE
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -45,7 +45,7 @@ class SavedTables:
     run : SavedRun
         Without chunks of records.
     last : mapping, optional
-        Record of the last event, as `stereophd.io.columns.pack` returns it.
+        Record of the last event, as `stereophd.io.outputs.columns.pack` returns it.
     writing : SavedWriting
     tables : dict
         Name of a file -> how far it is written.

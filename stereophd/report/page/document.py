@@ -11,7 +11,7 @@ from importlib.util import find_spec
 import yaml
 
 from stereophd.errors import InputError
-from stereophd.io.json_text import plain
+from stereophd.io.outputs.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
 from stereophd.report.summaries import SummaryTable, number, run_tables, share, tracking_part, verdict

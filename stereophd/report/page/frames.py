@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.io.logs import LogReader
+from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.pipeline.tracking.explained import PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of

@@ -7,9 +7,9 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.quantities.center import CENTER
-from stereophd.core.calibration.quantities.rotation import ROTATION
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
@@ -18,8 +18,8 @@ from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.phd import PhdFilter
-from stereophd.core.multi.pmb import PmbFilter
+from stereophd.core.multi.phd.filter import PhdFilter
+from stereophd.core.multi.pmb.filter import PmbFilter
 from tests.core.disparity.cases import make_camera
 from tests.core.disparity.moves import sample_sets
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from stereophd.core.calibration.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.problem import SQUARED, Loss, Observations, Problem
-from stereophd.core.calibration.quantities.registry import quantities
-from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots
+from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem
+from stereophd.core.calibration.adjustment.trajectories import fit_states, interpolation, knot_spacing, place_knots
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector

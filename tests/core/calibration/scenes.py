@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.calibration.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.problem import Observations
-from stereophd.core.calibration.quantities.center import CENTER
-from stereophd.core.calibration.quantities.rotation import ROTATION
+from stereophd.core.calibration.adjustment.problem import Observations
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.association import detected_pixels
-from stereophd.core.calibration.recording import Recording, Scans
+from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.pairing.association import detected_pixels
 from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.rolling import turned_to_frame
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
-from stereophd.core.multi.birth import birth_moments
+from stereophd.core.multi.births.birth import birth_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, make_camera, make_space
 

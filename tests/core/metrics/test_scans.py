@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from stereophd.core.metrics import scans as scans_module
-from stereophd.core.metrics.assignment import mahalanobis_distances
-from stereophd.core.metrics.consistency import independent_count, nees, nees_interval
-from stereophd.core.metrics.identity import identity_switches
-from stereophd.core.metrics.ospa import gospa, ospa
-from stereophd.core.metrics.rmse import (
+from stereophd.core.metrics.distances.ospa import gospa, ospa
+from stereophd.core.metrics.errors.consistency import independent_count, nees, nees_interval
+from stereophd.core.metrics.errors.rmse import (
     cardinality_error,
     error_percentiles,
     root_mean_square,
     root_mean_square_per_group,
 )
+from stereophd.core.metrics.matching.assignment import mahalanobis_distances
+from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.scans import PointSets, score_scans
 
 

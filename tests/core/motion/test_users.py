@@ -7,9 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.adjustment import adjust
-from stereophd.core.calibration.problem import SQUARED, Problem
-from stereophd.core.calibration.trajectories import fit_states, interpolation, knot_spacing, place_knots, positions
+from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
+from stereophd.core.calibration.adjustment.solver import adjust
+from stereophd.core.calibration.adjustment.trajectories import (
+    fit_states,
+    interpolation,
+    knot_spacing,
+    place_knots,
+    positions,
+)
 from stereophd.core.disparity.events import Event, Rig, make_event, make_rig
 from stereophd.core.disparity.moments import world_moments
 from stereophd.core.disparity.moved import IN_VIEW
@@ -32,8 +38,8 @@ from tests.core.calibration.scenes import make_problem
 from tests.core.disparity.cases import converging, make_camera, oracle_world, random_covariance, state_in, weighted
 from tests.core.disparity.moves import Case, sample_sets
 from tests.core.motion.examples import MOVING, WORDS, example
+from tests.core.multi.pmb.test_pmb import make_pmb
 from tests.core.multi.scenes import make_filter
-from tests.core.multi.test_pmb import make_pmb
 
 START = np.array([2.0, -5.0, 110.0, 1.0, -2.0, 0.5])
 TIMES = 0.3 * np.arange(20)

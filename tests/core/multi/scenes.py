@@ -12,8 +12,8 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.multi.filter_settings.phd import PhdSettings
-from stereophd.core.multi.mixture import GaussianMixture
-from stereophd.core.multi.phd import PhdFilter
+from stereophd.core.multi.phd.filter import PhdFilter
+from stereophd.core.multi.state.mixture import GaussianMixture
 from tests.core.disparity.cases import make_camera, random_covariance
 from tests.core.disparity.moves import sample_sets
 

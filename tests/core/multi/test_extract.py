@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from stereophd.core.disparity.moments import world_moments
 from stereophd.core.multi.extract import Counters, Selection, select_objects
 from stereophd.core.multi.filter_settings.common import Hysteresis
-from stereophd.core.multi.mixture import GaussianMixture, empty_mixture
+from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from tests.core.multi.scenes import make_filter, make_mixture, random_mixture
 
 HALF = Hysteresis(confirm=0.5, release=0.5)

@@ -14,9 +14,9 @@ from stereophd.commands.export import export
 from stereophd.errors import InputError
 from stereophd.io.cameras import write_cameras
 from stereophd.io.interchange.base import ExportOptions
-from stereophd.io.provenance import provenance, to_metadata
-from stereophd.io.table_schemas import TRACKS
-from stereophd.io.table_writing import TableWriter
+from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.io.tables.schemas import TRACKS
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.inspection.tables import summarise_objects
 
 from .conftest import rig

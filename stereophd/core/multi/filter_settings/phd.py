@@ -10,7 +10,7 @@ from stereophd.core.settings import NonNegative, Positive, parameter, settings
 if TYPE_CHECKING:
     from stereophd.core.disparity.events import Rig
     from stereophd.core.motion.base import Motion
-    from stereophd.core.multi.phd import PhdFilter
+    from stereophd.core.multi.phd.filter import PhdFilter
     from stereophd.core.numerics.samples import SampleSets
 
 
@@ -44,7 +44,7 @@ class PhdSettings(FilterSettings):
 
     def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> PhdFilter:
         """Return the filter."""
-        from stereophd.core.multi.phd import PhdFilter
+        from stereophd.core.multi.phd.filter import PhdFilter
 
         return PhdFilter(rig, motion, sets, self, threads)
 

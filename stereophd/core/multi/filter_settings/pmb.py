@@ -20,7 +20,7 @@ from stereophd.core.settings import (
 if TYPE_CHECKING:
     from stereophd.core.disparity.events import Rig
     from stereophd.core.motion.base import Motion
-    from stereophd.core.multi.pmb import PmbFilter
+    from stereophd.core.multi.pmb.filter import PmbFilter
     from stereophd.core.numerics.samples import SampleSets
 
 
@@ -77,7 +77,7 @@ class PmbSettings(FilterSettings):
 
     def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> PmbFilter:
         """Return the filter."""
-        from stereophd.core.multi.pmb import PmbFilter
+        from stereophd.core.multi.pmb.filter import PmbFilter
 
         return PmbFilter(rig, motion, sets, self, threads)
 

@@ -1,0 +1,183 @@
+"""Normal equations of a bundle adjustment (`calibration.adjustment.solver`) at given cameras and knots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment import normal_equations
+from stereophd.core.calibration.adjustment.problem import Problem, true_times
+from stereophd.core.calibration.adjustment.trajectories import (
+    Interpolation,
+    MotionPrior,
+    banded_product,
+    interpolation,
+    motion_prior,
+    positions,
+    slopes,
+)
+from stereophd.core.calibration.unknowns.parameters import taken
+from stereophd.core.calibration.unknowns.quantities.base import TIMES
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.scale import log_scale, predicted
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Linearisation of a problem; see the head of `stereophd.core.calibration.adjustment.solver`.
+
+    `energy` is what the motion model adds to the cost, and `pull` (size,) half of its derivative by the knots.
+    """
+
+    cost: float
+    bands: Array
+    coupling: Array
+    matrix: Array
+    state_vector: Array
+    value_vector: Array
+    distances: Array
+    energy: float
+    pull: Array
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """What of a problem does not change from step to step.
+
+    Attributes
+    ----------
+    problem : Problem
+    members : tuple of arrays of int
+        Observations of each camera.
+    path, rates : Interpolation
+        Interpolation of positions and velocities at the times of the prior mean.
+    motion : MotionPrior
+    columns : array (c, q)
+        Places of the unknown values of each camera, filled up with -1.
+    """
+
+    problem: Problem
+    members: tuple[Integers, ...]
+    path: Interpolation
+    rates: Interpolation
+    motion: MotionPrior
+    columns: Integers
+
+    @staticmethod
+    def of(problem: Problem) -> Linearisation:
+        """Prepare a problem."""
+        observations, parameters = problem.observations, problem.parameters
+        path = interpolation(problem.knots, observations.trajectories, observations.times)
+        rates = slopes(problem.knots, observations.trajectories, observations.times)
+        members = tuple(np.flatnonzero(observations.cameras == k) for k in range(len(parameters.cameras)))
+        places = [
+            np.concatenate([np.empty(0, dtype=np.int64), *(index for _, index in parameters.unknown(c.name))])
+            for c in parameters.cameras
+        ]
+        columns = np.full((len(places), max(len(index) for index in places)), -1, dtype=np.int64)
+        for row, index in zip(columns, places, strict=True):
+            row[: len(index)] = index
+        return Linearisation(problem, members, path, rates, motion_prior(problem.knots), columns)
+
+    def at(self, values: Array, states: Array, log_noise: float = 0.0) -> NormalEquations:
+        """Return the normal equations at values (m,) and knots (k, 2, 3), the motion's noise times e^log_noise."""
+        problem, parameters = self.problem, self.problem.parameters
+        size, count = problem.knots.size, parameters.size
+        bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
+        state_vector, value_vector = np.zeros(size), np.zeros(count)
+        observations = problem.observations
+        distances = np.zeros(len(observations))
+        path, errors, visible, by_point, by_value = self.residuals(values, states)
+        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
+        cost = normal_equations.accumulate(
+            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
+            path.weights, self.columns, problem.loss.kind, problem.loss.scale,
+            bands, coupling, matrix, state_vector, value_vector, distances,
+        )  # fmt: skip
+        # motion model, its noise in units of the scene's scale
+        logarithm, gradient = log_scale(parameters, problem.reference, values)
+        density = np.exp(-2.0 * (logarithm + log_noise))
+        x, motion = states.ravel(), self.motion
+        product = density * banded_product(motion.bands, x)
+        pull = product - density * motion.pull
+        energy = float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull))
+        bands += density * motion.bands
+        state_vector -= pull
+        coupling -= np.outer(pull, gradient)
+        matrix += energy * np.outer(gradient, gradient)
+        value_vector += energy * gradient
+        # priors
+        scaled = (values - parameters.prior_mean) / parameters.prior_std
+        matrix += np.diag(parameters.prior_std**-2)
+        value_vector -= scaled / parameters.prior_std
+        cost += energy + float(scaled @ scaled)
+        if problem.scale is not None:
+            expected, slope = predicted(parameters, problem.reference, problem.scale, values)
+            residual = (problem.scale.value - expected) / problem.scale.std
+            matrix += np.outer(slope, slope) / problem.scale.std**2
+            value_vector += slope * residual / problem.scale.std
+            cost += residual**2
+        if problem.held is not None:
+            held = problem.held
+            coupling[:, held], value_vector[held] = 0.0, 0.0
+            matrix[held], matrix[:, held] = 0.0, 0.0
+            matrix[held, held] = parameters.prior_std[held] ** -2
+        return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
+
+    def of_knots(self, values: Array, states: Array, log_noise: float = 0.0) -> tuple[Array, Array]:
+        """Matrix (12, size) and vector (size,) of the knots alone, as `at` has them, at a part of its time."""
+        observations, problem, size = self.problem.observations, self.problem, self.problem.knots.size
+        bands, vector, count = np.zeros((12, size)), np.zeros(size), len(observations)
+        path, errors, visible, by_point, by_value = self.residuals(values, states, by_values=False)
+        counted = np.ones(count) if observations.weights is None else observations.weights
+        normal_equations.accumulate(
+            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
+            path.weights, self.columns[:, :0], problem.loss.kind, problem.loss.scale,
+            bands, np.zeros((size, 0)), np.zeros((0, 0)), vector, np.zeros(0), np.empty(count),
+        )  # fmt: skip
+        logarithm, _ = log_scale(problem.parameters, problem.reference, values)
+        density = np.exp(-2.0 * (logarithm + log_noise))
+        bands += density * self.motion.bands
+        product = density * banded_product(self.motion.bands, states.ravel())
+        vector -= product - density * self.motion.pull
+        return bands, vector
+
+    def residuals(
+        self, values: Array, states: Array, by_values: bool = True
+    ) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
+        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
+
+        Without `by_values` the latter are empty, (n, 2, 0).
+        """
+        observations, parameters = self.problem.observations, self.problem.parameters
+        cameras = parameters.build(values)
+        times, path, rates = observations.times, self.path, self.rates
+        if any(quantity.affects == TIMES for quantity in parameters.quantities):
+            times = true_times(cameras, observations)
+            path = interpolation(self.problem.knots, observations.trajectories, times)
+            if by_values:
+                rates = slopes(self.problem.knots, observations.trajectories, times)
+        world = positions(states, *path)
+        velocities = positions(states, *rates) if by_values else np.zeros_like(world)
+        count = len(observations)
+        errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
+        by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
+        for camera, here in zip(cameras, self.members, strict=True):
+            view = look(
+                camera, world[here], velocities[here], times[here], observations.log_times[here],
+                observations.rows[here],
+            )  # fmt: skip
+            errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
+            by_point[here] = view.by_world
+            if not by_values:
+                continue
+            column = 0
+            for quantity, index in parameters.unknown(camera.name):
+                by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))
+                column += len(index)
+        return path, errors, visible, by_point, by_value

@@ -1,0 +1,335 @@
+"""The marginal posterior of the cameras: trajectories integrated out, the noise of their motion unknown.
+
+The adjustment finds the joint maximum J(v) = min_x cost(v, x) of values v and knots x. Where trajectories have many
+unknowns that the detections constrain weakly (objects that manoeuvre), the joint maximum is biased in the quantities
+that stretch the scene: rotations about the vertical, focal lengths. Integrating out the knots (Laplace's method) adds
+the terms of the volume,
+
+    -2 log p(v, u | detections) = J(v, u) + log det A(v, u) + 12 k log s(v) + 12 l u + (u / std)^2 + constant,
+
+with the matrix A of the knots in the normal equations, the number k of knots, the number l of links between successive
+ones, and the scale s of the scene (`calibration.scale`).
+
+**Noise of the motion.** It is stated in lengths, and the cost uses it in units of the scene: noise_std * s(v), s = 1 at
+the size that the prior expects. A scene that is truly larger by a factor f has objects that accelerate 1 / f times as
+much in those units, and the data do not show f. The noise in units of the scene is therefore known no better than the
+size of the scene is, and here it is noise_std * s(v) * e^u with the unknown u: the logarithm of the noise that the log
+shows over what is stated. Both matter: objects that accelerate alike in all directions are known to show as much
+acceleration in depth as across, in proportion to the noise that the motion model expects. If that is wrong by a
+tenth, the depth of the scene is stretched until the two agree, and the rotations with it.
+
+**Normalisation.** The motion model is a density of the l differences between successive knots, 6 numbers each, of
+standard deviations proportional to s e^u: its normalisation is 12 l (log s + u). The first position and velocity of
+each of the k - l trajectories have a flat density in units of the scene, 12 (k - l) log s: scaling cameras and knots
+together then changes nothing, so that the data stay flat along the scale.
+
+**Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it at
+the joint optimum, in the cost and in the volume. With the loss itself, a step that leaves detections out makes the
+volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace them,
+and the optimum is looked for again from there, until they are the same.
+
+**Derivatives.** The residuals of the motion are proportional to e^-u / s, so that u enters the normal equations as the
+logarithm of s does: with the energy E of the motion and the derivative p of E / 2 by the knots, -p is the coupling
+of u with the knots and E its curvature. At knots that minimise the cost the gradient of J / 2 is minus the vector of
+the normal equations. The gradient of the volume is that of differences, the knots minimised at each point: what one
+camera alone sees lies in a valley so flat and curved that the knots do not follow to first order.
+
+**Minimum.** Quasi-Newton steps (limited memory BFGS: J. Nocedal and S. Wright, "Numerical Optimization", 2006,
+algorithm 7.4) on the curvature of the normal equations at each point, which lacks that of the volume. The covariance is
+that of the normal equations with u among the unknowns. A mode of the motion of unit variance that is seen with the
+information b is estimated with w = b / (1 + b) of its variance, so that the normal equations find w^2 for u in the
+mean; the information of z ~ N(0, 1 + b) about u is 2 w^2. The covariance is wide by the curvature left out: in three
+scenes of manoeuvring objects one direction of 17 has up to twice the information, the others 0.95 to 1.14 times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_triangular
+
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.problem import Problem
+from stereophd.core.calibration.adjustment.solver import Adjustment, damped_bands, eliminate, posterior_covariance
+from stereophd.core.calibration.unknowns.scale import log_scale
+
+Array = NDArray[np.float64]
+
+# Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
+NOISE_STD = 0.5
+# Steps of the differences, length at which the steps settle, longest step, and longest step left of a search that has
+# converged, all in posterior standard deviations; most steps, and how many of them the quasi-Newton steps remember.
+DIFFERENCE, SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 1.0, 100, 6
+# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
+DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
+# Squared distance from which a detection is left out by the loss.
+LEFT_OUT = 50.0
+# Most times that the weights of detections are taken anew, and their change at which they are the same.
+MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
+# Most steps of the knots at given values, and the fall of the cost that is left.
+KNOT_STEPS, KNOTS_SETTLED = 15, 1e-8
+# Longest move of the logarithm of the noise, in prior standard deviations, that is believed.
+LONGEST_MOVE_OF_NOISE = 3.0
+
+
+@dataclass(frozen=True)
+class MarginalOptimum:
+    """Maximum of the marginal posterior.
+
+    Attributes
+    ----------
+    adjustment : Adjustment
+        Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
+        by more than `LONGEST_LEFT` posterior standard deviations too early.
+    noise_factor : float
+        Noise of the motion, in units of the scene's scale, over what is stated.
+    believed : bool
+        Whether that is within `LONGEST_MOVE_OF_NOISE` prior standard deviations of 1. Objects that move together, as
+        the corners of a board, count as independent; where their motion is smoother than stated as well, the
+        posterior is far too sure of itself.
+    """
+
+    adjustment: Adjustment
+    noise_factor: float
+    believed: bool
+
+
+def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
+    """Move an adjustment to the maximum of the marginal posterior of the values.
+
+    Parameters
+    ----------
+    problem : Problem
+        Values that it holds stay, and keep the covariance of the prior.
+    found : Adjustment
+        Solution of that problem.
+
+    Returns
+    -------
+    MarginalOptimum
+        The adjustment given, not converged, at the noise stated, where the normal equations are singular.
+    """
+    size = problem.parameters.size
+    states, weights = found.states, problem.weights(found.distances)
+    unknowns = np.append(found.values, np.zeros(int(len(problem.knots.links()) > 0)))
+    try:
+        for _ in range(MOST_WEIGHTINGS):
+            posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
+            at, left = _minimised(posterior, posterior.at(unknowns, states))
+            unknowns, states, before = at.unknowns, at.states, weights
+            weights = problem.weights(at.equations.distances)
+            if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
+                break
+        covariance = posterior.covariance(at)[:size, :size]
+    except LinAlgError:
+        return MarginalOptimum(replace(found, converged=False), 1.0, True)
+    moved = replace(
+        found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
+        distances=at.equations.distances, converged=left <= LONGEST_LEFT,
+    )  # fmt: skip
+    log_noise = float(at.unknowns[size:].sum())
+    believed = abs(log_noise) <= LONGEST_MOVE_OF_NOISE * float(posterior.prior_std[-1])
+    return MarginalOptimum(moved, float(np.exp(log_noise)), believed)
+
+
+@dataclass(frozen=True)
+class Point:
+    """Unknowns and the knots that minimise the cost there, the normal equations, and the objective.
+
+    The unknowns are the values and, where the motion has noise, the logarithm u of its factor. The objective is the
+    negative logarithm of the marginal posterior, without its constant.
+    """
+
+    unknowns: Array
+    states: Array
+    equations: NormalEquations
+    objective: float
+
+
+@dataclass(frozen=True)
+class MarginalPosterior:
+    """The marginal posterior of a problem, as the head of this module says.
+
+    Attributes
+    ----------
+    linearisation : Linearisation
+    """
+
+    linearisation: Linearisation
+
+    @property
+    def links(self) -> int:
+        """Number of pairs of successive knots."""
+        return len(self.linearisation.problem.knots.links())
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns: values, and the noise of the motion if there is any."""
+        return self.linearisation.problem.parameters.size + (self.links > 0)
+
+    @property
+    def prior_std(self) -> Array:
+        """Prior standard deviations of the unknowns: the noise is in units of the scene, whose scale has a prior."""
+        problem = self.linearisation.problem
+        std = problem.parameters.prior_std
+        _, gradient = log_scale(problem.parameters, problem.reference, problem.parameters.prior_mean)
+        noise = np.sqrt(NOISE_STD**2 + float(gradient**2 @ std**2))
+        return np.append(std, np.full(self.size - len(std), noise))
+
+    def equations(self, unknowns: Array, states: Array) -> NormalEquations:
+        """Normal equations of all unknowns and the knots (k, 2, 3)."""
+        problem = self.linearisation.problem
+        count = problem.parameters.size
+        if self.size == count:
+            return self.linearisation.at(unknowns, states)
+        values, log_noise, std = unknowns[:count], float(unknowns[count]), self.prior_std[count]
+        found = self.linearisation.at(values, states, log_noise)
+        with_scale = found.energy * log_scale(problem.parameters, problem.reference, values)[1]
+        if problem.held is not None:
+            with_scale[problem.held] = 0.0
+        return replace(
+            found,
+            cost=found.cost + (log_noise / std) ** 2,
+            coupling=np.column_stack([found.coupling, -found.pull]),
+            matrix=np.block([[found.matrix, with_scale[:, None]], [with_scale, found.energy + std**-2]]),
+            value_vector=np.append(found.value_vector, found.energy - log_noise / std**2),
+        )
+
+    def volume(self, unknowns: Array, states: Array) -> float:
+        """Half of the terms that integrating out the knots adds, at their minimum near the given ones (k, 2, 3)."""
+        count = self.linearisation.problem.parameters.size
+        values, log_noise = unknowns[:count], float(unknowns[count:].sum())
+        for _ in range(KNOT_STEPS):
+            bands, vector = self.linearisation.of_knots(values, states, log_noise)
+            factor = _factor(bands)
+            step = cho_solve_banded((factor, True), vector, check_finite=False)
+            if float(vector @ step) <= KNOTS_SETTLED:
+                break
+            states = states + step.reshape(states.shape)
+        return self._volume(unknowns, factor)
+
+    def _volume(self, unknowns: Array, factor: Array) -> float:
+        problem = self.linearisation.problem
+        count = problem.parameters.size
+        scale, _ = log_scale(problem.parameters, problem.reference, unknowns[:count])
+        noise = float(unknowns[count:].sum())
+        return float(np.log(factor[0]).sum()) + 6.0 * len(problem.knots.times) * scale + 6.0 * self.links * noise
+
+    def at(self, unknowns: Array, states: Array) -> Point:
+        """Return the point of unknowns, its knots minimised from the given ones.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            The normal equations are not positive definite, or the cost is not finite.
+        """
+        equations = self.equations(unknowns, states)
+        if not np.isfinite(equations.cost):
+            raise LinAlgError("the cost is not finite")
+        factor = _factor(equations.bands)
+        for _ in range(KNOT_STEPS):
+            step = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
+            if float(equations.state_vector @ step) <= KNOTS_SETTLED:
+                break
+            tried = self._lower(unknowns, states, step.reshape(states.shape), equations.cost)
+            if tried is None:
+                break
+            states, equations = tried
+            factor = _factor(equations.bands)
+        return Point(unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, factor))
+
+    def _lower(self, unknowns: Array, states: Array, step: Array, cost: float) -> tuple[Array, NormalEquations] | None:
+        """Knots after a step, or a share of it, that lower the cost, with their normal equations."""
+        share = 1.0
+        while share >= LEAST_SHARE:
+            moved = states + share * step
+            found = self.equations(unknowns, moved)
+            if found.cost <= cost:
+                return moved, found
+            share *= 0.5
+        return None
+
+    def gradient(self, at: Point) -> tuple[Array, Array]:
+        """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
+        eliminated, _ = eliminate(at.equations, 0.0)
+        root = np.linalg.cholesky(self.covariance(at))
+        following = (eliminated[:, :-1] @ root).T.reshape(-1, *at.states.shape)
+
+        def moved(k: int, step: float) -> float:
+            unknowns = at.unknowns + step * root[:, k]
+            return self.volume(unknowns, at.states - step * following[k])
+
+        volumes = [moved(k, DIFFERENCE) - moved(k, -DIFFERENCE) for k in range(self.size)]
+        by_volume = solve_triangular(root, np.array(volumes) / (2.0 * DIFFERENCE), trans="T", lower=True)
+        # the knots are at the minimum but for a trace, whose effect is removed to first order
+        by_cost = at.equations.coupling.T @ eliminated[:, -1] - at.equations.value_vector
+        gradient: Array = np.asarray(by_volume + by_cost, dtype=np.float64)
+        if (held := self.linearisation.problem.held) is not None:
+            gradient[: len(held)][held] = 0.0
+        return gradient, np.asarray(root, dtype=np.float64)
+
+    def covariance(self, at: Point) -> Array:
+        """Covariance (size, size) of the unknowns by the normal equations of a point."""
+        return posterior_covariance(at.equations, self.prior_std)
+
+
+def _factor(bands: Array) -> Array:
+    """Cholesky factor of the matrix of the knots, in lower banded form."""
+    factor: Array = cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False)
+    return factor
+
+
+def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
+    """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
+    length, pairs = 0.0, list[tuple[Array, Array]]()
+    gradient, root = posterior.gradient(at)
+    for _ in range(MOST_STEPS):
+        step = -_times_inverse(gradient, root, pairs)
+        length = float(np.linalg.norm(solve_triangular(root, step, lower=True)))
+        if length <= SETTLED:
+            break
+        step *= min(1.0, LONGEST_STEP / length)
+        slope = float(gradient @ step)
+        tried = _tried(posterior, at, step)
+        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
+        if found is None and not pairs:
+            break
+        if found is None:
+            pairs = []  # what was remembered of the curvature misleads
+            continue
+        before, before_gradient = at, gradient
+        at, (gradient, root) = found, posterior.gradient(found)
+        pair = (at.unknowns - before.unknowns, gradient - before_gradient)
+        if float(pair[0] @ pair[1]) > 0.0:
+            pairs = [*pairs, pair][-REMEMBERED:]
+    return at, length
+
+
+def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
+    """Points after a step and shorter and shorter shares of it, where the normal equations are regular.
+
+    The knots begin where they follow the step to first order, near their minimum.
+    """
+    eliminated, _ = eliminate(at.equations, 0.0)
+    following = (eliminated[:, :-1] @ step).reshape(at.states.shape)
+    share = 1.0
+    while share >= LEAST_SHARE:
+        with suppress(LinAlgError):
+            yield share, posterior.at(at.unknowns + share * step, at.states - share * following)
+        share *= 0.5
+
+
+def _times_inverse(vector: Array, root: Array, pairs: list[tuple[Array, Array]]) -> Array:
+    """Inverse curvature times a vector (m,): root root^T, corrected by pairs of step and change of the gradient."""
+    parts = []
+    for step, change in reversed(pairs):
+        parts.append(float(step @ vector) / float(step @ change))
+        vector = vector - parts[-1] * change
+    out = root @ (root.T @ vector)
+    for (step, change), part in zip(pairs, reversed(parts), strict=True):
+        out = out + (part - float(change @ out) / float(step @ change)) * step
+    return np.asarray(out)

@@ -1,0 +1,226 @@
+"""A detection log as it was recorded, and the events that cameras make of it.
+
+Raw pixels and times on the cameras' own clocks are kept, so that lenses and clocks can be unknown: other cameras
+make other events of the same recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment.problem import Observations
+from stereophd.core.disparity.events import Event, framed_detections
+from stereophd.core.geometry.camera import Camera, Clock
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# One frame: index of its camera, true time by the camera's clock, raw pixels (m, 2), standard deviations if stated.
+RawFrame = tuple[int, float, Array, Array | None]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Frames of a log and their detections in one array.
+
+    Attributes
+    ----------
+    cameras : array (f,) of int
+        Camera of each frame.
+    times : array (f,)
+        True time of each frame by `clocks`, s, increasing.
+    clocks : tuple of Clock
+        The clock of each camera by which the log was read.
+    first : array (f + 1,) of int
+        Frame i has the detections first[i] to first[i + 1] - 1.
+    pixels, sigma : arrays (n, 2)
+        Raw pixels and their standard deviations, px.
+    heights : array (c,)
+        Height of each camera's image, px.
+    """
+
+    cameras: Integers
+    times: Array
+    clocks: tuple[Clock, ...]
+    first: Integers
+    pixels: Array
+    sigma: Array
+    heights: Array
+
+    @staticmethod
+    def of(cameras: Sequence[Camera], frames: Sequence[RawFrame]) -> Recording:
+        """Join frames that were read by the clocks of `cameras`, in order of time."""
+        nothing = np.empty((0, 2))
+        sigma = [
+            np.broadcast_to(cameras[camera].detector.sigma if stated is None else stated, pixels.shape)
+            for camera, _, pixels, stated in frames
+        ]
+        counts = np.array([len(pixels) for _, _, pixels, _ in frames], dtype=np.int64)
+        return Recording(
+            np.array([camera for camera, _, _, _ in frames], dtype=np.int64),
+            np.array([time_s for _, time_s, _, _ in frames]),
+            tuple(camera.clock for camera in cameras),
+            np.concatenate([[0], np.cumsum(counts)]),
+            np.concatenate([nothing, *(pixels for _, _, pixels, _ in frames)]),
+            np.concatenate([nothing, *sigma]),
+            np.array([float(camera.height) for camera in cameras]),
+        )
+
+    @cached_property
+    def log_times(self) -> Array:
+        """Time (f,) of each frame on its camera's own clock, s."""
+        offset = np.array([clock.offset_s for clock in self.clocks])[self.cameras]
+        return np.asarray((self.times - offset) / np.array([clock.rate for clock in self.clocks])[self.cameras])
+
+    @cached_property
+    def frame_of(self) -> Integers:
+        """Frame (n,) of each detection."""
+        return np.repeat(np.arange(len(self.cameras)), np.diff(self.first))
+
+    def true_times(self, cameras: Sequence[Camera]) -> Array:
+        """True time (f,) of each frame by the clocks of cameras, s."""
+        times = self.times.copy()
+        for number, camera in enumerate(cameras):
+            if camera.clock != self.clocks[number]:
+                here = self.cameras == number
+                times[here] = camera.clock.to_true(self.log_times[here])
+        return times
+
+    def not_invertible(self, cameras: Sequence[Camera]) -> int:
+        """Number of detections at which the lens models of cameras cannot be inverted."""
+        of_camera = self.cameras[self.frame_of]
+        found = [camera.undistort_pixels(self.pixels[of_camera == k])[0] for k, camera in enumerate(cameras)]
+        return sum(int((~np.isfinite(points).all(axis=1)).sum()) for points in found)
+
+    def every(self, n: int) -> Integers:
+        """Every n-th frame of each camera, in order."""
+        place = np.empty(len(self.cameras), dtype=np.int64)
+        for camera in np.unique(self.cameras):
+            here = self.cameras == camera
+            place[here] = np.arange(int(here.sum()))
+        return np.flatnonzero(place % n == 0)
+
+    def observations(
+        self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0
+    ) -> Observations:
+        """Raw pixels of detections that belong to trajectories, timed by cameras, their noise inflated."""
+        frames = self.frame_of[detections]
+        of_camera = self.cameras[frames]
+        rows = self.pixels[detections, 1] / self.heights[of_camera]
+        readout = np.array([camera.readout_s for camera in cameras])[of_camera]
+        times = self.true_times(cameras)[frames] + readout * rows
+        precisions = np.zeros((len(detections), 2, 2))
+        precisions[:, [0, 1], [0, 1]] = 1.0 / (self.sigma[detections] * inflation) ** 2
+        return Observations(
+            trajectories, of_camera, times, self.pixels[detections], precisions, self.log_times[frames], rows
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scans:
+    """The events that cameras make of a recording, and their detections in one array.
+
+    Attributes
+    ----------
+    events : tuple of Event
+        In order of true time, ties in the order of the cameras.
+    times, cameras : arrays (e,)
+        True times, s, and indices of the cameras of the events.
+    first : array (e + 1,) of int
+        Event i has the detections first[i] to first[i + 1] - 1.
+    points, precisions : arrays (n, 2), (n, 2, 2)
+        Undistorted pixels of all detections, as in the events, and the inverse of their covariances.
+    event_of : array (n,) of int
+        Event of each detection.
+    detection_times : array (n,)
+        Time of each detection, s: of its event, and with a rolling shutter of its row.
+    source : array (n,) of int
+        Which detection of the recording each one is.
+    recording : Recording
+    """
+
+    events: tuple[Event, ...]
+    times: Array
+    cameras: Integers
+    first: Integers
+    points: Array
+    precisions: Array
+    event_of: Integers
+    detection_times: Array
+    source: Integers
+    recording: Recording
+
+    @staticmethod
+    def of(recording: Recording, cameras: Sequence[Camera], frames: Integers | None = None) -> Scans:
+        """Undistort a recording, or some of its frames, and put it in the order of the cameras' clocks."""
+        frames = np.arange(len(recording.cameras)) if frames is None else frames
+        true = recording.true_times(cameras)
+        frames = frames[np.lexsort((recording.cameras[frames], true[frames]))]
+        events: list[Event | None] = [None] * len(frames)
+        sources: list[Integers] = [np.empty(0, dtype=np.int64)] * len(frames)
+        for number, camera in enumerate(cameras):
+            places = np.flatnonzero(recording.cameras[frames] == number)
+            for place, event, source in _events_of(recording, camera, number, frames[places], true):
+                events[places[place]], sources[places[place]] = event, source
+        made = [event for event in events if event is not None]
+        return _joined(made, np.concatenate([np.empty(0, dtype=np.int64), *sources]), recording)
+
+    def of_camera(self, camera: int) -> Scans:
+        """Return the events of one camera."""
+        numbers = np.flatnonzero(self.cameras == camera)
+        rows = [np.arange(self.first[i], self.first[i + 1]) for i in numbers]
+        return _joined([self.events[i] for i in numbers], self.source[np.concatenate(rows)], self.recording)
+
+    def places(self, detections: Integers) -> Integers:
+        """Places of detections of the recording among those of the events."""
+        place = np.full(len(self.recording.pixels), -1)
+        place[self.source] = np.arange(len(self.source))
+        return np.asarray(place[detections])
+
+
+def _events_of(
+    recording: Recording, camera: Camera, number: int, frames: Integers, times: Array
+) -> list[tuple[int, Event, Integers]]:
+    """Events of the frames of one camera, as `stereophd.core.disparity.events.make_event` makes them one by one."""
+    counts = np.diff(recording.first)[frames]
+    of_frame = np.repeat(np.arange(len(frames)), counts)
+    rows = np.concatenate([[], *(np.arange(recording.first[i], recording.first[i + 1]) for i in frames)]).astype(int)
+    pixels, sigma = recording.pixels[rows], recording.sigma[rows]
+    points, covariances, areas, delays, moved = framed_detections(camera, times[frames][of_frame], pixels, sigma)
+    order = np.lexsort((points[:, 1], points[:, 0], of_frame))
+    order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
+    ends = np.searchsorted(of_frame[order], np.arange(len(frames) + 1))
+    out = []
+    for place, frame in enumerate(frames.tolist()):
+        one = order[ends[place] : ends[place + 1]]
+        event = Event(
+            float(times[frame]), number, points[one], covariances[one], areas[one],
+            None if delays is None else delays[one], not_invertible=int(counts[place]) - len(one),
+            travels=None if moved is None else moved[one],
+        )  # fmt: skip
+        out.append((place, event, rows[one]))
+    return out
+
+
+def _joined(events: list[Event], source: Integers, recording: Recording) -> Scans:
+    counts = np.array([len(event.points) for event in events], dtype=np.int64)
+    delayed = [
+        event.time_s + (np.zeros(len(event.points)) if event.delays is None else event.delays) for event in events
+    ]
+    return Scans(
+        tuple(events),
+        np.array([event.time_s for event in events]),
+        np.array([event.camera for event in events], dtype=np.int64),
+        np.concatenate([[0], np.cumsum(counts)]),
+        np.concatenate([np.empty((0, 2)), *(event.points for event in events)]),
+        np.linalg.inv(np.concatenate([np.empty((0, 2, 2)), *(event.covariances for event in events)])),
+        np.repeat(np.arange(len(events)), counts),
+        np.concatenate([np.empty(0), *delayed]),
+        source,
+        recording,
+    )

@@ -1,0 +1,156 @@
+"""Bundle adjustment: maximum a posteriori over camera parameters and all trajectories at once.
+
+Minimised is half of
+
+    sum_n w_n rho(e_n^T P_n e_n) + |(values - mean) / std|^2 + m(x) / s^2 + ((scale measured - h) / std)^2,
+
+with the reprojection error e_n of every detection, its precision P_n and weight w_n, the priors of the camera
+parameters, the motion model m(x) of the trajectories' knots x (positions and velocities have no prior), and the scale s
+of the scene (`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
+
+    [ A   C ] [dx]   [a]
+    [ C^T B ] [dv] = [b],     A banded (knots), B small (cameras),
+
+solved by the Schur complement B - C^T A^-1 C (W. Triggs et al., "Bundle adjustment - a modern synthesis", 2000),
+whose inverse at the optimum is the covariance of the camera parameters, the trajectories integrated out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.problem import Problem
+
+Array = NDArray[np.float64]
+
+# Marquardt's damping: where it starts, its factor, and where it gives up.
+FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
+# Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
+ROUNDING = 1e-13
+# Knots of less information are held: far from all their detections, the weights of a robust loss underflow.
+LEAST_INFORMATION = 1e-200
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """Outcome of `adjust`.
+
+    Attributes
+    ----------
+    values : array (m,)
+    states : array (k, 2, 3)
+        Knots.
+    covariance : array (m, m)
+        Covariance of the values, trajectories integrated out.
+    cost : float
+        Twice the negative logarithm of the posterior density, without its constant.
+    distances : array (n,)
+        Squared Mahalanobis distances of the detections.
+    iterations : int
+    converged : bool
+    """
+
+    values: Array
+    states: Array
+    covariance: Array
+    cost: float
+    distances: Array
+    iterations: int
+    converged: bool
+
+
+def damped_bands(bands: Array, damping: float) -> Array:
+    """Matrix of the knots in lower banded form (12, 6 k), its diagonal damped; unknowns without any weight are held."""
+    bands = bands.copy()
+    bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
+    return bands
+
+
+def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+    """Eliminate the knots: A^-1 [C, a] (6 k, m + 1) and the Schur complement B - C^T A^-1 C (m, m).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The damped matrix of the knots is not positive definite.
+    """
+    factor = (cholesky_banded(damped_bands(equations.bands, damping), lower=True, check_finite=False), True)
+    both = np.column_stack([equations.coupling, equations.state_vector])
+    eliminated = cho_solve_banded(factor, both, check_finite=False)
+    return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
+
+
+def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
+    """Solve damped normal equations: steps of values (m,) and knots (6 k,).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The damped matrix is not positive definite.
+    """
+    eliminated, schur = eliminate(equations, damping)
+    damped = schur + damping * np.diag(np.diag(equations.matrix))
+    right = equations.value_vector - equations.coupling.T @ eliminated[:, -1]
+    values = cho_solve(cho_factor(damped), right)
+    return values, eliminated[:, -1] - eliminated[:, :-1] @ values
+
+
+def adjust(
+    problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7
+) -> Adjustment:
+    """Minimise from values (m,) and knots (k, 2, 3).
+
+    Parameters
+    ----------
+    problem : Problem
+    values, states : arrays
+        Where to start.
+    max_iterations : int
+        Steps tried.
+    tolerance : float
+        Converged when a step lowers the cost by less than this part of it.
+
+    Returns
+    -------
+    Adjustment
+        Its covariance is that of the undamped equations; held values keep that of the prior.
+    """
+    linearisation = Linearisation.of(problem)
+    current = linearisation.at(values, states)
+    damping, converged, iteration = FIRST_DAMPING, False, 0
+    while iteration < max_iterations and not converged and damping < MOST_DAMPING:
+        iteration += 1
+        try:
+            value_step, state_step = solve(current, damping)
+        except LinAlgError:
+            damping *= DAMPING_FACTOR
+            continue
+        new_values, new_states = values + value_step, states + state_step.reshape(states.shape)
+        new = linearisation.at(new_values, new_states)
+        if np.isfinite(new.cost) and new.cost <= current.cost:
+            converged = current.cost - new.cost <= tolerance * max(current.cost, 1.0)
+            values, states, current = new_values, new_states, new
+            damping = max(damping / DAMPING_FACTOR, 1e-12)
+        else:
+            converged = damping > 1e4 and abs(new.cost - current.cost) <= tolerance * max(current.cost, 1.0)
+            damping *= DAMPING_FACTOR
+    covariance = posterior_covariance(current, problem.parameters.prior_std)
+    return Adjustment(values, states, covariance, current.cost, current.distances, iteration, bool(converged))
+
+
+def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
+    """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement.
+
+    The posterior is never wider than the prior: in units of `prior_std` (m,) the eigenvalues of the Schur complement
+    are at least 1. Where rounding makes one smaller (objects far away), it is set to 1.
+    """
+    _, schur = eliminate(equations, 0.0)
+    whitened = schur * np.outer(prior_std, prior_std)
+    eigenvalues, vectors = np.linalg.eigh((whitened + whitened.T) / 2.0)
+    covariance = (vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T * np.outer(prior_std, prior_std)
+    return np.asarray((covariance + covariance.T) / 2.0)

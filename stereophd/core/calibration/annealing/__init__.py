@@ -1,0 +1,1 @@
+"""The annealed method: tasks, fits, starts and what they agree on."""

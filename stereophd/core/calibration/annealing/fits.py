@@ -1,0 +1,398 @@
+"""Adjustments of cameras and trajectories to detections: to paired tracks, to the tracks of a filter, to fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment import normal_equations
+from stereophd.core.calibration.adjustment.collapsed_stretches import collapsed
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.lone_detections import lone
+from stereophd.core.calibration.adjustment.marginal import LEFT_OUT, marginal_optimum
+from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
+from stereophd.core.calibration.adjustment.shared_errors import shared_errors
+from stereophd.core.calibration.adjustment.solver import adjust, posterior_covariance
+from stereophd.core.calibration.adjustment.trajectories import (
+    Knots,
+    fit_states,
+    interpolation,
+    knot_spacing,
+    place_knots,
+    positions,
+)
+from stereophd.core.calibration.annealing.task import Fit, Task
+from stereophd.core.calibration.pairing.association import (
+    fitted_detections,
+    keep,
+    shared,
+    track_detections,
+    with_cameras,
+)
+from stereophd.core.calibration.pairing.choice import Pairing
+from stereophd.core.calibration.pairing.clock_search import offset_places
+from stereophd.core.calibration.pairing.search import (
+    DRAWS,
+    distinct_pairings,
+    meeting_points,
+    paired_objects,
+)
+from stereophd.core.calibration.unknowns.gauge import enlarged, reduced
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.numerics.random_streams import SHARED_ERRORS_SEED
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
+# are rather false ones (at that distance a normal density is down to this part of its peak).
+ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
+FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
+# Spread of the draws about clock offsets that motion shows, in parts of the prior's.
+SEARCHED_PART = 0.1
+# Iterations of an adjustment; and where more than poses is unknown, of one that others follow and of one for the
+# history.
+MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
+# Relative change of the cost at which an adjustment ends, and one that others follow where more than poses is unknown.
+TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
+# Passes in which fitted trajectories choose their detections.
+FITTED_PASSES = 3
+# Passes are weighted from this one on.
+FIRST_WEIGHTED = 2
+
+
+def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list[Pairing]:
+    """Pair one-camera tracks: at `values` (m,), and at draws from the prior; distinct pairings, the best first."""
+    if not len(task.pairs.cameras):
+        return []
+    draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
+    draws[0] = values
+    draws[1:] = with_clocks(task, draws[1:])
+    return distinct_pairings(task.parameters, task.pairs, draws, task.stages[0].free)
+
+
+def paired_fit(task: Task, pairing: Pairing) -> Fit:
+    """Adjust cameras and trajectories to paired one-camera tracks. See `calibration.pairing`."""
+    objects = paired_objects(task.pairs, pairing, len(task.tracks))
+    detections = np.concatenate([rows for (_, rows), o in zip(task.tracks, objects, strict=True) if o >= 0])
+    of_object = np.concatenate([np.full(len(rows), o) for (_, rows), o in zip(task.tracks, objects, strict=True)])
+    of_object = of_object[of_object >= 0]
+    order = np.lexsort((detections, of_object))
+    trajectories, detections = of_object[order], detections[order]
+    rows, times, points = meeting_points(task.parameters, task.pairs, pairing)
+    met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
+    cameras = task.parameters.build(pairing.values)
+    observations = task.observations(cameras, trajectories, detections)
+    nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
+    knots = _knots(task, observations, nearest[trajectories], pairing.values)
+    states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
+    return _fit(task, problem, pairing.values, states, detections, *_annealed(task))
+
+
+def with_clocks(task: Task, draws: Array) -> Array:
+    """Give every other one of draws (k, m) the clock offsets that the motion shows, as far apart as those are sure."""
+    places, found = offset_places(task.parameters), task.clocks
+    draws = draws.copy()
+    for camera in np.flatnonzero(found.scores > 0.0):
+        place = places[camera]
+        mean = task.parameters.prior_mean[place]
+        draws[::2, place] = found.offsets[camera] + SEARCHED_PART * (draws[::2, place] - mean)
+    return draws
+
+
+def tracked_fit(
+    task: Task, values: Array, inflation: float, held: Booleans | None = None, ratio: float = 1.0
+) -> Fit | None:
+    """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
+
+    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`calibration.tracking_scale`).
+    """
+    cameras = task.parameters.build(values)
+    scans = task.tracked_scans(cameras)
+    found = track_detections(with_cameras(task.filter, enlarged(cameras, task.reference, ratio)), scans, inflation)
+    if not len(found):
+        return None
+    chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], task.settings.min_detections)
+    if not len(chosen):
+        return None
+    rows, tracks = keep(found.tracks, chosen)
+    detections = scans.source[found.detections[rows]]
+    points = reduced(found.positions[rows], cameras, task.reference, ratio)
+    observations = task.observations(cameras, tracks, detections, inflation)
+    knots = _knots(task, observations, points, values)
+    precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
+    states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
+    return _fit(task, problem, values, states, detections, *_annealed(task))
+
+
+def _annealed(task: Task) -> tuple[int, float]:
+    """Most iterations and tolerance of an adjustment that others follow: with many unknowns its optimum is flat."""
+    only_moves = task.parameters.only_moves
+    return (MOST_ITERATIONS, TOLERANCE) if only_moves else (ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
+
+
+def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True) -> Fit | None:
+    """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
+
+    `weighted`: detections whose errors are shared count less (`calibration.shared_errors`), as the residuals of the
+    fit show. `last`: no other adjustment follows.
+    """
+    counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
+    cameras = task.parameters.build(fit.adjustment.values)
+    scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
+    states = fit.adjustment.states
+    noise = _noise(task, fit)
+    # over this time the noise of the motion moves an object by its detection's noise
+    padding = task.filter.motion.straying_time(noise)
+    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
+    p_detect = np.array([camera.detector.p_detect for camera in cameras])
+    several = ~lone(trajectories, scans.event_of[detections], scans.cameras, p_detect)
+    trajectories, detections = trajectories[several], detections[several]
+    of_camera = scans.cameras[scans.event_of[detections]]
+    chosen = shared(trajectories, of_camera, task.settings.min_detections)
+    if not len(chosen):
+        return None
+    rows, numbers = keep(trajectories, chosen)
+    chosen_detections = scans.source[detections[rows]]
+    fit = replace(fit, held=None)
+    observations = task.observations(cameras, numbers, chosen_detections)
+    if weighted and task.settings.shared_error_px > 0.0:
+        weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)
+        observations = replace(observations, weights=weights)
+    tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
+    return adjusted_to(task, fit, observations, trajectories[rows], chosen_detections, tolerance=tolerance)
+
+
+def _weights(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Array | None:
+    """Weights of detections whose errors are shared, by their residuals in a fit; None if none are.
+
+    The detections belong to trajectories of the fit, which knew most of them, with the weights of then.
+    """
+    if fit.observations.weights is not None:
+        weights = np.ones(len(task.recording.pixels))
+        weights[fit.detections] = fit.observations.weights
+        observations = replace(observations, weights=weights[detections])
+    problem = Problem(task.parameters, task.reference, fit.knots, observations, FITTED_LOSS, task.scale)
+    found = shared_errors(
+        Linearisation.of(problem), fit.adjustment.values, fit.adjustment.states, task.settings.shared_error_px,
+        np.random.default_rng(SHARED_ERRORS_SEED),
+    )  # fmt: skip
+    return found.weights if found.shared.any() else None
+
+
+def fit_from(task: Task, values: Array) -> Fit | None:
+    """Fit cameras and trajectories to what is tracked with the cameras of `values`; None if nothing is shared."""
+    fit = tracked_fit(task, values, 1.0)
+    for number in range(FITTED_PASSES):
+        if fit is not None:
+            fit = refitted(task, fit, weighted=number >= FIRST_WEIGHTED)
+    return fit
+
+
+def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
+    """Adjust to the detections until a time only, with the association of the whole run; None without any."""
+    # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
+    most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
+    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
+
+
+def without_left_out(task: Task, fit: Fit) -> Fit:
+    """Adjust again without the detections that the last adjustment left out, if any.
+
+    Where a trajectory ends with one of them, its last knots have no information but the motion's, and lie anywhere.
+    """
+    rows = np.flatnonzero(fit.adjustment.distances <= LEFT_OUT)
+    if len(rows) == len(fit.detections):
+        return fit
+    return _part(task, fit, rows, MOST_ITERATIONS) or fit
+
+
+def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:
+    """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
+
+    Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it.
+    """
+    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
+    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
+    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
+    if not len(trajectories):
+        return None
+    cameras = task.parameters.build(fit.adjustment.values)
+    observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
+    if fit.observations.weights is not None:
+        observations = replace(observations, weights=fit.observations.weights[rows])
+    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
+    return adjusted_to(task, fit, observations, of_fit, detections, most)
+
+
+def adjusted_to(
+    task: Task,
+    fit: Fit,
+    observations: Observations,
+    of_fit: Integers,
+    detections: Integers,
+    max_iterations: int = MOST_ITERATIONS,
+    tolerance: float = TOLERANCE,
+) -> Fit:
+    """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
+
+    What the fit held is held again, and the noise of the motion is that of the fit. Stretches that collapse into a
+    camera (`calibration.collapsed_stretches`) are left out, and the others are adjusted to again.
+    """
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
+    knots = replace(_knots(task, observations, points, fit.adjustment.values), noise_std=fit.knots.noise_std)
+    interpolated = interpolation(knots, observations.trajectories, observations.times)
+    noise = _length_of_noise(task, observations, points, fit.adjustment.values)
+    states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
+    found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
+    standing = ~_collapsed(task, found)
+    if standing.all():
+        return found
+    return _part(task, found, np.flatnonzero(standing), max_iterations) or found
+
+
+def _collapsed(task: Task, fit: Fit) -> Booleans:
+    """Which detections (n,) of a fit belong to stretches that have collapsed into their camera."""
+    seen = fit.observations
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
+    still = np.zeros_like(points)
+    distances = [
+        np.linalg.norm(look(camera, points, still, seen.times, seen.log_times, seen.rows).points, axis=1)
+        for camera in task.parameters.build(fit.adjustment.values)
+    ]
+    return collapsed(seen.trajectories, seen.times, seen.cameras, np.stack(distances, axis=1))
+
+
+def problem_of(task: Task, fit: Fit) -> Problem:
+    """Return the problem that a fit solves, with all values free."""
+    return Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
+
+
+def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
+    """Adjust again with only some values free (m,), the others at the prior mean.
+
+    The covariance is that of all values being unknown: what is held at the prior mean is known no better than that,
+    and the free values are only as sure as that leaves them.
+    """
+    parameters = task.parameters
+    values = np.where(free, fit.adjustment.values, parameters.prior_mean)
+    begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=~free)
+    again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections)
+    return _with_held_unknown(task, again)
+
+
+def _with_held_unknown(task: Task, fit: Fit) -> Fit:
+    """Give a fit with held values the covariance of all values being unknown, as `restricted_fit` says."""
+    assert fit.held is not None
+    equations = Linearisation.of(problem_of(task, fit)).at(fit.adjustment.values, fit.adjustment.states)
+    prior_std, held = task.parameters.prior_std, fit.held
+    covariance = posterior_covariance(equations, prior_std)
+    covariance[held], covariance[:, held] = 0.0, 0.0
+    covariance[held, held] = prior_std[held] ** 2
+    return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
+
+
+def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float, str]:
+    """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
+
+    Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
+    the motion model. The joint optimum of objects that manoeuvre is biased, and its residuals look like shared errors:
+    only those count that the marginal optimum of independent errors shows too. Not for objects of one knot each, which
+    stand still: the volume counts a velocity with every knot, and would take the scene for too small. Not where that
+    noise is not believed (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the
+    prior although the fit does not.
+
+    Returns
+    -------
+    fit : Fit
+    noise_factor : float
+        Noise of the motion that the log shows over what is stated; 1 where it was not estimated.
+    doubt : str
+        Why neither optimum is trusted, whether the search for it converged or not; empty if there is no reason.
+    """
+    if not len(fit.knots.links()):
+        return fit, 1.0, ""
+    if fit.observations.weights is None:
+        return _at_marginal(task, fit, any_noise)
+    seen = replace(fit.observations, weights=None)
+    independent = adjusted_to(task, fit, seen, seen.trajectories, fit.detections)
+    found, noise_factor, doubt = _at_marginal(task, independent, any_noise)
+    sure = found is not independent and found.adjustment.converged and not doubt
+    if sure and _weights(task, found, found.observations, found.detections) is None:
+        return found, noise_factor, ""
+    return fit, 1.0, ""
+
+
+def _at_marginal(task: Task, fit: Fit, any_noise: bool) -> tuple[Fit, float, str]:
+    """`marginal_fit` of a fit whose detections have independent errors."""
+    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
+    if not (found.believed or any_noise):
+        return fit, found.noise_factor, ""
+    parameters = task.parameters
+    against = parameters.prior_disagreement(found.adjustment.values)
+    if against is not None and parameters.prior_disagreement(fit.adjustment.values) is None:
+        return fit, 1.0, f"with the trajectories integrated out {against}"
+    cameras = parameters.build(found.adjustment.values)
+    observations = replace(fit.observations, times=true_times(cameras, fit.observations))
+    knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
+    moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
+    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor, ""
+
+
+def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
+    """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
+    found, _, _ = marginal_fit(task, fit)
+    return replace(found, knots=fit.knots)
+
+
+def _fit(
+    task: Task,
+    problem: Problem,
+    values: Array,
+    states: Array,
+    detections: Integers,
+    max_iterations: int = MOST_ITERATIONS,
+    tolerance: float = TOLERANCE,
+) -> Fit:
+    """Adjust, and time the detections by the cameras found."""
+    found = adjust(problem, values, states, max_iterations, tolerance)
+    cameras, observations = task.parameters.build(found.values), problem.observations
+    if not task.parameters.only_moves:
+        observations = replace(observations, times=true_times(cameras, observations))
+    return Fit(found, problem.knots, observations, detections, problem.held)
+
+
+def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:
+    """Knots of trajectories with the given detections, near the given positions."""
+    spans = []
+    counts = np.bincount(observations.trajectories)
+    for j in range(len(counts)):
+        times = observations.times[observations.trajectories == j]
+        spans.append((float(times.min()), float(times.max())))
+    noise = _length_of_noise(task, observations, points, values)
+    spacing = knot_spacing(task.filter.motion, noise)
+    return place_knots(spans, spacing, task.filter.motion, counts)
+
+
+def _length_of_noise(task: Task, observations: Observations, points: Array, values: Array) -> float:
+    """Median over detections of their noise at the depth of the object, length."""
+    depth = np.empty(len(points))
+    focal = np.empty(len(points))
+    for number, camera in enumerate(task.parameters.build(values)):
+        here = observations.cameras == number
+        depth[here] = np.abs((points[here] - camera.pose.center) @ camera.pose.rotation[2])
+        focal[here] = camera.fx
+    sigma = 1.0 / np.sqrt(observations.precisions[:, 0, 0])
+    return float(np.median(sigma * depth / focal))
+
+
+def _noise(task: Task, fit: Fit) -> float:
+    interpolated = interpolation(fit.knots, fit.observations.trajectories, fit.observations.times)
+    points = positions(fit.adjustment.states, *interpolated)
+    return _length_of_noise(task, fit.observations, points, fit.adjustment.values)

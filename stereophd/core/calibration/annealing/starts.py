@@ -1,0 +1,235 @@
+"""Annealed calibration: tracking alternates with bundle adjustment, from several starts.
+
+A start is a draw of the camera parameters from their prior. Each pass first tracks (PMB filter) with inflated detector
+noise, so that detections of one object are associated although the cameras are still wrong. It then adjusts cameras and
+trajectories to those detections, which improves the cameras. The inflation falls from pass to pass; in the last passes
+the fitted trajectories choose their detections themselves. See docs/calibration.md.
+
+A start succeeds only if the trajectories that two cameras share explain the detections. The best start has the greatest
+sum of evidence (PMB filter at the true noise) and log-prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
+from stereophd.core.calibration.adjustment.recording import Scans
+from stereophd.core.calibration.annealing.fits import (
+    FIRST_WEIGHTED,
+    FITTED_PASSES,
+    at_marginal_optimum,
+    paired_fit,
+    pairings_of,
+    refitted,
+    tracked_fit,
+    without_left_out,
+)
+from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
+from stereophd.core.calibration.pairing.association import track_detections, with_cameras
+from stereophd.core.calibration.sampling.modes import Modes
+from stereophd.core.calibration.unknowns.gauge import KEPT_WITHIN, depth_ratio, enlarged
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.scale import collapse
+from stereophd.wording import percent
+
+Array = NDArray[np.float64]
+
+# Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
+PAIRED_INFLATION = 3.5
+# Pairings of a start that are followed, and share of the best one's gain from which another is followed too.
+MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
+# The detections that a start explains must be this near to their noise: mean squared residual of accepted detections,
+# in squared sigmas per coordinate. One that the last adjustment left out counts no more than this squared distance,
+# wherever it lies: one in twelve is allowed.
+MOST_RESIDUAL = 2.0
+# Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
+AGREEMENT = 1.0
+# Another start is a rival of the best if it is this near in evidence plus log-prior, and this far in the same measure.
+RIVAL_SCORE, RIVAL_DISTANCE = 5.0, 5.0
+# Least share of the particles of a full posterior that a mode gets.
+LEAST_SHARE = 0.05
+
+
+def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> Start:
+    """Follow one start through all passes: from the pairings found, the best first, then from its own values.
+
+    A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
+    and the start's own values at the widest noise, are tried only where none has succeeded so far.
+
+    Parameters
+    ----------
+    task : Task
+    number : int
+        Which start, for the record.
+    values : array (m,)
+        Where it begins.
+    seed : SeedSequence
+        Seed of the further draws among which one-camera tracks are paired.
+    """
+    pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS]
+    tried: list[Start] = []
+    for place, pairing in enumerate(pairings):
+        if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
+            break
+        tried.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
+    if best_of(tried) is None:
+        tried.append(_follow(task, number, WIDE, values, None))
+    return best_of(tried) or max(tried, key=lambda one: one.explained)
+
+
+def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
+    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
+    history: list[Array] = []
+
+    def failed(why: str, fit: Fit | None = None, part: float = 0.0) -> Start:
+        return Start(number, why, start, np.array(history).reshape(-1, len(start)), fit, np.nan, np.nan, part, origin)
+
+    values, inflations = start, task.settings.inflation
+    if fit is not None:
+        values = fit.adjustment.values
+        history.append(values)
+        inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
+    for number_of_pass, inflation in enumerate(inflations):
+        ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
+        fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
+        if fit is None:
+            return failed(f"no track is shared by two cameras at {inflation:g} times the noise")
+        values = fit.adjustment.values
+        history.append(values)
+    assert fit is not None
+    for number_of_pass in range(FITTED_PASSES + 1):
+        if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
+            break  # one more pass only where the last one found weights
+        again = refitted(
+            task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED,
+            last=number_of_pass >= FIRST_WEIGHTED,
+        )  # fmt: skip
+        if again is None:
+            return failed("the fitted trajectories are not shared by two cameras", fit)
+        fit = again
+        history.append(fit.adjustment.values)
+    fit = without_left_out(task, fit)
+    values = fit.adjustment.values
+    part = explained(task, fit)
+    why = disagreement(task, fit)
+    if why is not None and task.parameters.prior_disagreement(values) is not None:
+        # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
+        fit = at_marginal_optimum(task, fit)
+        values = fit.adjustment.values
+        history.append(values)
+        why = disagreement(task, fit)
+    if why is not None:
+        return failed(why, fit, part)
+    prior = float(task.parameters.log_prior(values))
+    return Start(number, SUCCEEDED, start, np.array(history), fit, evidence(task, fit), prior, part, origin)
+
+
+def evidence(task: Task, fit: Fit) -> float:
+    """Log-likelihood of the log under the cameras of a fit, at the true noise.
+
+    All fits are compared at one scale: that at which the median object has the depth that the filter's birth prior
+    expects. At their own, which the prior of the cameras chooses, that prior would decide between them.
+    """
+    cameras = task.parameters.build(fit.adjustment.values)
+    scaled = enlarged(cameras, task.reference, depth_ratio(task, fit))
+    return track_detections(with_cameras(task.filter, scaled), task.tracked_scans(cameras), 1.0).log_likelihood
+
+
+def explained(task: Task, fit: Fit) -> float:
+    """Detections of shared trajectories, in parts of those that are not expected to be false."""
+    return len(fit.detections) / real_detections(task.parameters, task.scans, task.followed)
+
+
+def real_detections(parameters: ParameterSet, scans: Scans, followed: float) -> float:
+    """How many detections are not expected to be false.
+
+    Those beyond the clutter that the detectors state, but no more than tracks of one camera alone follow: there may
+    be more clutter than stated. At least two standard deviations of the number of detections, were all of them
+    false.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    scans : Scans
+    followed : float
+        Share of the detections that tracks of one camera alone follow.
+    """
+    frames = np.bincount(scans.cameras, minlength=len(parameters.cameras))
+    clutter = sum(
+        camera.detector.clutter_per_frame * count for camera, count in zip(parameters.cameras, frames, strict=True)
+    )
+    total = len(scans.points)
+    return float(max(min(total - clutter, followed * total), 2.0 * np.sqrt(max(total, 1))))
+
+
+def disagreement(task: Task, fit: Fit) -> str | None:
+    """Why a fit does not agree with the data or the prior; None if it does."""
+    part = explained(task, fit)
+    if part < task.settings.min_tracked:
+        return f"shared tracks explain only {percent(part)} of the detections that are not expected to be false"
+    residual = float(np.minimum(fit.adjustment.distances, LEFT_OUT).mean()) / 2.0
+    if residual > MOST_RESIDUAL:
+        return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
+    values = fit.adjustment.values
+    return task.parameters.prior_disagreement(values) or collapse(task.parameters, task.reference, values)
+
+
+def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
+    """Whether two starts found the same cameras, within the given number of standard deviations (root mean square)."""
+    assert one.fit is not None
+    assert other.fit is not None
+    difference = one.fit.adjustment.values - other.fit.adjustment.values
+    precision = np.linalg.inv(one.fit.adjustment.covariance)
+    return float(difference @ precision @ difference) <= within**2 * len(difference)
+
+
+def best_of(starts: list[Start]) -> Start | None:
+    """The successful start of the greatest evidence plus log-prior, if any; the earlier of equal ones."""
+    return max((s for s in starts if s.succeeded), key=lambda s: s.score, default=None)
+
+
+def enough(starts: list[Start], agreeing: int) -> bool:
+    """Whether enough starts agree with the best one."""
+    return agreeing_with_best(starts) >= agreeing
+
+
+def agreeing_with_best(starts: list[Start]) -> int:
+    """How many successful starts found the cameras of the best, itself included; 0 if none succeeded."""
+    best = best_of(starts)
+    return 0 if best is None else sum(s.succeeded and agree(best, s) for s in starts)
+
+
+def start_values(parameters: ParameterSet, seed: np.random.SeedSequence, count: int) -> Array:
+    """Values (count, m) to start from: the prior mean, and draws from the prior."""
+    draws = parameters.sample(np.random.default_rng(seed), count)
+    draws[0] = parameters.prior_mean
+    return draws
+
+
+def distinct(starts: list[Start]) -> list[Start]:
+    """Successful starts that do not agree with one another, the best of each kind, best first."""
+    found: list[Start] = []
+    for start in sorted((s for s in starts if s.succeeded), key=lambda s: -s.score):
+        if not any(agree(other, start) for other in found):
+            found.append(start)
+    return found
+
+
+def modes_of(fits: list[Fit], scores: list[float]) -> Modes:
+    """Modes of the posterior: optima, Laplace covariances, shares by evidence plus log-prior."""
+    # a mode that the evidence hardly supports still gets a twentieth: the sampler decides
+    share = np.exp(np.array(scores) - max(scores))
+    share = np.maximum(share / share.sum(), LEAST_SHARE)
+    means = np.stack([fit.adjustment.values for fit in fits])
+    return Modes(means, np.stack([fit.adjustment.covariance for fit in fits]), share / share.sum())
+
+
+def rival_of(starts: list[Start]) -> Start | None:
+    """A start that agrees with the data about as well as the best, at other cameras; None if there is none."""
+    best, *others = distinct(starts)
+    for start in others:
+        if start.score >= best.score - RIVAL_SCORE and not agree(best, start, RIVAL_DISTANCE):
+            return start
+    return None

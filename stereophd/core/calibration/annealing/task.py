@@ -1,0 +1,193 @@
+"""What annealed calibration works on and returns: the task, a fit of cameras and trajectories, a start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment.problem import Observations
+from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.adjustment.solver import Adjustment
+from stereophd.core.calibration.adjustment.trajectories import Knots
+from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
+from stereophd.core.calibration.pairing.image_tracks import image_tracks
+from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
+from stereophd.core.calibration.pairing.track_rays import RawTracks
+from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
+from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.pmb.filter import PmbFilter
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SUCCEEDED = "succeeded"
+# Most starts by default: where poses alone are unknown, and otherwise.
+STARTS_OF_POSES, STARTS = 24, 8
+# Where the passes of a start began: a pairing of one-camera tracks, or the start's own values at the widest noise.
+PAIRING, WIDE = "pairing", "wide"
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a start needs.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+    reference : int
+        Index of the reference camera.
+    filter : PmbFilter
+        Template; its cameras are replaced.
+    recording : Recording
+    frames : array of int
+        Frames of the recording that are tracked: all, or a part of a long log.
+    scans, tracking : Scans
+        Events of all frames and of those that are tracked, by the cameras of the prior mean.
+    tracks : tuple of (int, array)
+        One-camera tracks among the tracked frames: camera and detections of the recording.
+    pairs : TrackPairs
+        Which of them may be one object.
+    scale : ScaleMeasurement or None
+    settings : AnnealedSettings
+    clocks : ClockOffsets
+        Offsets of unknown clocks by the motion that the tracks show.
+    stages : tuple of UnknownSet
+        Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
+    """
+
+    parameters: ParameterSet
+    reference: int
+    filter: PmbFilter
+    recording: Recording
+    frames: Integers
+    scans: Scans
+    tracking: Scans
+    tracks: tuple[tuple[int, Integers], ...]
+    pairs: TrackPairs
+    scale: ScaleMeasurement | None
+    settings: AnnealedSettings
+    clocks: ClockOffsets
+    stages: tuple[UnknownSet, ...]
+
+    @property
+    def most_starts(self) -> int:
+        """Largest number of starts."""
+        if self.settings.starts is not None:
+            return self.settings.starts
+        return STARTS_OF_POSES if self.parameters.only_poses else STARTS
+
+    @property
+    def followed(self) -> float:
+        """Share of the tracked events' detections that one-camera tracks hold."""
+        return sum(len(detections) for _, detections in self.tracks) / max(len(self.tracking.points), 1)
+
+    @staticmethod
+    def of(
+        parameters: ParameterSet,
+        reference: int,
+        multi_filter: PmbFilter,
+        recording: Recording,
+        frames: Integers,
+        scale: ScaleMeasurement | None,
+        settings: AnnealedSettings,
+        stages: tuple[UnknownSet, ...] = (),
+    ) -> Task:
+        """Prepare what all starts share: the one-camera tracks of each camera.
+
+        Without `stages` those of `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
+        """
+        scans = Scans.of(recording, parameters.cameras)
+        tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
+        if settings.one_camera_tracks == "image":
+            tracks = tuple(image_tracks(tracking, settings.min_detections))
+        else:
+            tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
+        pairs = make_pairs(parameters, tracking, tracks)
+        clocks = search_offsets(parameters, RawTracks.of(recording, tracks))
+        return Task(
+            parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings,
+            clocks, stages or default_stages(parameters),
+        )  # fmt: skip
+
+    def held(self, number: int) -> NDArray[np.bool_] | None:
+        """Values (m,) that are held in the pass of this number; None where all are free."""
+        free = self.stages[min(number, len(self.stages) - 1)].free
+        return None if free.all() else ~free
+
+    def all_scans(self, cameras: Sequence[Camera]) -> Scans:
+        """Return the events of all frames by these cameras."""
+        return self.scans if self.parameters.same_events else Scans.of(self.recording, cameras)
+
+    def tracked_scans(self, cameras: Sequence[Camera]) -> Scans:
+        """Return the events of the tracked frames by these cameras."""
+        return self.tracking if self.parameters.same_events else Scans.of(self.recording, cameras, self.frames)
+
+    def observations(
+        self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0
+    ) -> Observations:
+        """Return detections of the recording that belong to trajectories, timed by cameras, their noise inflated."""
+        return self.recording.observations(cameras, trajectories, detections, inflation)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to.
+
+    `held` (m,) are the values that the adjustment did not move; None if it moved all.
+    """
+
+    adjustment: Adjustment
+    knots: Knots
+    observations: Observations
+    detections: Integers
+    held: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True)
+class Start:
+    """Outcome of one start.
+
+    Attributes
+    ----------
+    number : int
+    outcome : str
+        `SUCCEEDED`, or why not.
+    start : array (m,)
+        Values it began with.
+    passes : array (p, m)
+        Values after every pass.
+    fit : Fit or None
+        The last one.
+    log_evidence, log_prior : float
+        At the last values; NaN where the start failed.
+    explained : float
+        Detections of shared trajectories, in parts of those not expected to be false.
+    origin : str
+        Where the passes began: `PAIRING` and its number, or `WIDE`.
+    """
+
+    number: int
+    outcome: str
+    start: Array
+    passes: Array
+    fit: Fit | None
+    log_evidence: float
+    log_prior: float
+    explained: float
+    origin: str
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the start found cameras that agree with the data."""
+        return self.outcome == SUCCEEDED
+
+    @property
+    def score(self) -> float:
+        """Evidence plus log-prior."""
+        return self.log_evidence + self.log_prior

@@ -1,0 +1,1 @@
+"""Which tracks of different cameras are one object: rays, pairs, search, association."""

@@ -1,0 +1,211 @@
+"""Which detections belong to which object: from the tracks of a filter, and from fitted trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from stereophd.core.calibration.adjustment.recording import Scans
+from stereophd.core.calibration.adjustment.trajectories import Knots, interpolation, positions
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.disparity.events import Event, make_rig
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.projection import pinhole
+from stereophd.core.multi.pmb.filter import PmbFilter
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise: 3 sigma while
+# tracking, 3.7 sigma (0.1 % of a normal distribution in the plane) once the trajectories are fitted.
+TRACK_GATE, FITTED_GATE = 9.0, 13.8
+# Tracks of a smaller existence are not asked.
+LEAST_EXISTENCE = 0.6
+
+
+@dataclass(frozen=True)
+class TrackedDetections:
+    """Detections of the objects that a filter followed, sorted by track and time.
+
+    Attributes
+    ----------
+    tracks : array (n,) of int
+        0 to the number of tracks less one.
+    detections : array (n,) of int
+        Index among all detections.
+    positions : array (n, 3)
+        Estimates of the filter, world.
+    variances : array (n,)
+        Trace of their covariance.
+    log_likelihood : float
+        Evidence of the run: sum over all events.
+    """
+
+    tracks: Integers
+    detections: Integers
+    positions: Array
+    variances: Array
+    log_likelihood: float
+
+    def __len__(self) -> int:
+        return len(self.tracks)
+
+
+def with_cameras(template: PmbFilter, cameras: Sequence[Camera]) -> PmbFilter:
+    """Return the filter with other cameras."""
+    rig = template.rig
+    moved = make_rig(cameras, rig.baseline, rig.rectification, rig.region)
+    return PmbFilter(moved, template.motion, template.sets, template.settings, template.threads)
+
+
+def inflated(event: Event, factor: float) -> Event:
+    """Return an event whose detections are this many times as noisy."""
+    return event if factor == 1.0 else replace(event, covariances=factor**2 * event.covariances)
+
+
+def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) -> TrackedDetections:
+    """Run a filter over events, and give each track the detections nearest to it.
+
+    Parameters
+    ----------
+    multi_filter : PmbFilter
+        With the cameras to be tried.
+    scans : Scans
+        With the detector's noise.
+    inflation : float
+        Factor on it.
+    """
+    state = multi_filter.init()
+    total = 0.0
+    found: list[tuple[Integers, Integers, Array, Array]] = []
+    for number, event in enumerate(scans.events):
+        wide = inflated(event, inflation)
+        state, info, estimates = multi_filter.step(state, wide)
+        total += info.log_likelihood
+        sure = np.flatnonzero(estimates.existence >= LEAST_EXISTENCE)
+        if not len(sure) or not len(event.points):
+            continue
+        camera, states = multi_filter.rig.cameras[event.camera].at(event.time_s), estimates.states[sure]
+        rows, columns = match(detected_pixels(camera, states, wide), wide, TRACK_GATE)
+        points = states[:, :3]
+        variances = np.trace(estimates.covariances[sure[rows], :3, :3], axis1=1, axis2=2)
+        found.append((estimates.track_ids[sure[rows]], scans.first[number] + columns, points[rows], variances))
+    if not found:
+        none = np.empty(0, dtype=np.int64)
+        return TrackedDetections(none, none, np.empty((0, 3)), np.empty(0), total)
+    names, detections, estimated, variances = (np.concatenate(part) for part in zip(*found, strict=True))
+    _, tracks = np.unique(names, return_inverse=True)
+    order = np.lexsort((detections, tracks))
+    return TrackedDetections(tracks[order], detections[order], estimated[order], variances[order], total)
+
+
+def undistorted_pixels(camera: Camera, points: Array) -> Array:
+    """Undistorted pixels (n, 2) of world points; NaN behind the camera."""
+    seen = camera.pose.to_camera(points)
+    focal = np.array([camera.fx, camera.fy])
+    slopes, _ = pinhole(seen, focal)
+    return np.where(seen[:, 2:] > 0.0, slopes * focal + [camera.cx, camera.cy], np.nan)
+
+
+def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
+    """Undistorted pixels (n, m, 2) of objects, positions and velocities (n, 6), at the times of m detections.
+
+    With a rolling shutter a detection is later than its event by the delay of its row. The pixels are those of the
+    camera at the event; that the camera moves on until then is as if the objects moved the other way.
+    """
+    moves = event.delays is not None and states.shape[1] == 6
+    if event.delays is None or not (moves or event.travels is not None):
+        return np.asarray(undistorted_pixels(camera, states[:, :3])[:, None, :])
+    moved = np.repeat(states[:, None, :3], len(event.points), axis=1)
+    if moves:
+        moved = moved + event.delays[None, :, None] * states[:, None, 3:]
+    if event.travels is not None:
+        moved = moved - event.travels
+    return undistorted_pixels(camera, moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
+
+
+def squared_distances(pixels: Array, event: Event) -> Array:
+    """Squared Mahalanobis distances (n, m) of pixels (n, m or 1, 2) from an event's detections; infinite for NaN."""
+    difference = pixels - event.points[None, :, :]
+    inverse = np.linalg.inv(event.covariances)
+    distance = np.einsum("nmi,mij,nmj->nm", difference, inverse, difference)
+    return np.asarray(np.where(np.isfinite(distance), distance, np.inf))
+
+
+def match(pixels: Array, event: Event, gate: float) -> tuple[Integers, Integers]:
+    """Assign pixels to detections one to one, at the least sum of squared distances within the gate."""
+    cost = np.minimum(squared_distances(pixels, event), gate)
+    rows, columns = linear_sum_assignment(cost)
+    kept = cost[rows, columns] < gate
+    return rows[kept].astype(np.int64), columns[kept].astype(np.int64)
+
+
+def fitted_detections(
+    cameras: Sequence[Camera],
+    scans: Scans,
+    knots: Knots,
+    states: Array,
+    padding: float,
+    counts: Integers,
+) -> tuple[Integers, Integers]:
+    """Give fitted trajectories their detections, those with the most so far first.
+
+    A piece of a track that another trajectory explains better is thus left without detections.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    scans : Scans
+    knots, states : Knots, array (k, 2, 3)
+    padding : float
+        A trajectory continues without noise for this time before its first and after its last detection, s.
+    counts : array (j,)
+        Detections of each trajectory so far.
+
+    Returns
+    -------
+    trajectories, detections : arrays (n,) of int
+        Sorted by trajectory and time.
+    """
+    owner = np.full(len(scans.points), -1)
+    times, of_camera = scans.detection_times, scans.cameras[scans.event_of]
+    pixels, sigma = scans.recording.pixels[scans.source], scans.recording.sigma[scans.source]
+    for j in np.argsort(-counts, kind="stable"):
+        start, end = knots.spans[j]
+        open_ = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
+        points = positions(states, *interpolation(knots, np.full(len(open_), j), times[open_]))
+        difference = np.full((len(open_), 2), np.nan)
+        for number, camera in enumerate(cameras):
+            here = np.flatnonzero(of_camera[open_] == number)
+            still, nothing = np.zeros((len(here), 3)), np.zeros(len(here))
+            view = look(camera, points[here], still, times[open_[here]], nothing, nothing)
+            seen = here[view.visible]
+            difference[seen] = pixels[open_[seen]] - view.pixels[view.visible]
+        distance = ((difference / sigma[open_]) ** 2).sum(axis=1)
+        near = np.flatnonzero(distance < FITTED_GATE)
+        # the nearest of each event
+        near = near[np.lexsort((distance[near], scans.event_of[open_[near]]))]
+        _, nearest = np.unique(scans.event_of[open_[near]], return_index=True)
+        owner[open_[near[nearest]]] = j
+    detections = np.flatnonzero(owner >= 0)
+    order = np.lexsort((detections, owner[detections]))
+    return owner[detections[order]], detections[order]
+
+
+def shared(trajectories: Integers, cameras: Integers, least: int) -> Integers:
+    """Trajectories with at least so many detections in each of two cameras."""
+    if not len(trajectories):
+        return np.empty(0, dtype=np.int64)
+    counts = np.zeros((int(trajectories.max()) + 1, int(cameras.max()) + 1), dtype=np.int64)
+    np.add.at(counts, (trajectories, cameras), 1)
+    return np.flatnonzero((counts >= least).sum(axis=1) >= 2)
+
+
+def keep(trajectories: Integers, chosen: Integers) -> tuple[NDArray[np.intp], Integers]:
+    """Rows of the chosen trajectories, and their new numbers from 0 on."""
+    rows = np.flatnonzero(np.isin(trajectories, chosen))
+    return rows, np.searchsorted(chosen, trajectories[rows])

@@ -1,0 +1,166 @@
+"""Rays of one-camera tracks at common times, for any clocks and lenses of the cameras.
+
+A row compares track a at the time of one of its detections with track b at the same true time. Which time on the
+clock of b that is depends on both clocks; the pixels of b are interpolated there, between its own detections.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.adjustment.recording import Recording
+from stereophd.core.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# Tracks are interpolated over at most this many of their median steps.
+LONGEST_GAP = 3.5
+
+
+@dataclass(frozen=True)
+class RawTracks:
+    """Pixels of one-camera tracks on their cameras' own clocks.
+
+    Attributes
+    ----------
+    cameras : array (k,) of int
+    first : array (k + 1,) of int
+        Track j has the entries first[j] to first[j + 1] - 1.
+    log_times : array (n,)
+        s, increasing within a track.
+    pixels : array (n, 2)
+        Raw pixels.
+    rows : array (n,)
+        Row of each detection over the height of the image.
+    """
+
+    cameras: Integers
+    first: Integers
+    log_times: Array
+    pixels: Array
+    rows: Array
+
+    @staticmethod
+    def of(recording: Recording, tracks: Sequence[tuple[int, Integers]]) -> RawTracks:
+        """Collect the tracks of a recording: camera and detections of each."""
+        detections = np.concatenate([np.empty(0, dtype=np.int64), *(rows for _, rows in tracks)])
+        cameras = np.array([camera for camera, _ in tracks], dtype=np.int64)
+        lengths = [len(rows) for _, rows in tracks]
+        heights = np.repeat(recording.heights[cameras], lengths)
+        pixels = recording.pixels[detections]
+        return RawTracks(
+            cameras,
+            np.concatenate([[0], np.cumsum(np.array(lengths, dtype=np.int64))]),
+            recording.log_times[recording.frame_of[detections]],
+            pixels,
+            pixels[:, 1] / heights,
+        )
+
+    @cached_property
+    def _spacing(self) -> float:
+        """Length of the stretch of keys that each track gets, longer than all times."""
+        return 4.0 * float(np.ptp(self.log_times)) + 1.0
+
+    @cached_property
+    def _keys(self) -> Array:
+        track = np.repeat(np.arange(len(self.cameras)), np.diff(self.first))
+        return np.asarray(self.log_times - self.log_times.min() + track * self._spacing)
+
+    @cached_property
+    def longest_gaps(self) -> Array:
+        """Longest step (k,) over which each track is interpolated, s."""
+        steps = [np.diff(self.log_times[a:b]) for a, b in zip(self.first[:-1], self.first[1:], strict=True)]
+        return np.array([LONGEST_GAP * float(np.median(step)) for step in steps])
+
+    def at(self, tracks: Integers, log_times: Array) -> tuple[Array, Booleans]:
+        """Pixels (n, 2) of tracks (n,) at times on their cameras' clocks, and whether they were seen around then."""
+        if not len(tracks):  # there may be no track at all
+            return np.empty((0, 2)), np.empty(0, dtype=np.bool_)
+        margin = 0.25 * self._spacing
+        since = np.clip(log_times - self.log_times.min(), -margin, self._spacing - 2.0 * margin)
+        right = np.searchsorted(self._keys, since + tracks * self._spacing)
+        right = np.clip(right, self.first[tracks] + 1, self.first[tracks + 1] - 1)
+        before, after = self.log_times[right - 1], self.log_times[right]
+        part = (log_times - before) / (after - before)
+        seen = (part >= 0.0) & (part <= 1.0) & (after - before <= self.longest_gaps[tracks])
+        part = np.clip(part, 0.0, 1.0)[:, None]
+        return (1.0 - part) * self.pixels[right - 1] + part * self.pixels[right], seen
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays (r, 2, 3) in the axes of both cameras, third component 1; their times (r,), poses and validity.
+
+    `rotations` (r, 2, 3, 3) and `centers` (r, 2, 3) are those of the cameras at the times; `seen` (r,) is false where
+    track b was not seen, or a pixel cannot be undistorted.
+    """
+
+    rays: Array
+    times: Array
+    rotations: Array
+    centers: Array
+    seen: Booleans
+
+    def take(self, rows: Integers) -> Rays:
+        """Return some of the rays."""
+        return Rays(self.rays[rows], self.times[rows], self.rotations[rows], self.centers[rows], self.seen[rows])
+
+
+def rays_of(
+    cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, others: Integers, known: Rays | None = None
+) -> Rays:
+    """Rays of the entries (r,) of tracks a, and of tracks b (r,) at the same true times, by these cameras.
+
+    `known` rays of the same clocks and lenses are taken as they are; only the poses are those of `cameras`.
+    """
+    of_entry = np.searchsorted(tracks.first, entries, side="right") - 1
+    index = np.stack([tracks.cameras[of_entry], tracks.cameras[others]], axis=1)
+    if known is None:
+        times, found, seen = _common_times(cameras, tracks, entries, others, index)
+        rays = np.ones((len(entries), 2, 3))
+    else:
+        times, rays, seen = known.times, known.rays, known.seen
+    turns, centers = np.empty((len(entries), 2, 3, 3)), np.empty((len(entries), 2, 3))
+    for side in (0, 1):
+        for number, camera in enumerate(cameras):
+            here = np.flatnonzero(index[:, side] == number)
+            if not len(here):
+                continue
+            turns[here, side], centers[here, side] = poses_at(camera, times[here])
+            if known is None:
+                pixels = tracks.pixels[entries[here]] if side == 0 else found[here]
+                undistorted = camera.undistort_pixels(pixels)[0]
+                rays[here, side, :2] = (undistorted - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    if known is None:
+        seen &= np.isfinite(rays).all(axis=(1, 2))
+        rays[~seen] = 1.0
+    return Rays(rays, times, turns, centers, seen)
+
+
+def _common_times(
+    cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, others: Integers, index: Integers
+) -> tuple[Array, Array, Booleans]:
+    """True times (r,) of entries, the pixels (r, 2) of the other tracks then, and whether those were seen."""
+    offset, rate, readout = np.array([[c.clock.offset_s, c.clock.rate, c.readout_s] for c in cameras]).T
+    times = offset[index[:, 0]] + rate[index[:, 0]] * tracks.log_times[entries]
+    times = times + readout[index[:, 0]] * tracks.rows[entries]
+    log_times = (times - offset[index[:, 1]]) / rate[index[:, 1]]
+    found, seen = tracks.at(others, log_times)
+    if readout.any():
+        heights = np.array([float(camera.height) for camera in cameras])
+        delay = readout[index[:, 1]] * found[:, 1] / heights[index[:, 1]]
+        found, seen = tracks.at(others, log_times - delay / rate[index[:, 1]])
+    return times, found, seen
+
+
+def poses_at(camera: Camera, times: Array) -> tuple[Array, Array]:
+    """Rotations (n, 3, 3) and centres (n, 3) of a camera at true times (n,)."""
+    found = camera.pose.motions(times)
+    return found.rotations, found.centers

@@ -1,0 +1,225 @@
+"""Sequential calibration: the single-cluster PHD filter of the paper (section VII-B).
+
+The joint first moment of cameras s and objects y is mu(y, s) = mu(y | s) p(s), eq. (6): particles s_k with weights
+w_k stand for the cameras, and each carries the PHD filter conditional on it. An event with detections Z gives
+
+    w_k  <-  w_k L^c(Z | s_k) / sum_j w_j L^c(Z | s_j),
+
+with the multi-object likelihood L^c of the conditional filter. When the effective number of particles falls
+below a fraction of their number they are resampled (systematically), intensities included.
+
+Cameras that stand still leave resampled particles on top of one another. Two remedies, both optional: roughening
+(N. J. Gordon, D. J. Salmond and A. F. M. Smith, 1993) adds noise of the standard deviation K E_j N^(-1/m) to
+parameter j after resampling, E_j being the range of the particles, m the number of parameters; and camera motion
+noise, a random walk over the time between events. Both are jitter: neither makes up for a prior of which only a
+particle or two fit the first frames, where the filter settles on a wrong pose (see docs/calibration_methods.md).
+
+The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the number of the
+event alone, so that a run continued from any state gives the same result as an uninterrupted one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
+from stereophd.core.calibration.settings import SequentialSettings
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.disparity.events import Event
+from stereophd.core.multi.camera_hypotheses.batch import BatchState, FilterBatch
+from stereophd.core.numerics.resampling import systematic
+from stereophd.core.numerics.weights import (
+    effective_sample_size,
+    normalised,
+    step_generator,
+    weighted_mean_covariance,
+)
+
+Array = NDArray[np.float64]
+
+# Streams of random numbers: the prior's draws, and then one for each event.
+PRIOR_STREAM, FIRST_EVENT_STREAM = 0, 1
+
+
+@dataclass(frozen=True)
+class SequentialState:
+    """State after an event: k camera particles, each with its conditional intensity.
+
+    Attributes
+    ----------
+    values : array (k, m)
+        Parameter values.
+    log_weights : array (k,)
+        Normalised.
+    filters : BatchState
+        Conditional intensities.
+    log_evidence : float
+        Log-likelihood of all events so far, the cameras integrated out (product of mean weights).
+    """
+
+    values: Array
+    log_weights: Array
+    filters: BatchState
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class SequentialInfo:
+    """Diagnostics of an event.
+
+    Attributes
+    ----------
+    time_s, camera
+        Time, s, and camera of the event.
+    mean, covariance : arrays (m,), (m, m)
+        Moments of the particles, before resampling.
+    effective_sample_size : float
+        Before resampling.
+    resampled : bool
+    log_likelihood : float
+        Log-likelihood of the event given those before, the cameras integrated out.
+    components : float
+        Mean number of components of a conditional intensity.
+    """
+
+    time_s: float
+    camera: int
+    mean: Array
+    covariance: Array
+    effective_sample_size: float
+    resampled: bool
+    log_likelihood: float
+    components: float
+
+
+# Called after every event with its number (from 1), the state and the history so far.
+AfterEvent = Callable[[int, SequentialState, Sequence[SequentialInfo]], None]
+
+
+@dataclass(frozen=True)
+class SequentialResult:
+    """Outcome of a run.
+
+    Attributes
+    ----------
+    state : SequentialState
+        After the last event; `values` (k, m) and `log_weights` (k,) are the posterior.
+    history : tuple of SequentialInfo
+        One per event.
+    """
+
+    state: SequentialState
+    history: tuple[SequentialInfo, ...]
+
+    @property
+    def mean(self) -> Array:
+        """Posterior mean (m,)."""
+        return weighted_mean_covariance(self.state.values, self.state.log_weights)[0]
+
+    @property
+    def best(self) -> int:
+        """Index of the heaviest particle."""
+        return int(self.state.log_weights.argmax())
+
+
+def init(
+    parameters: ParameterSet, batch: FilterBatch, settings: SequentialSettings, seed: np.random.SeedSequence
+) -> SequentialState:
+    """Draw the particles from the prior."""
+    count = settings.particles
+    values = parameters.sample(step_generator(seed, PRIOR_STREAM), count)
+    return SequentialState(values, np.full(count, -np.log(count)), batch.init(count), 0.0)
+
+
+def step(
+    parameters: ParameterSet,
+    batch: FilterBatch,
+    settings: SequentialSettings,
+    seed: np.random.SeedSequence,
+    state: SequentialState,
+    event: Event,
+    motion_std: Array | None = None,
+) -> tuple[SequentialState, SequentialInfo]:
+    """Move the cameras, update every conditional filter and the weights, resample if need be."""
+    rng = step_generator(seed, FIRST_EVENT_STREAM + state.filters.n_events)
+    values = state.values
+    if motion_std is not None and state.filters.time_s is not None:
+        walk = motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
+        values = values + walk * rng.standard_normal(values.shape)
+    spaces = hypothesis_spaces(parameters, values, batch.template.rig)
+    filters, log_likelihoods = batch.step(state.filters, event, spaces)
+    log_weights, log_likelihood = normalised(state.log_weights + log_likelihoods)
+    mean, covariance = weighted_mean_covariance(values, log_weights)
+    effective = effective_sample_size(log_weights)
+    resampled = effective < settings.resample_below * len(values)
+    if resampled:
+        chosen = systematic(np.exp(log_weights), rng.random(1))
+        values, filters = roughened(values[chosen], settings.roughening, rng), filters.take(chosen)
+        log_weights = np.full(len(values), -np.log(len(values)))
+    after = SequentialState(values, log_weights, filters, state.log_evidence + log_likelihood)
+    return after, SequentialInfo(
+        event.time_s,
+        event.camera,
+        mean,
+        covariance,
+        effective,
+        resampled,
+        log_likelihood,
+        float(filters.counts.mean()),
+    )
+
+
+def roughened(values: Array, factor: float, rng: np.random.Generator) -> Array:
+    """Add the noise of Gordon, Salmond and Smith (1993) to particles (k, m)."""
+    if factor == 0.0:
+        return values
+    count, size = values.shape
+    std = factor * np.ptp(values, axis=0) * count ** (-1.0 / size)
+    return np.asarray(values + std * rng.standard_normal(values.shape))
+
+
+def run(
+    parameters: ParameterSet,
+    events: Sequence[Event],
+    batch: FilterBatch,
+    settings: SequentialSettings,
+    seed: np.random.SeedSequence,
+    resume: tuple[SequentialState, Sequence[SequentialInfo]] | None = None,
+    after_event: AfterEvent | None = None,
+    motion_std: Array | None = None,
+) -> SequentialResult:
+    """Calibrate by one pass over a log.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        Unknowns and their priors.
+    events : sequence of Event
+        The log, in order of time.
+    batch : FilterBatch
+        Conditional filters.
+    settings : SequentialSettings
+    seed : SeedSequence
+    resume : tuple, optional
+        State and history that `after_event` was given: the run continues there, to the same result.
+    after_event : callable, optional
+        For progress and checkpoints; an exception that it raises ends the run.
+    motion_std : array (m,), optional
+        Standard deviation of the random walk of each parameter over one second, in its unit.
+
+    Returns
+    -------
+    SequentialResult
+    """
+    state = init(parameters, batch, settings, seed) if resume is None else resume[0]
+    history = [] if resume is None else list(resume[1])
+    for number in range(state.filters.n_events, len(events)):
+        state, info = step(parameters, batch, settings, seed, state, events[number], motion_std)
+        history.append(info)
+        if after_event is not None:
+            after_event(number + 1, state, history)
+    return SequentialResult(state, tuple(history))

@@ -1,0 +1,1 @@
+"""What is unknown about cameras: quantities, parameters, the scale, and what the data determine."""

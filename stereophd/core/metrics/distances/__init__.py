@@ -1,0 +1,1 @@
+"""Distances between sets of objects and between sets of trajectories."""

@@ -1,0 +1,191 @@
+"""OSPA and GOSPA distances between sets of points (paper VIII-C).
+
+References
+----------
+D. Schuhmacher, B.-T. Vo, B.-N. Vo, "A consistent metric for performance evaluation of multi-object
+filters", IEEE Trans. Signal Processing 56(8), 2008 (OSPA, eq. 3).
+A. S. Rahmathullah, A. F. Garcia-Fernandez, L. Svensson, "Generalized optimal sub-pattern assignment
+metric", FUSION 2017 (GOSPA, with alpha = 2, so that it splits into localisation, missed and false).
+
+All sums are formed with distances divided by the cutoff, so that a large order neither overflows nor
+underflows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray, euclidean_distances, optimal_assignment
+
+
+@dataclass(frozen=True)
+class Ospa:
+    """OSPA distances and their parts, arrays (k,) over scans.
+
+    ``distance**order == localisation**order + cardinality**order``; all in the unit of the base distance,
+    between 0 and the cutoff.
+    """
+
+    distance: FloatArray
+    localisation: FloatArray
+    cardinality: FloatArray
+
+
+@dataclass(frozen=True)
+class Gospa:
+    """GOSPA distances (alpha = 2) and their parts, arrays (k,) over scans.
+
+    ``distance**order == localisation**order + missed**order + false**order``; all in the unit of the base
+    distance.
+    """
+
+    distance: FloatArray
+    localisation: FloatArray
+    missed: FloatArray
+    false: FloatArray
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Optimal assignments of k scans that all have m estimates and n true points.
+
+    Attributes
+    ----------
+    truth : (k, m) array
+        Index of the true point that each estimate is assigned to, -1 if none.
+    distance : (k, m) array
+        Base distance of that pair, infinite if none.
+    """
+
+    truth: IntArray
+    distance: FloatArray
+
+
+def check_parameters(order: float, cutoff: float) -> None:
+    """Raise ValueError unless ``1 <= order < inf`` and ``0 < cutoff < inf``."""
+    if not (np.isfinite(order) and order >= 1.0):
+        raise ValueError(f"expected an order >= 1 and finite, found {order}")
+    if not (np.isfinite(cutoff) and cutoff > 0.0):
+        raise ValueError(f"expected a cutoff > 0 and finite, found {cutoff}")
+
+
+def match(distances: FloatArray, order: float, cutoff: float) -> Matching:
+    """Assign estimates to true points at the least sum of ``min(distance, cutoff)**order``.
+
+    Parameters
+    ----------
+    distances : (k, m, n) array
+        Base distances of k scans.
+    order, cutoff : float
+        Order p and cutoff c of the metric.
+
+    Returns
+    -------
+    Matching
+        Pairs further apart than the cutoff are kept; their distance identifies them.
+    """
+    check_parameters(order, cutoff)
+    truth = optimal_assignment(np.minimum(distances / cutoff, 1.0) ** order)
+    if distances.shape[2] == 0:
+        return Matching(truth, np.full(truth.shape, np.inf))
+    distance = np.take_along_axis(distances, np.maximum(truth, 0)[:, :, None], axis=2)[:, :, 0]
+    return Matching(truth, np.where(truth >= 0, distance, np.inf))
+
+
+def ospa_of_matching(matching: Matching, n_truth: int, order: float, cutoff: float) -> Ospa:
+    """Return the OSPA distances of matched scans (Schuhmacher et al. 2008, eq. 3 and its two parts)."""
+    scans, n_estimates = matching.truth.shape
+    longest = max(n_estimates, n_truth)
+    if longest == 0:
+        return Ospa(np.zeros(scans), np.zeros(scans), np.zeros(scans))
+    ratio = np.where(matching.truth >= 0, np.minimum(matching.distance / cutoff, 1.0), 0.0)
+    located = (ratio**order).sum(axis=1) / longest
+    absent = np.full(scans, abs(n_estimates - n_truth) / longest)
+    root = 1.0 / order
+    return Ospa(cutoff * (located + absent) ** root, cutoff * located**root, cutoff * absent**root)
+
+
+def gospa_of_matching(matching: Matching, n_truth: int, order: float, cutoff: float) -> Gospa:
+    """Return the GOSPA distances (alpha = 2) of matched scans.
+
+    With alpha = 2 a pair at or beyond the cutoff costs as much as one missed and one false point, so the
+    assignment of OSPA is optimal for GOSPA too.
+    """
+    n_estimates = matching.truth.shape[1]
+    near = matching.distance < cutoff
+    pairs = near.sum(axis=1)
+    located = (np.where(near, matching.distance / cutoff, 0.0) ** order).sum(axis=1)
+    missed = 0.5 * (n_truth - pairs)
+    false = 0.5 * (n_estimates - pairs)
+    root = 1.0 / order
+    return Gospa(
+        cutoff * (located + missed + false) ** root,
+        cutoff * located**root,
+        cutoff * missed**root,
+        cutoff * false**root,
+    )
+
+
+def _match_two_sets(
+    x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None
+) -> tuple[Matching, int]:
+    estimates, truth = _as_points(x), _as_points(y)
+    shape = (len(estimates), len(truth))
+    if distances is not None:
+        base = np.asarray(distances, dtype=float)
+        if base.shape != shape:
+            raise ValueError(f"expected distances of shape {shape}, found {base.shape}")
+    elif 0 in shape:
+        base = np.zeros(shape)
+    else:
+        base = euclidean_distances(estimates, truth)
+    return match(base[None], order, cutoff), len(truth)
+
+
+def _as_points(points: ArrayLike) -> FloatArray:
+    array = np.asarray(points, dtype=float)
+    return array.reshape(0, 0) if array.size == 0 and array.ndim < 2 else array
+
+
+def ospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None) -> Ospa:
+    """Return the OSPA distance between two sets of points, and its parts.
+
+    Parameters
+    ----------
+    x : (m, d) array
+        Estimates; may be empty.
+    y : (n, d) array
+        Truth; may be empty.
+    order : float
+        Order p >= 1: how much outliers weigh.
+    cutoff : float
+        Cutoff c > 0: the cost of a missed or false object, in the unit of the distances.
+    distances : (m, n) array, optional
+        Base distances, when they are not Euclidean (Mahalanobis, or between whole tracks).
+
+    Returns
+    -------
+    Ospa
+        Zero-dimensional arrays; all zero when both sets are empty.
+
+    Raises
+    ------
+    ValueError
+        Order or cutoff out of range, wrong shape, or a distance that is not finite.
+    """
+    matching, n_truth = _match_two_sets(x, y, order, cutoff, distances)
+    result = ospa_of_matching(matching, n_truth, order, cutoff)
+    return Ospa(result.distance[0], result.localisation[0], result.cardinality[0])
+
+
+def gospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None) -> Gospa:
+    """Return the GOSPA distance (alpha = 2) between two sets of points, and its parts.
+
+    Parameters and errors are those of `ospa`; the result holds zero-dimensional arrays.
+    """
+    matching, n_truth = _match_two_sets(x, y, order, cutoff, distances)
+    result = gospa_of_matching(matching, n_truth, order, cutoff)
+    return Gospa(result.distance[0], result.localisation[0], result.missed[0], result.false[0])

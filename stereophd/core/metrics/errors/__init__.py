@@ -1,0 +1,1 @@
+"""Errors of matched estimates, and whether their covariances state them."""

@@ -1,0 +1,131 @@
+"""Consistency: do the covariances match the errors (NEES), and do the labels stay (identity switches)?
+
+References
+----------
+Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+2001, section 5.4.2 (NEES and its chi-square interval).
+K. Bernardin, R. Stiefelhagen, "Evaluating multiple object tracking performance: the CLEAR MOT metrics",
+EURASIP Journal on Image and Video Processing, 2008 (identity switches, there "mismatches").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray, is_positive_definite
+
+# A track without an identity (filters that do not label their estimates) carries a negative label.
+UNLABELLED = -1
+
+# Errors are no longer alike where the squared norm of their correlation is below this many times its mean by chance.
+CHANCE = 2.0
+
+
+def whitened(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return ``L^-1 e`` of each error, with ``P = L L^T``: of identity covariance for a consistent filter.
+
+    Parameters
+    ----------
+    errors : (n, d) array
+        Estimate minus truth.
+    covariance : (n, d, d) array
+        Covariance that the filter states.
+
+    Returns
+    -------
+    (n, d) array
+        Without unit; rows of NaN where the covariance is not positive definite. The sum of squares of a row is
+        the normalised estimation error squared (NEES) ``e^T P^-1 e``, d on average for a consistent filter.
+    """
+    good = is_positive_definite(covariance)
+    result = np.full(errors.shape, np.nan)
+    result[good] = np.linalg.solve(np.linalg.cholesky(covariance[good]), errors[good, :, None])[:, :, 0]
+    return result
+
+
+def nees(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the NEES of each error, (n,), NaN where the covariance is not positive definite; see `whitened`."""
+    return np.asarray((whitened(errors, covariance) ** 2).sum(axis=1))
+
+
+def independent_count(errors: FloatArray, group: IntArray) -> float:
+    """Return the number of independent errors that would determine the mean NEES as well as these do.
+
+    Errors w of one object at successive times are alike. For two Gaussian errors with the (d, d) covariance R, the
+    covariance of their NEES is ``2 |R|^2`` (Frobenius norm). The mean of n has the variance ``2 sum_ij |R_ij|^2 /
+    n^2``, that of m independent ones ``2 d / m``:
+
+        m = d n^2 / sum_ij |R_ij|^2.
+
+    R is taken to depend on the number of steps between the two alone, and is estimated over all objects. The sum
+    ends where the errors are no longer alike: where the trace of R is not positive (cf. the initial positive
+    sequence of C. J. Geyer, "Practical Markov chain Monte Carlo", 1992), or |R|^2 what chance makes of
+    independent errors.
+
+    Parameters
+    ----------
+    errors : (n, d) array
+        Whitened errors (see `whitened`), finite; of each object in order of time.
+    group : (n,) array
+        Object of each error. Errors of different objects are taken as independent.
+
+    Returns
+    -------
+    float
+        At most n.
+    """
+    order = np.argsort(group, kind="stable")
+    w, group = errors[order], group[order]
+    count, dimension = w.shape
+    scale = float((w**2).mean()) if count else 0.0
+    if count < 2 or scale == 0.0:
+        return float(count)
+    lags, terms = [0.0], [float(count * dimension)]
+    for lag in _lags(count):
+        same = group[lag:] == group[:-lag]
+        pairs = int(np.count_nonzero(same))
+        if pairs == 0:
+            break
+        correlation = w[:-lag][same].T @ w[lag:][same] / (pairs * scale)
+        norm = float((correlation**2).sum())
+        if np.trace(correlation) <= 0.0 or norm * pairs <= CHANCE * dimension**2:
+            lags, terms = [*lags, float(lag)], [*terms, 0.0]
+            break
+        lags, terms = [*lags, float(lag)], [*terms, 2.0 * pairs * norm]
+    # lags in between by interpolation
+    every = np.arange(1.0, lags[-1] + 1.0)
+    total = terms[0] + (float(np.interp(every, lags[1:], terms[1:]).sum()) if len(lags) > 1 else 0.0)
+    return float(dimension * count**2 / total)
+
+
+def _lags(count: int) -> list[int]:
+    """All small numbers of steps, and ever fewer of the larger ones."""
+    few = np.arange(1, 33)
+    many = np.unique(np.round(np.geomspace(33, max(count, 34), 64)).astype(np.int64))
+    return [int(lag) for lag in np.concatenate([few, many]) if lag < count]
+
+
+def nees_interval(count: float, dimension: int, probability: float = 0.95) -> tuple[float, float]:
+    """Return the interval that holds the mean NEES of a consistent filter with this probability.
+
+    Parameters
+    ----------
+    count : float
+        Number of independent errors averaged (`independent_count`).
+    dimension : int
+        Dimension of the errors.
+    probability : float
+        Two-sided probability.
+
+    Returns
+    -------
+    tuple of float
+        Low and high end; NaN when count is zero.
+    """
+    if count == 0:
+        return float("nan"), float("nan")
+    from scipy.special import chdtri  # costly to import, and scipy.stats costs even more
+
+    tail = 0.5 * (1.0 - probability)
+    freedom = count * dimension
+    return float(chdtri(freedom, 1.0 - tail)) / count, float(chdtri(freedom, tail)) / count

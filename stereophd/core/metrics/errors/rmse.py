@@ -1,0 +1,101 @@
+"""Errors of matched pairs and of the number of objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+
+
+def root_mean_square(errors: FloatArray) -> float:
+    """Return the root of the mean squared length of error vectors.
+
+    Parameters
+    ----------
+    errors : (n, d) array
+        Estimate minus truth; rows that are not finite (an unknown velocity, say) are left out.
+
+    Returns
+    -------
+    float
+        In the unit of the errors; NaN without a finite row.
+    """
+    squared = np.einsum("nd,nd->n", errors, errors)
+    squared = squared[np.isfinite(squared)]
+    return float(np.sqrt(squared.mean())) if squared.size else float("nan")
+
+
+def root_mean_square_per_group(errors: FloatArray, group: IntArray, groups: int) -> FloatArray:
+    """Return `root_mean_square` for each group of rows.
+
+    Parameters
+    ----------
+    errors : (n, d) array
+        Estimate minus truth.
+    group : (n,) array
+        Group of each row, in [0, groups).
+    groups : int
+        Number of groups.
+
+    Returns
+    -------
+    (groups,) array
+        NaN for a group without a finite row.
+    """
+    squared = np.einsum("nd,nd->n", errors, errors)
+    return np.asarray(np.sqrt(mean_per_group(squared, group, groups)))
+
+
+def mean_per_group(values: FloatArray, group: IntArray, groups: int) -> FloatArray:
+    """Return the mean of the finite values of each group, NaN for a group without any."""
+    finite = np.isfinite(values)
+    count = np.bincount(group[finite], minlength=groups)
+    total = np.bincount(group[finite], weights=values[finite], minlength=groups)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+@dataclass(frozen=True)
+class ErrorPercentiles:
+    """Median and 90th percentile of n lengths of error; NaN when n is zero."""
+
+    median: float
+    p90: float
+    n: int
+
+
+def error_percentiles(errors: FloatArray) -> ErrorPercentiles:
+    """Return percentiles of the lengths of error vectors (n, d), with linear interpolation."""
+    if len(errors) == 0:
+        return ErrorPercentiles(float("nan"), float("nan"), 0)
+    length = np.sqrt(np.einsum("nd,nd->n", errors, errors))
+    median, p90 = np.percentile(length, [50.0, 90.0])
+    return ErrorPercentiles(float(median), float(p90), len(length))
+
+
+@dataclass(frozen=True)
+class CardinalityError:
+    """Error of the number of objects: bias (estimates minus truth) and mean absolute error."""
+
+    bias: float
+    mae: float
+
+
+def cardinality_error(n_estimates: IntArray, n_truth: IntArray) -> CardinalityError:
+    """Return the error of the number of objects over scans.
+
+    Parameters
+    ----------
+    n_estimates, n_truth : (k,) arrays
+        Number of estimates and of true objects in each scan.
+
+    Returns
+    -------
+    CardinalityError
+        Bias is positive when there are too many estimates.
+    """
+    if len(n_truth) == 0:
+        return CardinalityError(float("nan"), float("nan"))
+    error = n_estimates.astype(np.float64) - n_truth
+    return CardinalityError(float(error.mean()), float(np.abs(error).mean()))

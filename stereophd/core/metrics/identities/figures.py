@@ -1,0 +1,106 @@
+"""Purity of the tracks of a run and completeness of its objects, as they are reported."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.metrics.errors.consistency import UNLABELLED
+from stereophd.core.metrics.matching.identity import ObjectTable, TrackTable, tabulate_objects, tabulate_tracks
+from stereophd.core.metrics.scans import PointSets, ScanScores
+
+
+def has_identities(estimates: PointSets) -> bool:
+    """Return whether estimates carry identities; true without estimates."""
+    return len(estimates.label) == 0 or bool((estimates.label > UNLABELLED).any())
+
+
+def identity_figures(
+    estimates: PointSets, truth: PointSets, scores: ScanScores, switched: NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Return the tables ``purity`` and ``completeness`` of the report, with their means.
+
+    Parameters
+    ----------
+    estimates, truth, scores
+        The scored scans.
+    switched : (q,) bool array
+        Whether the object of a matched pair has changed its track.
+
+    Returns
+    -------
+    dict
+        JSON-able; NaN where there is nothing to average, None where the estimates carry no identities.
+    """
+    pair_track, pair_object = estimates.label[scores.pair_estimate], truth.label[scores.pair_truth]
+    tracks = tabulate_tracks(estimates.label, pair_track, pair_object)
+    objects = tabulate_objects(truth.label, pair_track, pair_object)
+    owner = np.searchsorted(objects.object_id, pair_object[switched])
+    switches = np.bincount(owner, minlength=len(objects.object_id)).tolist()
+    known = has_identities(estimates)
+    return {
+        "purity": {"mean": _mean(tracks.purity), "table": _track_rows(tracks)},
+        "completeness": {
+            "mean": _mean(objects.completeness),
+            "mean_dominant": _mean(objects.completeness_dominant) if known else float("nan"),
+            "fragmentation": _mean(objects.n_tracks) if known else float("nan"),
+            "table": _object_rows(objects, switches, known),
+        },
+    }
+
+
+def _track_rows(tracks: TrackTable) -> list[dict[str, Any]]:
+    return [
+        {
+            "track_id": track,
+            "object_id": dominant if most else None,
+            "estimates": estimates,
+            "matched": matched,
+            "matched_dominant": most,
+            "purity": purity,
+        }
+        for track, dominant, estimates, matched, most, purity in zip(
+            tracks.track_id.tolist(),
+            tracks.object_id.tolist(),
+            tracks.n_estimates.tolist(),
+            tracks.n_matched.tolist(),
+            tracks.n_dominant.tolist(),
+            tracks.purity.tolist(),
+            strict=True,
+        )
+    ]
+
+
+def _object_rows(objects: ObjectTable, switches: list[int], known: bool) -> list[dict[str, Any]]:
+    rows = zip(
+        objects.object_id.tolist(),
+        objects.track_id.tolist(),
+        objects.n_scans.tolist(),
+        objects.n_matched.tolist(),
+        objects.n_dominant.tolist(),
+        objects.completeness.tolist(),
+        objects.completeness_dominant.tolist(),
+        objects.n_tracks.tolist(),
+        switches,
+        strict=True,
+    )
+    return [
+        {
+            "object_id": target,
+            "track_id": dominant if most else None,
+            "scans": scans,
+            "matched": matched,
+            "matched_dominant": most if known else None,
+            "completeness": any_track,
+            "completeness_dominant": one_track if known else None,
+            "fragmentation": tracks if known else None,
+            "identity_switches": changes if known else None,
+        }
+        for target, dominant, scans, matched, most, any_track, one_track, tracks, changes in rows
+    ]
+
+
+def _mean(values: NDArray[Any]) -> float:
+    return float(values.mean()) if len(values) else float("nan")

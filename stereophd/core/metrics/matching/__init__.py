@@ -1,0 +1,1 @@
+"""Estimates matched with true objects."""

@@ -1,0 +1,1 @@
+"""The truth: interpolated, seen by cameras, registered, as events."""

@@ -1,0 +1,238 @@
+"""Which events are scored, and where the true objects are at their times.
+
+Times are true times in seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.metrics.scans import PointSets
+from stereophd.core.numerics.times import SAME_TIME_S
+
+BoolArray = NDArray[np.bool_]
+
+# By default the truth may be interpolated over intervals a little longer than its usual step.
+DEFAULT_GAP_STEPS = 1.5
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True objects: rows ordered by object and, within an object, by time.
+
+    Attributes
+    ----------
+    time_s : (n,) array
+        True time; distinct within an object.
+    object_id : (n,) array
+        Identity.
+    position : (n, 3) array
+        In the world, length unit.
+    velocity : (n, 3) array or None
+        Length unit per second; None where only positions are known.
+    """
+
+    time_s: FloatArray
+    object_id: IntArray
+    position: FloatArray
+    velocity: FloatArray | None = None
+
+    @property
+    def object_start(self) -> IntArray:
+        """First row of each object, and the number of rows: (objects + 1,)."""
+        change = np.flatnonzero(np.diff(self.object_id)) + 1
+        ends = [len(self.object_id)] if len(self.object_id) else []
+        return np.concatenate([[0], change, ends]).astype(np.int64)
+
+    @property
+    def step_s(self) -> float:
+        """Median time between successive rows of an object; infinite when no object has two rows."""
+        step = np.diff(self.time_s)[np.diff(self.object_id) == 0]
+        return float(np.median(step)) if step.size else float("inf")
+
+
+@dataclass(frozen=True)
+class Events:
+    """The events of a run, in the order in which they were processed.
+
+    Attributes
+    ----------
+    time_s : (k,) array
+        Time of each event, never decreasing.
+    row_start, row_end : (k,) arrays
+        The estimates reported after it are these rows of the tracks; equal when there are none.
+    """
+
+    time_s: FloatArray
+    row_start: IntArray
+    row_end: IntArray
+
+    def take(self, index: IntArray | BoolArray) -> Events:
+        """Return the chosen events."""
+        return Events(self.time_s[index], self.row_start[index], self.row_end[index])
+
+
+@dataclass(frozen=True)
+class AlignedTruth:
+    """True objects at the times of k events.
+
+    Attributes
+    ----------
+    points : PointSets
+        Their positions and velocities.
+    outside : (k,) bool array
+        The time is before the first or after the last row of the truth.
+    gap : (k,) bool array
+        An object that exists then has no rows near enough to interpolate its position.
+    """
+
+    points: PointSets
+    outside: BoolArray
+    gap: BoolArray
+
+
+def last_event_of_each_time(time_s: FloatArray) -> IntArray:
+    """Return the index of the last of all events that share a time, for times (k,) in order."""
+    if len(time_s) == 0:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(np.append(np.diff(time_s) > SAME_TIME_S, True)).astype(np.int64)
+
+
+def add_truth_times(events: Events, truth_time_s: FloatArray) -> Events:
+    """Add an event without estimates at each time of the truth that has none, if the grids agree.
+
+    Parameters
+    ----------
+    events : Events
+        Events known from the reported estimates only: those that reported nothing are missing.
+    truth_time_s : (n,) array
+        Times of the truth, in any order.
+
+    Returns
+    -------
+    Events
+        Completed when every event lies on a time of the truth, unchanged otherwise: then nothing shows
+        when the other events were.
+    """
+    grid = np.unique(truth_time_s)
+    grid = grid[np.append(True, np.diff(grid) > SAME_TIME_S)] if len(grid) else grid
+    if not _is_near(events.time_s, grid).all():
+        return events
+    missing = grid[~_is_near(grid, events.time_s)]
+    none = np.zeros(len(missing), dtype=np.int64)
+    time_s = np.concatenate([events.time_s, missing])
+    order = np.argsort(time_s, kind="stable")
+    joined = Events(
+        time_s,
+        np.concatenate([events.row_start, none]),
+        np.concatenate([events.row_end, none]),
+    )
+    return joined.take(order.astype(np.int64))
+
+
+def _is_near(time_s: FloatArray, grid: FloatArray) -> BoolArray:
+    """Return which times lie within the tolerance of a time of the grid (sorted)."""
+    if len(grid) == 0:
+        return np.zeros(len(time_s), dtype=bool)
+    after = np.clip(np.searchsorted(grid, time_s), 0, len(grid) - 1)
+    before = np.maximum(after - 1, 0)
+    distance = np.minimum(np.abs(grid[after] - time_s), np.abs(grid[before] - time_s))
+    return np.asarray(distance <= SAME_TIME_S)
+
+
+def in_window(time_s: FloatArray, from_s: float | None, to_s: float | None) -> BoolArray:
+    """Return which times lie in ``[from_s, to_s]``; None is no bound."""
+    inside = np.ones(len(time_s), dtype=bool)
+    if from_s is not None:
+        inside &= time_s >= from_s - SAME_TIME_S
+    if to_s is not None:
+        inside &= time_s <= to_s + SAME_TIME_S
+    return inside
+
+
+def align_truth(truth: Truth, time_s: FloatArray, max_gap_s: float) -> AlignedTruth:
+    """Interpolate the true objects linearly at the times of events.
+
+    Parameters
+    ----------
+    truth : Truth
+        True objects. An object exists from its first to its last row.
+    time_s : (k,) array
+        Times of the events, never decreasing.
+    max_gap_s : float
+        Longest interval between two rows of an object that is interpolated over.
+
+    Returns
+    -------
+    AlignedTruth
+        Velocities are interpolated where the truth has them, else they are those of the interpolated
+        segment; NaN where there is none.
+    """
+    starts = truth.object_start
+    first, end = starts[:-1], starts[1:]
+    birth, death = truth.time_s[first], truth.time_s[end - 1]
+    begin = np.searchsorted(time_s, birth - SAME_TIME_S, side="left")
+    stop = np.searchsorted(time_s, death + SAME_TIME_S, side="right")
+    count = stop - begin
+    owner = np.repeat(np.arange(len(first)), count)
+    scan = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + begin[owner]
+    time = np.clip(time_s[scan], birth[owner], death[owner])
+    left = _segments(truth.time_s, starts, time, count)
+    position, velocity, in_gap = _interpolate(truth, time, left, end[owner] - 1, first[owner], max_gap_s)
+    gap = np.zeros(len(time_s), dtype=bool)
+    gap[scan[in_gap]] = True
+    outside = np.ones(len(time_s), dtype=bool)
+    if len(truth.time_s):
+        outside = ~in_window(time_s, float(truth.time_s.min()), float(truth.time_s.max()))
+    order = np.argsort(scan, kind="stable")
+    counts = np.bincount(scan, minlength=len(time_s))
+    points = PointSets(
+        start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        position=position[order],
+        velocity=velocity[order],
+        label=truth.object_id[first[owner]][order],
+    )
+    return AlignedTruth(points, outside, gap)
+
+
+def _segments(row_time: FloatArray, starts: IntArray, time: FloatArray, count: IntArray) -> IntArray:
+    """Return for each time of each object the row that begins its segment (objects one after the other)."""
+    pieces = [np.zeros(0, dtype=np.int64)]
+    done = 0
+    for first, end, points in zip(starts[:-1], starts[1:], count, strict=True):
+        rows = np.searchsorted(row_time[first:end], time[done : done + points], side="right") - 1
+        pieces.append(first + np.clip(rows, 0, max(end - first - 2, 0)))
+        done += points
+    return np.concatenate(pieces)
+
+
+def _interpolate(
+    truth: Truth, time: FloatArray, left: IntArray, last: IntArray, first: IntArray, max_gap_s: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return position, velocity and whether the time is inside too long a segment, for each point."""
+    right = np.minimum(left + 1, last)
+    span = truth.time_s[right] - truth.time_s[left]
+    elapsed = time - truth.time_s[left]
+    on_row = np.minimum(elapsed, truth.time_s[right] - time) <= SAME_TIME_S
+    long = span > max_gap_s + SAME_TIME_S
+    weight = np.divide(elapsed, span, out=np.zeros_like(span), where=span > 0)[:, None]
+    position = (1 - weight) * truth.position[left] + weight * truth.position[right]
+    if truth.velocity is not None:
+        velocity = (1 - weight) * truth.velocity[left] + weight * truth.velocity[right]
+    else:
+        # On the row before a gap the segment that ends there gives the velocity.
+        back = long & (elapsed <= SAME_TIME_S) & (left > first)
+        velocity = _segment_velocity(truth, left - back, right - back, max_gap_s)
+    return position, velocity, long & ~on_row
+
+
+def _segment_velocity(truth: Truth, left: IntArray, right: IntArray, max_gap_s: float) -> FloatArray:
+    """Return the velocity (n, 3) along segments, NaN for those without length or too long."""
+    span = truth.time_s[right] - truth.time_s[left]
+    usable = (span > 0) & (span <= max_gap_s + SAME_TIME_S)
+    step = truth.position[right] - truth.position[left]
+    return np.where(usable[:, None], step / np.where(usable, span, 1.0)[:, None], np.nan)

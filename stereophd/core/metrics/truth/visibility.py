@@ -1,0 +1,113 @@
+"""Which true objects enough cameras have seen lately, by a detection log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.truth.interpolation import BoolArray
+from stereophd.core.numerics.times import SAME_TIME_S
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Detections as far as visibility needs them.
+
+    Attributes
+    ----------
+    time_s : (n,) array
+        True time of each detection, in any order.
+    camera : (n,) array
+        Index of its camera.
+    object_id : (n,) array or None
+        The true object of each detection; None if the log has no such column: every detection then counts for every
+        object.
+    """
+
+    time_s: FloatArray
+    camera: IntArray
+    object_id: IntArray | None = None
+
+
+def cameras_that_saw(sightings: Sightings, time_s: FloatArray, object_id: IntArray, within_s: float) -> IntArray:
+    """Count the distinct cameras that detected each object in the seconds up to a time.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        The detections.
+    time_s, object_id : (n,) arrays
+        Times and objects asked about.
+    within_s : float
+        Length of the closed interval ``[time_s - within_s, time_s]``.
+
+    Returns
+    -------
+    (n,) array
+        Number of cameras.
+    """
+    count = np.zeros(len(time_s), dtype=np.int64)
+    for camera in np.unique(sightings.camera):
+        of_camera = sightings.camera == camera
+        detected_at = sightings.time_s[of_camera]
+        if sightings.object_id is None:
+            latest = _latest_before(detected_at, np.zeros(len(detected_at), dtype=np.int64), time_s, None)
+        else:
+            latest = _latest_before(detected_at, sightings.object_id[of_camera], time_s, object_id)
+        count += time_s - latest <= within_s + SAME_TIME_S
+    return count
+
+
+def _latest_before(
+    detected_at: FloatArray, detected: IntArray, time_s: FloatArray, object_id: IntArray | None
+) -> FloatArray:
+    """Return the time of the last detection of each object up to each time, -inf if there is none.
+
+    Detections and questions are sorted together by object and time; the last detection before each question
+    is then a running maximum.
+    """
+    asked = np.zeros(len(time_s), dtype=np.int64) if object_id is None else object_id
+    label = np.concatenate([detected, asked])
+    time = np.concatenate([detected_at, time_s + SAME_TIME_S])
+    is_question = np.arange(len(label)) >= len(detected)
+    order = np.lexsort((is_question, time, label))
+    place = np.maximum.accumulate(np.where(is_question[order], -1, np.arange(len(order))))
+    source = order[np.maximum(place, 0)]
+    found = (place >= 0) & (label[source] == label[order])
+    latest = np.empty(len(order))
+    latest[order] = np.where(found, time[source], -np.inf)
+    return latest[len(detected) :]
+
+
+def leave_out_unseen(
+    estimates: PointSets, truth: PointSets, seen: BoolArray, order: float, cutoff: float, *, mahalanobis: bool
+) -> tuple[PointSets, PointSets, BoolArray]:
+    """Leave out the unseen true points and the estimates assigned to them.
+
+    Parameters
+    ----------
+    estimates, truth : PointSets
+        The same scans.
+    seen : (n,) bool array
+        Which true points are scored.
+    order, cutoff, mahalanobis
+        As for `stereophd.core.metrics.scans.score_scans`: an estimate belongs to an unseen object when the optimal
+        assignment of all points pairs them nearer than the cutoff.
+
+    Returns
+    -------
+    estimates, truth : PointSets
+        The remaining points of each scan.
+    emptied : (k,) bool array
+        Scans that lost points and have none left.
+    """
+    scores = score_scans(estimates, truth, order, cutoff, mahalanobis=mahalanobis)
+    keep = np.ones(len(estimates.label), dtype=bool)
+    keep[scores.pair_estimate[~seen[scores.pair_truth]]] = False
+    fewer_estimates, fewer_truth = estimates.keep_points(keep), truth.keep_points(seen)
+    left = fewer_estimates.counts + fewer_truth.counts
+    emptied = (left == 0) & (truth.counts > 0)
+    return fewer_estimates, fewer_truth, emptied

@@ -1,0 +1,1 @@
+"""Which detection belongs to which component: likelihoods, marginal probabilities, attributions."""

@@ -1,0 +1,47 @@
+"""Observation-driven birth: every detection may be a new object (paper VI-B, after its reference [18]).
+
+What a detection says about a new object, and what the prior adds to it: `stereophd.core.disparity.initial`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.multi.filter_settings.common import BirthPrior
+from stereophd.core.multi.state.inputs import NewbornPrior
+
+Array = NDArray[np.float64]
+
+
+def newborn_prior(space: Array, prior: BirthPrior) -> NewbornPrior:
+    """Return the prior of the objects that the camera of a packed space (30,) sees for the first time."""
+    mean, std = prior.disparity_moments(space)
+    return NewbornPrior(space, float(mean), float(std), float(prior.velocity_std))
+
+
+def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> tuple[Array, Array]:
+    """Gaussians of the objects that the detections of an event may have given birth to.
+
+    Parameters
+    ----------
+    event : Event
+        Detections of one camera.
+    space : array (30,)
+        Packed space of that camera.
+    prior : BirthPrior
+        Prior of depth and velocity.
+    size : int
+        6, or 3 for static objects.
+
+    Returns
+    -------
+    means, covariances : arrays (m, d), (m, d, d)
+        In the camera's disparity space, given the detection.
+    """
+    mean, std = prior.disparity_moments(space)
+    return initial_moments(
+        event.points, event.covariances, space, mean, std, prior.velocity_std, size, event.readings(space)
+    )

@@ -1,0 +1,89 @@
+"""Existence of objects outside every view (ours).
+
+A camera that looks at an object and misses it makes its existence less probable. Nothing does so while no camera looks:
+a false track that drifted out of all views would live on with the survival of an object for which there is evidence,
+and be reported. Its existence therefore fades there with a time constant; an object that comes back
+within that time is detected again under its identity.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.moved import OUT_OF_VIEW
+from stereophd.core.disparity.trips import disparity_scale
+from stereophd.core.geometry.compiled_lenses import pixel_in_view
+from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.numerics.compilation.compiled import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@compiled
+def fade_out_of_view(
+    weights: Array,
+    status: Integers,
+    means: Array,
+    homes: Array,
+    reach: Array,
+    drift: Array,
+    views: Array,
+    elapsed: float,
+    time_constant: float,
+) -> None:
+    """Multiply the weights of components outside every view by ``exp(-elapsed / time_constant)``, in place.
+
+    A component is outside every view if the event's camera has too little of it in view (`status`) and no camera has
+    its mean in view, moved on to the time of the event.
+
+    Parameters
+    ----------
+    weights, status : arrays (n,)
+        Weights of the components, and their status in the view of the event's camera.
+    means, homes : arrays (n, d), (n, 30)
+        Components in their packed home spaces.
+    reach, drift : arrays (n,), (n, 6)
+        Those of `MotionArrays`, from the time of each component to that of the event.
+    views : array (c, 30)
+        Packed spaces of all cameras at the time of the event.
+    elapsed : float
+        Time since the last event, s.
+    time_constant : float
+        Seconds; infinity: nothing fades.
+    """
+    if math.isinf(time_constant) or elapsed <= 0.0:
+        return
+    factor = math.exp(-elapsed / time_constant)
+    for k in range(len(weights)):
+        if status[k] == OUT_OF_VIEW and not _mean_in_view(means[k], homes[k], reach[k], drift[k], views):
+            weights[k] *= factor
+
+
+@compiled
+def _mean_in_view(mean: Array, home: Array, reach: float, drift: Array, views: Array) -> bool:
+    """Whether any camera has the mean (d,) in view after the motion (`reach` and `drift` of `MotionArrays`)."""
+    # position and its displacement, both times rho: points at infinity have a direction
+    rho = mean[2] / disparity_scale(home)
+    ray_x, ray_y, ray_z = (mean[0] - home[CX]) / home[FX], (mean[1] - home[CY]) / home[FY], 1.0
+    if len(mean) == 6 and rho > 0.0:
+        growth = mean[5] / mean[2]
+        ray_x += reach * (mean[3] / home[FX] - ray_x * growth)
+        ray_y += reach * (mean[4] / home[FY] - ray_y * growth)
+        ray_z -= reach * growth
+    for c in range(len(views)):
+        view = views[c]
+        x, y, z = 0.0, 0.0, 0.0
+        for a in range(3):
+            # the world's axis a: from the home camera's axes, and from the one camera to the other
+            world = home[ROTATION + a] * ray_x + home[ROTATION + 3 + a] * ray_y + home[ROTATION + 6 + a] * ray_z
+            world += rho * (home[CENTER + a] + drift[a] - view[CENTER + a])
+            x += view[ROTATION + a] * world
+            y += view[ROTATION + 3 + a] * world
+            z += view[ROTATION + 6 + a] * world
+        if z > 0.0 and pixel_in_view(view, view[FX] * x / z + view[CX], view[FY] * y / z + view[CY]):
+            return True
+    return False

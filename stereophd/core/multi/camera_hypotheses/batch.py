@@ -1,0 +1,178 @@
+"""Multi-object filters of many camera hypotheses side by side (paper VII-B).
+
+Each hypothesis has cameras of its own and, conditional on them, a filter of its own. All use the same sample
+sets in the same turn, so that likelihoods are smooth functions of the cameras, and the same value comes out of
+the same cameras every time.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.moments import FEWEST_SAMPLES, NO_REGION, minimum_in_view
+from stereophd.core.disparity.sample_move import Look
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.births.undetected import Undetected, reduction_for_births
+from stereophd.core.multi.camera_hypotheses.batch_kernels import Looks, PredictionNumbers, predict
+from stereophd.core.multi.state.mixture import GaussianMixture, concatenate, empty_mixture
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
+CHUNK = 8
+
+
+@dataclass(frozen=True)
+class BatchState:
+    """Conditional mixtures of k camera hypotheses after an event.
+
+    Attributes
+    ----------
+    begins, ends : arrays (k,) of int
+        The components of hypothesis h are those from ``begins[h]`` to ``ends[h]`` of the mixture. Hypotheses may
+        share components: resampling copies none.
+    mixture : GaussianMixture
+        Components of all hypotheses.
+    time_s : float or None
+        Time of the last event, None before the first.
+    n_events : int
+        Events so far: picks the sample set.
+    next_label : int
+        First unused label, the same in all hypotheses.
+    undetected : Undetected, optional
+        Objects that no camera has detected yet, the same in all hypotheses; None before the first event.
+    """
+
+    begins: Integers
+    ends: Integers
+    mixture: GaussianMixture
+    time_s: float | None
+    n_events: int
+    next_label: int
+    undetected: Undetected | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of hypotheses."""
+        return len(self.begins)
+
+    @property
+    def counts(self) -> Integers:
+        """Components of each hypothesis (k,)."""
+        return self.ends - self.begins
+
+    def take(self, hypotheses: Integers) -> BatchState:
+        """Return the hypotheses with these indices (k',), which may repeat."""
+        return replace(self, begins=self.begins[hypotheses], ends=self.ends[hypotheses])
+
+    def of(self, hypothesis: int) -> GaussianMixture:
+        """Return the mixture of one hypothesis."""
+        return self.mixture.take(np.arange(self.begins[hypothesis], self.ends[hypothesis]))
+
+
+@dataclass(frozen=True)
+class FilterBatch:
+    """Filters conditional on camera hypotheses.
+
+    The same as `predict` and `update` of the filter for each hypothesis (to the rounding of sums), without
+    `extract`: no object is ever reported, so that none is protected from being forgotten for having been. All
+    components are moved by samples, regardless of the template's method: a rule that gives way to another at a
+    threshold would make the likelihood jump.
+
+    Attributes
+    ----------
+    template : DisparityFilter
+        At the nominal cameras. Hypotheses share its intrinsics, lenses and detectors: only poses differ.
+    threads : int
+        Hypotheses are shared out over this many threads; results do not depend on it.
+
+    Raises
+    ------
+    ValueError
+        Cameras move.
+    """
+
+    template: DisparityFilter
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        if self.template.rig.moving:
+            raise ValueError("expected cameras that stand still")
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self.threads)
+
+    def init(self, hypotheses: int) -> BatchState:
+        """Return the state of k hypotheses before the first event: no objects."""
+        nothing = np.zeros(hypotheses, dtype=np.int64)
+        return BatchState(nothing, nothing, empty_mixture(self.template.state_size), None, 0, 0)
+
+    def step(self, state: BatchState, event: Event, spaces: Array) -> tuple[BatchState, Array]:
+        """Predict and update every hypothesis for one event.
+
+        Parameters
+        ----------
+        state : BatchState
+        event : Event
+        spaces : array (k, c, 30)
+            Packed disparity spaces of the cameras of each hypothesis.
+
+        Returns
+        -------
+        state : BatchState
+        log_likelihoods : array (k,)
+            Log-likelihood of the event's detections.
+        """
+        template, mixture = self.template, state.mixture
+        births, undetected, burst = template.expected_births(state.undetected, _elapsed(state, event), event)
+        arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label, births, burst)
+        reduction = reduction_for_births(template.reduction, births, template.rig.cameras[event.camera].detector)
+        looks, prediction = self._looks(state), self._prediction_numbers(state, event)
+        motion = template.motion.arrays(event.time_s - mixture.times)
+        region = NO_REGION if template.rig.region is None else template.rig.region
+
+        def run(first: int) -> tuple[Integers, GaussianMixture, Array]:
+            part = slice(first, first + CHUNK)
+            begins, ends = state.begins[part], state.ends[part]
+            weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, prediction, region)
+            return template.update_hypotheses(begins, ends, mixture, weights, moved, arrays, numbers, reduction)
+
+        starts = range(0, state.size, CHUNK)
+        results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))
+        ends = np.cumsum(np.concatenate([counts for counts, _, _ in results]))
+        begins = np.concatenate([[0], ends[:-1]])
+        label = state.next_label + len(event.points)
+        components = concatenate([components for _, components, _ in results])
+        after = BatchState(begins, ends, components, event.time_s, state.n_events + 1, label, undetected)
+        return after, np.concatenate([values for _, _, values in results])
+
+    def _looks(self, state: BatchState) -> Looks:
+        sets = self.template.sets
+        samples = sets.turn(state.n_events)
+        first = Look(samples, np.ones(samples.shape[1]), minimum_in_view(samples.shape[1]))
+        return Looks(first, Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES))
+
+    def _prediction_numbers(self, state: BatchState, event: Event) -> PredictionNumbers:
+        template = self.template
+        elapsed = _elapsed(state, event)
+        p_detect = template.rig.cameras[event.camera].detector.p_detect
+        return PredictionNumbers(
+            camera=int(event.camera),
+            survival=float(template.settings.survival_per_s**elapsed),
+            elapsed=float(elapsed),
+            out_of_view_s=float(template.settings.out_of_view_s),
+            shape_p_detect=float(p_detect) if template.split_missed else 0.0,
+        )
+
+
+def _elapsed(state: BatchState, event: Event) -> float:
+    """Time since the last event, s."""
+    return 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)

@@ -1,0 +1,226 @@
+"""Compiled filters conditional on camera hypotheses (paper VII-B): one event of many hypotheses.
+
+Hypothesis by hypothesis, with no state shared between them: results do not depend on how the hypotheses are shared
+out over threads. The update and the reduction of a hypothesis are those of the filter itself.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
+from stereophd.core.disparity.sample_move import Look, carry_components
+from stereophd.core.disparity.space import PACKED_SIZE
+from stereophd.core.motion.arrays import MotionArrays
+from stereophd.core.multi.births.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
+from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
+from stereophd.core.multi.pmb.reduction import reduce_tracks
+from stereophd.core.multi.pmb.update import associate_tracks
+from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
+from stereophd.core.numerics.compilation.compiled import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Components that a hypothesis gets room for at first.
+ROOM = 256
+
+
+class Looks(NamedTuple):
+    """Samples of an event, shared by all hypotheses: a first look, and a second one at corners of what is important."""
+
+    first: Look
+    second: Look
+
+
+class PredictionNumbers(NamedTuple):
+    """Numbers of a prediction.
+
+    Attributes
+    ----------
+    camera : int
+        Index of the camera of the event.
+    survival : float
+        Probability that an object survives since the last event.
+    elapsed, out_of_view_s : float
+        Time since the last event, s, and the time constant of `fade_out_of_view`.
+    shape_p_detect : float
+        Probability of detection for the shape of the missed part; 0 where it keeps its own.
+    """
+
+    camera: int
+    survival: float
+    elapsed: float
+    out_of_view_s: float
+    shape_p_detect: float
+
+
+@compiled
+def slice_motion(motion: MotionArrays, first: int, last: int) -> MotionArrays:
+    """Return views of consecutive intervals."""
+    return MotionArrays(
+        motion.reach[first:last], motion.keep[first:last], motion.position_noise[first:last],
+        motion.velocity_noise[first:last], motion.with_velocity[first:last], motion.alone[first:last],
+        motion.drift[first:last], motion.noise_std, motion.max_speed,
+    )  # fmt: skip
+
+
+@compiled
+def predict(
+    begins: Integers,
+    ends: Integers,
+    mixture: GaussianMixture,
+    spaces: Array,
+    looks: Looks,
+    motion: MotionArrays,
+    numbers: PredictionNumbers,
+    region: Array,
+) -> tuple[Array, Moved]:
+    """Carry the components of some hypotheses into the event's spaces: `DisparityFilter.predict`.
+
+    Parameters
+    ----------
+    begins, ends : arrays (k,)
+        Where each hypothesis' components begin and end in `mixture`.
+    mixture : GaussianMixture
+        Components.
+    spaces : array (k, c, 30)
+        Packed disparity spaces of each hypothesis' cameras.
+    looks : Looks
+    motion : MotionArrays
+        With an interval for each of the components in `mixture`.
+    numbers : PredictionNumbers
+    region : array (8,) or empty
+        Where objects can be (`stereophd.core.disparity.trips.region_mask`).
+
+    Returns
+    -------
+    weights : array (n,)
+        Weights of the components of these hypotheses, one hypothesis after the other, if they survive and are not
+        forgotten.
+    moved : Moved
+        The same components in the event's space.
+    """
+    total = (ends - begins).sum()
+    all_weights, all_moved = np.empty(total), allocate_moved(total, mixture.means.shape[1])
+    first = 0
+    for h in range(len(begins)):
+        last = first + ends[h] - begins[h]
+        components = slice_components(mixture, begins[h], ends[h])
+        means, covariances, cameras = components.means, components.covariances, components.cameras
+        weights = components.weights * numbers.survival
+        moved = slice_moved(all_moved, first, last)
+        homes = np.empty((len(weights), PACKED_SIZE))
+        for k in range(len(weights)):
+            homes[k] = spaces[h, cameras[k]]
+        travel = slice_motion(motion, begins[h], ends[h])
+        carry_components(
+            np.arange(len(weights)), means, covariances, homes, travel,
+            weights >= IMPORTANT_WEIGHT, looks.first, looks.second, spaces[h, numbers.camera],
+            numbers.shape_p_detect, region, moved,
+        )  # fmt: skip
+        keep_surviving_weights(
+            weights, moved.status, moved.inside, means, components.tracks, cameras, homes, travel.reach, travel.drift,
+            spaces[h], numbers.camera, numbers.elapsed, numbers.out_of_view_s,
+        )  # fmt: skip
+        all_weights[first:last] = weights
+        first = last
+    return all_weights, all_moved
+
+
+@compiled
+def update_intensities(
+    begins: Integers,
+    ends: Integers,
+    mixture: GaussianMixture,
+    weights: Array,
+    moved: Moved,
+    event: EventArrays,
+    numbers: EventNumbers,
+    reduction: PhdReduction,
+) -> tuple[Integers, GaussianMixture, Array]:
+    """Update and reduce the intensities of some hypotheses.
+
+    Parameters
+    ----------
+    begins, ends, mixture
+        The same as in `predict`.
+    weights, moved
+        The result of `predict`.
+    event, numbers, reduction
+        The same as in the filter's own update.
+
+    Returns
+    -------
+    counts : array (k,)
+        Components of each hypothesis after the event.
+    mixture : GaussianMixture
+        Components after the event, one hypothesis after the other.
+    log_likelihoods : array (k,)
+        Log-likelihoods of the event.
+    """
+    counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
+    out = allocate_mixture(len(begins) * ROOM, mixture.means.shape[1])
+    found, first = 0, 0
+    for h in range(len(begins)):
+        before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
+        updated, log_likelihoods[h], _, shares = update_intensity(before, seen, event, numbers, reduction)
+        after, _ = reduce_intensity(updated, shares, reduction)
+        counts[h] = len(after.weights)
+        out = _append(after, out, found)
+        found += counts[h]
+    return counts, slice_components(out, 0, found), log_likelihoods
+
+
+@compiled
+def update_track_sets(
+    begins: Integers,
+    ends: Integers,
+    mixture: GaussianMixture,
+    weights: Array,
+    moved: Moved,
+    event: EventArrays,
+    numbers: EventNumbers,
+    reduction: PmbReduction,
+) -> tuple[Integers, GaussianMixture, Array]:
+    """Update and reduce the tracks of some hypotheses; as `update_intensities`."""
+    counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
+    out = allocate_mixture(len(begins) * ROOM, mixture.means.shape[1])
+    found, first = 0, 0
+    for h in range(len(begins)):
+        before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
+        outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, reduction.prune_weight)
+        choice, tracks = choose_hypotheses(outcomes, reduction)
+        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, choice), tracks, reduction)
+        counts[h] = len(after.weights)
+        out = _append(after, out, found)
+        found += counts[h]
+    return counts, slice_components(out, 0, found), log_likelihoods
+
+
+@compiled
+def _predicted(
+    begin: int, end: int, mixture: GaussianMixture, weights: Array, moved: Moved, first: int
+) -> tuple[GaussianMixture, Moved, int]:
+    """One hypothesis' components as predicted, the same in the event's space, and where the next one's begin."""
+    last = first + end - begin
+    _, means, covariances, cameras, times, labels, tracks, reported = slice_components(mixture, begin, end)
+    before = GaussianMixture(weights[first:last], means, covariances, cameras, times, labels, tracks, reported)
+    return before, slice_moved(moved, first, last), last
+
+
+@compiled
+def _append(after: GaussianMixture, out: GaussianMixture, found: int) -> GaussianMixture:
+    """Copy components behind the first `found` of `out`; return `out`, or a larger one that replaces it."""
+    count = len(after.weights)
+    if found + count > len(out.weights):
+        larger = allocate_mixture(2 * (found + count), out.means.shape[1])
+        copy_components(out, np.arange(found), larger, 0)
+        out = larger
+    copy_components(after, np.arange(count), out, found)
+    return out

@@ -1,0 +1,93 @@
+"""Gaussian-mixture PHD filter on disparity space (paper VI).
+
+Prediction is the particle move of every component into the disparity space of the event's camera
+(VI-B), split by the field of view (VI-C); the update is eq. (5), with births from every detection; the
+log-likelihood of an event is that of the conditional filter of VII-B.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.moved import Moved
+from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
+from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
+from stereophd.core.multi.births.undetected import reduction_for_births
+from stereophd.core.multi.camera_hypotheses.batch_kernels import update_intensities
+from stereophd.core.multi.filter_settings.phd import PhdSettings
+from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
+from stereophd.core.multi.state.estimates import Info
+from stereophd.core.multi.state.inputs import Detections, EventNumbers, NewbornPrior, with_newborns
+from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
+from stereophd.core.numerics.compilation.compiled import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PhdFilter(DisparityFilter):
+    """The PHD filter; see `DisparityFilter` for its other fields."""
+
+    settings: PhdSettings
+
+    @cached_property
+    def reduction(self) -> PhdReduction:
+        """Settings of the reduction, for compiled code."""
+        settings = self.settings
+        return PhdReduction(
+            float(settings.prune_weight), float(settings.merge_distance), most_components(settings.max_components),
+            settings.merge_rule == "mutual", settings.merge_moments == "label",
+        )  # fmt: skip
+
+    @property
+    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
+        """See `DisparityFilter`."""
+        return update_intensities
+
+    @property
+    def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
+        """See `DisparityFilter`."""
+        return ((reduce_intensity, (empty_mixture(self.state_size), np.empty(0), self.reduction)),)
+
+    def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
+        """Update with the detections of an event: eq. (5), then reduction."""
+        detector = self.rig.cameras[event.camera].detector
+        reduction = reduction_for_births(self.reduction, prediction.births, detector)
+        reduced, log_likelihood, labels, claims, left_out = _update(
+            prediction.mixture, prediction.moved, *self.detections(event),
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
+        )  # fmt: skip
+        label = state.next_label + len(event.points)
+        return (
+            FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected),
+            Info(
+                log_likelihood, float(reduced.weights.sum()), reduced.size, labels, claims, left_out, prediction.burst
+            ),
+        )
+
+
+@compiled
+def _update(
+    mixture: GaussianMixture,
+    moved: Moved,
+    detected: Detections,
+    prior: NewbornPrior,
+    numbers: EventNumbers,
+    reduction: PhdReduction,
+    with_claims: bool,
+) -> tuple[GaussianMixture, float, Integers, Claims | None, int]:
+    """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
+    event = with_newborns(detected, prior, mixture.means.shape[1])
+    updated, log_likelihood, by, shares = update_intensity(mixture, moved, event, numbers, reduction)
+    labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
+    claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
+    reduced, left_out = reduce_intensity(updated, shares, reduction)
+    return reduced, log_likelihood, labels, claims, left_out

@@ -1,0 +1,1 @@
+"""The Poisson multi-Bernoulli filter on disparity space."""

@@ -1,0 +1,262 @@
+"""Compiled reduction of the PMB filter.
+
+Negligible hypotheses are dropped, those of one track that agree are merged, two tracks on one object are joined,
+and improbable tracks are recycled into the intensity of undetected objects.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.multi.pmb.hypotheses import Existences, PmbReduction, group
+from stereophd.core.multi.state.mixture import (
+    UNLABELLED,
+    GaussianMixture,
+    allocate_mixture,
+    copy_components,
+    slice_components,
+    take_components,
+)
+from stereophd.core.multi.state.reduction import merge_sorted
+from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A track is never more certain than this: at existence 1 no number of misses could end it.
+MOST_EXISTENCE = 1.0 - 1e-9
+# Comes after every identity.
+LAST = np.iinfo(np.int64).max
+
+
+@compiled
+def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbReduction) -> tuple[GaussianMixture, float]:
+    """Reduce a mixture after an update, of tracks of a known existence.
+
+    Returns
+    -------
+    mixture : GaussianMixture
+        Tracks, ordered by label and then by falling weight, then the intensity of undetected objects.
+    expected : float
+        Sum of the existences of the tracks.
+    """
+    prune_weight, hypothesis_distance = settings.prune_weight, settings.hypothesis_distance
+    weights, labels = mixture.weights, mixture.labels
+    names, existence, recycle_below = known
+    member = np.searchsorted(names, labels)
+    index, kept_weights = _drop_negligible(mixture, member, existence, prune_weight, settings.least_share)
+    hypotheses = _merge_hypotheses(mixture, index, kept_weights, hypothesis_distance)
+    held = existence[np.searchsorted(names, hypotheses.labels)] >= recycle_below
+    tracks = places(held)
+    undetected = places((labels == UNLABELLED) & (weights >= prune_weight))
+    recycled = places(~held & (hypotheses.weights >= prune_weight))
+    first, second = len(tracks), len(tracks) + len(undetected)
+    out = allocate_mixture(second + len(recycled), mixture.means.shape[1])
+    copy_components(hypotheses, tracks, out, 0)
+    copy_components(mixture, undetected, out, first)
+    copy_components(hypotheses, recycled, out, second)
+    out_labels = out.labels
+    for k in range(second, len(out_labels)):
+        out_labels[k] = UNLABELLED
+    joined, changed = _join_tracks(slice_components(out, 0, first), settings.merge_distance, hypothesis_distance)
+    if changed:
+        out = _concatenate(joined, slice_components(out, first, len(out.weights)))
+    return out, joined.weights.sum()
+
+
+@compiled
+def _drop_negligible(
+    mixture: GaussianMixture, member: Integers, existence: Array, prune_weight: float, least_share: float
+) -> tuple[Integers, Array]:
+    """Hypotheses worth keeping, and their weights; what is dropped of a track goes to its others: existence stays."""
+    weights, labels = mixture.weights, mixture.labels
+    remains = np.zeros(len(existence))
+    index = np.empty(len(member), dtype=np.int64)
+    count = 0
+    for k in range(len(member)):
+        whole = existence[member[k]]
+        if labels[k] != UNLABELLED and weights[k] >= least_share * whole and whole >= prune_weight:
+            index[count] = k
+            count += 1
+            remains[member[k]] += weights[k]
+    kept_weights = np.empty(count)
+    for i in range(count):
+        g = member[index[i]]
+        kept_weights[i] = weights[index[i]] * (min(existence[g], MOST_EXISTENCE) / remains[g])
+    return index[:count], kept_weights
+
+
+@compiled
+def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, distance: float) -> GaussianMixture:
+    """Merge hypotheses of one label that agree; ordered by label, then by falling weight.
+
+    The hypotheses are those components of a mixture that have these indices, with the weights given.
+    """
+    order = _by_label_and_weight(picked(mixture.labels, index), given)
+    found = take_components(mixture, picked(index, order))
+    _, means, covariances, cameras, times, labels, tracks, reported = found
+    weights = picked(given, order)
+    leaders = np.empty(len(weights), dtype=np.int64)
+    merged, start = 0, 0
+    while start < len(weights):
+        end = start + 1
+        while end < len(weights) and labels[end] == labels[start]:
+            end += 1
+        leaders[merged] = start
+        if end == start + 1:
+            weights[merged] = weights[start]
+            copy_gaussian(means, covariances, start, means, covariances, merged)
+            merged += 1
+        else:
+            # what is written lies before what is still to be read
+            w, m, c, heaviest = merge_sorted(
+                weights[start:end], weights[start:end], means[start:end], covariances[start:end], cameras[start:end],
+                times[start:end], distance, True,
+            )  # fmt: skip
+            for i in range(len(w)):
+                weights[merged] = w[i]
+                copy_gaussian(m, c, i, means, covariances, merged)
+                leaders[merged] = start + heaviest[i]
+                merged += 1
+        start = end
+    chosen = leaders[:merged]
+    return GaussianMixture(
+        weights[:merged], means[:merged], covariances[:merged], picked(cameras, chosen), picked(times, chosen),
+        picked(labels, chosen), picked(tracks, chosen), picked(reported, chosen),
+    )  # fmt: skip
+
+
+@compiled
+def _by_label_and_weight(labels: Integers, weights: Array) -> Integers:
+    """Return the indices that sort by label, and then by falling weight."""
+    order = stable_order(labels)
+    start = 0
+    for end in range(1, len(order) + 1):
+        if end == len(order) or labels[order[end]] != labels[order[start]]:
+            if end > start + 1:
+                part = order[start:end].copy()
+                within = stable_order(-picked(weights, part))
+                for i in range(len(part)):
+                    order[start + i] = part[within[i]]
+            start = end
+    return order
+
+
+@compiled
+def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance: float) -> tuple[GaussianMixture, bool]:
+    """Give tracks whose heaviest hypotheses agree one label: of two identities the older; whether there were any."""
+    weights, labels, tracks, reported = mixture.weights, mixture.labels, mixture.tracks, mixture.reported
+    first = np.ones(len(labels), dtype=np.bool_)
+    for k in range(1, len(labels)):
+        first[k] = labels[k] != labels[k - 1]
+    heads = places(first)
+    if len(heads) < 2 or distance <= 0.0:
+        return mixture, False
+    # an identity once reported counts more than existence, and of two the older keeps its name
+    heads = picked(heads, stable_order(-picked(weights, heads)))
+    seniority = picked(tracks, heads)
+    for h in range(len(heads)):
+        if seniority[h] < 0:
+            seniority[h] = LAST
+    heads = picked(heads, stable_order(seniority))
+    senior = _seniors(take_components(mixture, heads), distance)
+    changed = False
+    for h in range(len(heads)):
+        if senior[h] != h:
+            changed = True
+            head, k = heads[senior[h]], heads[h]
+            label = labels[k]
+            while k < len(labels) and labels[k] == label:
+                labels[k], tracks[k], reported[k] = labels[head], tracks[head], reported[head]
+                k += 1
+    if not changed:
+        return mixture, False
+    member, n_groups = group(labels)
+    existence = np.zeros(n_groups)
+    for k in range(len(weights)):
+        existence[member[k]] += weights[k]
+    for k in range(len(weights)):
+        weights[k] /= max(existence[member[k]], 1.0)
+    return _merge_hypotheses(mixture, np.arange(len(weights)), weights, hypothesis_distance), True
+
+
+@compiled
+def _seniors(heads: GaussianMixture, distance: float) -> Integers:
+    """For Gaussians in order of seniority: the first senior one that each agrees with, or itself."""
+    means, covariances, cameras, times = heads.means, heads.covariances, heads.cameras, heads.times
+    senior = np.arange(len(means))
+    pairs = [np.int64(0)]
+    pairs.clear()
+    order = stable_order(means[:, 0].copy())
+    # with thousands of tracks whose depth is unknown, most of the time goes to pairs far apart: row after row in memory
+    u, v, spread = picked(means[:, 0].copy(), order), picked(means[:, 1].copy(), order), np.empty(len(order))
+    for i in range(len(order)):
+        spread[i] = distance * covariances[order[i], 1, 1]
+    for i in range(len(order)):
+        a = order[i]
+        reach = math.sqrt(distance * covariances[a, 0, 0])
+        for j in range(i + 1, len(order)):
+            if u[j] - u[i] > reach:
+                break
+            if (v[j] - v[i]) * (v[j] - v[i]) > min(spread[i], spread[j]):
+                continue
+            b = order[j]
+            if cameras[a] == cameras[b] and times[a] == times[b] and _may_agree(means, covariances, a, b, distance):
+                apart = means[a] - means[b]
+                if _within(apart, covariances[a], distance) and _within(apart, covariances[b], distance):
+                    pairs.append(min(a, b) * len(means) + max(a, b))
+    found = np.empty(len(pairs), dtype=np.int64)
+    for i in range(len(pairs)):
+        found[i] = pairs[i]
+    for i in stable_order(found):
+        pair = found[i]
+        older, younger = pair // len(means), pair % len(means)
+        if senior[older] == older and senior[younger] == younger:
+            senior[younger] = older
+    return senior
+
+
+@compiled
+def _may_agree(means: Array, covariances: Array, a: int, b: int, distance: float) -> bool:
+    """Whether coordinates and pixels of two Gaussians are within a squared distance in the covariances of both.
+
+    The squared Mahalanobis distance is at least that of each part.
+    """
+    for i in range(means.shape[1]):
+        apart = means[a, i] - means[b, i]
+        if apart * apart > distance * min(covariances[a, i, i], covariances[b, i, i]):
+            return False
+    # thousands of tracks of unknown depth are ellipses, long and thin, that cross one another
+    return _pixels_may_agree(means, covariances[a], a, b, distance) and _pixels_may_agree(
+        means, covariances[b], a, b, distance
+    )
+
+
+@compiled
+def _pixels_may_agree(means: Array, covariance: Array, a: int, b: int, distance: float) -> bool:
+    """Whether the pixels of two means may be within a squared distance in a covariance (d, d)."""
+    du, dv = means[a, 0] - means[b, 0], means[a, 1] - means[b, 1]
+    s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    # the factor: some more for rounding
+    return bool(s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv <= 1.0001 * distance * (s00 * s11 - s01 * s01))
+
+
+@compiled
+def _within(difference: Array, covariance: Array, distance: float) -> bool:
+    """Whether a difference (d,) is within a squared Mahalanobis distance."""
+    factor = np.empty_like(covariance)
+    return cholesky(covariance, factor) and squared_distance(difference, factor, np.empty_like(difference)) <= distance
+
+
+@compiled
+def _concatenate(first: GaussianMixture, second: GaussianMixture) -> GaussianMixture:
+    a, b = len(first.weights), len(second.weights)
+    out = allocate_mixture(a + b, first.means.shape[1])
+    copy_components(first, np.arange(a), out, 0)
+    copy_components(second, np.arange(b), out, a)
+    return out

@@ -1,0 +1,274 @@
+"""Compiled update of the Poisson multi-Bernoulli filter with the detections of an event (Williams 2015, IV).
+
+The components of a label are alternatives for one track i of existence r_i = sum_h w_h, of which the part
+p_h = pD f_h w_h is expected to be detected (f_h the share in view). With the density l_hj of detection j given
+alternative h, the density c of clutter and the density b_j of first detections (births and recycled tracks),
+
+    psi_ij = sum_h p_h l_hj / ((1 - sum_h p_h) (c + b_j))
+
+are the odds of the association problem that `association_marginals` solves: its marginals m_ij share the
+detection out among the alternatives, w_hj = m_ij p_h l_hj / sum_h p_h l_hj.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
+from stereophd.core.multi.association.exact_association import association_marginals
+from stereophd.core.multi.association.likelihoods import pair_likelihoods, shared_kalman_updates
+from stereophd.core.multi.pmb.hypotheses import Outcomes, group
+from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
+from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.numerics.sorting import picked, places, stable_order
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# A track that must have been detected (certain, in view, detection probability 1) may still be missed
+# with this probability: odds stay finite.
+LEAST_MISSED = 1e-9
+# Hypotheses of a smaller share than this are left out of the Gaussian of a track.
+LEAST_SHARE = 1e-4
+# Pairs of one component with detections: with thousands of detections an object of unknown depth has more, and the
+# likeliest count.
+MOST_PAIRS = 256
+
+
+@compiled
+def associate_tracks(
+    mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, prune_weight: float
+) -> tuple[Outcomes, float]:
+    """Share the detections of an event out among tracks, the intensity of undetected objects, clutter and new objects.
+
+    Parameters
+    ----------
+    mixture : GaussianMixture
+        As predicted, each component at home.
+    moved : Moved
+        The same components in the event's space.
+    event, numbers : EventArrays, EventNumbers
+    prune_weight : float
+        Pairs far below this weight are left out.
+
+    Returns
+    -------
+    outcomes : Outcomes
+        Missed components, detected ones, and one new track a detection.
+    log_likelihood : float
+        Log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
+    """
+    weights, labels = mixture.weights, mixture.labels
+    points, noises, areas, readings, _, _ = event
+    p_detect, clutter, births, area = numbers.p_detect, numbers.clutter, numbers.births, numbers.area
+    status, fraction = moved.status, moved.fraction
+    count, n_detections = len(weights), len(points)
+    components, detections, densities = pair_likelihoods(
+        moved.means, moved.covariances, status != OUT_OF_VIEW, points, noises, areas, readings, MOST_PAIRS
+    )
+    detected = p_detect * fraction * weights
+    joint = picked(detected, components) * densities
+    # the first detection of an object: of one that is unknown so far, or of a recycled track
+    birth = p_detect * births / area
+    first = np.full(n_detections, birth)
+    claims = picked(labels, components) != UNLABELLED
+    for p in range(len(components)):
+        if not claims[p]:
+            first[detections[p]] += joint[p]
+    background = clutter / area + first
+
+    member, n_groups = group(labels)
+    missed = np.ones(n_groups)
+    log_likelihood = -clutter - p_detect * births
+    for k in range(count):
+        if labels[k] == UNLABELLED:
+            log_likelihood -= detected[k]
+        else:
+            missed[member[k]] -= detected[k]
+    for g in range(n_groups):
+        missed[g] = max(missed[g], LEAST_MISSED)
+        log_likelihood += math.log(missed[g])
+    for j in range(n_detections):
+        log_likelihood += math.log(background[j])
+
+    claiming = places(claims)
+    claim = _track_claims(member, components, detections, joint, claiming, n_detections)
+    odds = claim.sums / (picked(missed, claim.owners) * picked(background, claim.wanted))
+    share, untouched, unclaimed, log_bethe = association_marginals(
+        claim.owners, claim.wanted, odds, n_groups, n_detections
+    )
+
+    taken = np.empty(len(claim.order))
+    for i in range(len(taken)):
+        whole = claim.sums[claim.pair[i]]
+        taken[i] = share[claim.pair[i]] * joint[claim.order[i]] / whole if whole > 0.0 else 0.0
+    kept = places(taken >= LEAST_SHARE * prune_weight)
+    chosen = picked(claim.order, kept)
+    owned, made = picked(components, chosen), picked(detections, chosen)
+    existence = unclaimed * first / background
+    new_means, new_covariances = _first_detections(
+        moved, event, existence, birth / first, components, detections, joint, claims, first, prune_weight
+    )
+    out_labels = np.empty(count + len(chosen) + n_detections, dtype=np.int64)
+    out_weights = weights - detected
+    still = untouched / missed
+    for k in range(count):
+        out_labels[k] = labels[k]
+        if labels[k] != UNLABELLED:
+            out_weights[k] *= still[member[k]]
+    out_weights = np.concatenate((out_weights, picked(taken, kept), existence))
+    for i in range(len(chosen)):
+        out_labels[count + i] = labels[owned[i]]
+    for j in range(n_detections):
+        out_labels[count + len(chosen) + j] = numbers.next_label + j
+    return Outcomes(out_labels, out_weights, owned, made, new_means, new_covariances), log_likelihood + log_bethe
+
+
+class TrackClaims(NamedTuple):
+    """Pairs of a track and a detection: a track claims a detection as a whole, with all its alternatives.
+
+    Attributes
+    ----------
+    owners, wanted : arrays (n,) of int
+        Track and detection of each pair, in order of both.
+    sums : array (n,)
+        Sum over the alternatives.
+    order : array (c,) of int
+        Places of the alternatives among all pairs of a component and a detection.
+    pair : array (c,) of int
+        Pair of each of them.
+    """
+
+    owners: Integers
+    wanted: Integers
+    sums: Array
+    order: Integers
+    pair: Integers
+
+
+@compiled
+def _track_claims(
+    member: Integers, components: Integers, detections: Integers, joint: Array, claiming: Integers, n_detections: int
+) -> TrackClaims:
+    """Add up the pairs (p,) of components, of those `claiming`, by their track (`member`) and detection."""
+    # most components of a track follow one another; tracks that were joined may have others elsewhere
+    order = picked(claiming, stable_order(picked(member, picked(components, claiming))))
+    owners, wanted = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
+    sums, pair = np.empty(len(order)), np.empty(len(order), dtype=np.int64)
+    place = np.full(n_detections, -1)
+    found, start = 0, 0
+    while start < len(order):
+        track, end, first = member[components[order[start]]], start, found
+        while end < len(order) and member[components[order[end]]] == track:
+            j = detections[order[end]]
+            if place[j] < 0:
+                place[j], wanted[found] = found, j
+                found += 1
+            end += 1
+        sorted_ones = picked(wanted[first:found], stable_order(wanted[first:found]))
+        for i in range(len(sorted_ones)):
+            j = sorted_ones[i]
+            place[j], wanted[first + i], owners[first + i], sums[first + i] = first + i, j, track, 0.0
+        for i in range(start, end):
+            pair[i] = place[detections[order[i]]]
+            sums[pair[i]] += joint[order[i]]
+        for i in range(first, found):
+            place[wanted[i]] = -1
+        start = end
+    return TrackClaims(owners[:found], wanted[:found], sums[:found], order, pair)
+
+
+@compiled
+def _first_detections(
+    moved: Moved,
+    event: EventArrays,
+    existence: Array,
+    born: Array,
+    components: Integers,
+    detections: Integers,
+    joint: Array,
+    claims: NDArray[np.bool_],
+    first: Array,
+    prune_weight: float,
+) -> tuple[Array, Array]:
+    """Gaussians (m) of objects detected for the first time: born now, or recycled before (moment matching)."""
+    chosen = np.empty(len(components), dtype=np.int64)
+    count = 0
+    for p in range(len(components)):
+        j = detections[p]
+        if not claims[p] and joint[p] > LEAST_SHARE * first[j] and existence[j] >= prune_weight:
+            chosen[count] = p
+            count += 1
+    if count == 0:
+        return event.birth_means, event.birth_covariances
+    chosen = chosen[:count]
+    groups, owned = picked(detections, chosen), picked(components, chosen)
+    means, covariances, rows = shared_kalman_updates(
+        moved.means, moved.covariances, owned, groups, event.points, event.noises, event.readings
+    )
+    shares = picked(joint, chosen) / picked(first, groups)
+    return mix_gaussians(
+        groups, shares, means, covariances, rows, born, event.birth_means, event.birth_covariances
+    )  # fmt: skip
+
+
+@compiled
+def mix_gaussians(
+    groups: Integers,
+    weights: Array,
+    means: Array,
+    covariances: Array,
+    rows: Integers,
+    base_weights: Array,
+    base_means: Array,
+    base_covariances: Array,
+) -> tuple[Array, Array]:
+    """Moment-match, group by group, Gaussians (p) with a base Gaussian (g) of weight >= 0.
+
+    Gaussian p has the covariance of row ``rows[p]``. Returns means (g, d) and covariances (g, d, d); a group without
+    members keeps its base.
+    """
+    out_means = base_means.copy()
+    out_covariances = base_covariances.copy()
+    size = base_means.shape[1]
+    totals = base_weights.copy()
+    members = np.zeros(len(base_weights), dtype=np.int64)
+    for p in range(len(groups)):
+        totals[groups[p]] += weights[p]
+        members[groups[p]] += 1
+    for g in range(len(base_weights)):
+        if members[g] > 0:
+            part = base_weights[g] / totals[g]
+            for a in range(size):
+                out_means[g, a] *= part
+                for b in range(size):
+                    out_covariances[g, a, b] *= part
+    for p in range(len(groups)):
+        g = groups[p]
+        for a in range(size):
+            out_means[g, a] += weights[p] / totals[g] * means[p, a]
+    for g in range(len(base_weights)):
+        if members[g] > 0 and base_weights[g] > 0.0:
+            part = base_weights[g] / totals[g]
+            for a in range(size):
+                for b in range(size):
+                    out_covariances[g, a, b] += (
+                        part * (base_means[g, a] - out_means[g, a]) * (base_means[g, b] - out_means[g, b])
+                    )
+    for p in range(len(groups)):
+        g = groups[p]
+        part = weights[p] / totals[g]
+        for a in range(size):
+            for b in range(a + 1):
+                spread = (means[p, a] - out_means[g, a]) * (means[p, b] - out_means[g, b])
+                out_covariances[g, a, b] += part * (covariances[rows[p], a, b] + spread)
+    for g in range(len(base_weights)):
+        for a in range(size):
+            for b in range(a):
+                out_covariances[g, b, a] = out_covariances[g, a, b]
+    return out_means, out_covariances

@@ -1,0 +1,108 @@
+"""What the compiled filters take of an event: its detections and its numbers, as named tuples."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.numerics.compilation.compiled import compiled
+
+Array = NDArray[np.float64]
+
+Kind = TypeVar("Kind")
+
+
+class Detections(NamedTuple):
+    """Detections of an event: arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None as in `EventArrays`."""
+
+    points: Array
+    noises: Array
+    areas: Array
+    readings: Array | None
+
+
+class NewbornPrior(NamedTuple):
+    """Prior of the objects that a camera sees for the first time.
+
+    Attributes
+    ----------
+    space : array (30,)
+        Packed space of the camera.
+    mean, std : float
+        Mean and standard deviation of the disparity, px.
+    velocity_std : float
+        Standard deviation of each component of velocity, length/s.
+    """
+
+    space: Array
+    mean: float
+    std: float
+    velocity_std: float
+
+
+class EventArrays(NamedTuple):
+    """Detections of an event, and the objects that they may have given birth to.
+
+    Attributes
+    ----------
+    points, noises, areas, readings : arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None
+        As in `stereophd.core.disparity.events.Event`, where `noises` are its covariances.
+    birth_means, birth_covariances : arrays (m, d), (m, d, d)
+        Gaussian of the object born with each detection, in the event's space.
+    """
+
+    points: Array
+    noises: Array
+    areas: Array
+    readings: Array | None
+    birth_means: Array
+    birth_covariances: Array
+
+
+class EventNumbers(NamedTuple):
+    """Place of an event, and rates of its detector.
+
+    Attributes
+    ----------
+    camera : int
+        Index of the camera in the rig.
+    time_s : float
+        Time, s.
+    next_label : int
+        First unused label.
+    p_detect : float
+        Probability of detection inside the image.
+    clutter, births : float
+        Expected number of false detections and of new objects a frame.
+    area : float
+        Area of the image, px^2.
+    """
+
+    camera: int
+    time_s: float
+    next_label: int
+    p_detect: float
+    clutter: float
+    births: float
+    area: float
+
+
+@compiled
+def with_newborns(detections: Detections, prior: NewbornPrior, size: int) -> EventArrays:
+    """Return detections with the objects of `size` 6 or 3 that they may have given birth to."""
+    points, noises, areas, readings = detections
+    means, covariances = initial_moments(
+        points, noises, prior.space, prior.mean, prior.std, prior.velocity_std, size, readings
+    )
+    return EventArrays(points, noises, areas, readings, means, covariances)
+
+
+def compiled_settings(kind: type[Kind], settings: object) -> Kind:
+    """Return the settings that have the names of a named tuple's fields, as the types of the fields.
+
+    A kernel is compiled once for each type of its arguments: an integer where a float is expected compiles another.
+    """
+    return kind(*(convert(getattr(settings, name)) for name, convert in get_type_hints(kind).items()))

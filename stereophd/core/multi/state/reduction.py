@@ -1,0 +1,195 @@
+"""Mixture reduction: pruning, merging (Vo and Ma 2006, Table II) and a cap on the components."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.multi.state.mixture import GaussianMixture, take_components
+from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@compiled
+def merge_sorted(
+    weights: Array,
+    shares: Array,
+    means: Array,
+    covariances: Array,
+    cameras: Integers,
+    times: Array,
+    distance: float,
+    mutual: bool,
+) -> tuple[Array, Array, Array, Integers]:
+    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `shares`, `mutual` as below.
+
+    Returns the merged weights, means and covariances, and the index of the heaviest part of each.
+    """
+    count, size = means.shape
+    used = np.zeros(count, dtype=np.bool_)
+    factored = np.zeros(count, dtype=np.bool_)
+    factors = np.empty((count, size, size))
+    out_weights = np.empty(count)
+    out_means = np.empty((count, size))
+    out_covariances = np.empty((count, size, size))
+    leaders = np.empty(count, dtype=np.int64)
+    members = np.empty(count, dtype=np.int64)
+    difference = np.empty(size)
+    scratch = np.empty(size)
+    first, reaches = means[:, 0].copy(), distance * covariances[:, 0, 0]
+    candidates = np.empty(count, dtype=np.int64)
+    merged = 0
+    for leader in range(count):
+        if used[leader]:
+            continue
+        members[0] = leader
+        found = 1
+        begin = leader + 1
+        _mark_candidates(
+            cameras[leader], times[leader], first[leader], reaches[leader] if mutual else np.inf,
+            cameras[begin:], times[begin:], first[begin:], reaches[begin:], candidates[begin:],
+        )  # fmt: skip
+        for k in range(begin, count):
+            if candidates[k] == 0 or used[k]:
+                continue
+            near = True
+            for a in range(size):
+                difference[a] = means[k, a] - means[leader, a]
+                # a squared Mahalanobis distance is at least that of each coordinate alone
+                reach = covariances[k, a, a]
+                if mutual:
+                    reach = min(reach, covariances[leader, a, a])
+                if difference[a] * difference[a] > distance * reach:
+                    near = False
+                    break
+            if not near:
+                continue
+            if not factored[k]:
+                factored[k] = cholesky(covariances[k], factors[k])
+                if not factored[k]:
+                    continue
+            if squared_distance(difference, factors[k], scratch) > distance:
+                continue
+            if mutual and not factored[leader]:
+                factored[leader] = cholesky(covariances[leader], factors[leader])
+            if not mutual or (factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance):
+                members[found] = k
+                found += 1
+        if found == 1:
+            # most are alone: the sums below, of one part
+            out_weights[merged], leaders[merged] = weights[leader], leader
+            copy_gaussian(means, covariances, leader, out_means, out_covariances, merged)
+            merged += 1
+            continue
+        total, whole = 0.0, 0.0
+        for m in range(found):
+            used[members[m]] = True
+            total += weights[members[m]]
+            whole += shares[members[m]]
+        mean = out_means[merged]
+        for a in range(size):
+            mean[a] = 0.0
+        for m in range(found):
+            part = shares[members[m]] / whole
+            for a in range(size):
+                mean[a] += part * means[members[m], a]
+        covariance = out_covariances[merged]
+        for a in range(size):
+            for b in range(size):
+                covariance[a, b] = 0.0
+        for m in range(found):
+            k = members[m]
+            part = shares[k] / whole
+            for a in range(size):
+                for b in range(size):
+                    spread = (means[k, a] - mean[a]) * (means[k, b] - mean[b])
+                    covariance[a, b] += part * (covariances[k, a, b] + spread)
+        out_weights[merged] = total
+        leaders[merged] = leader
+        merged += 1
+    return out_weights[:merged], out_means[:merged], out_covariances[:merged], leaders[:merged]
+
+
+@compiled
+def _mark_candidates(
+    camera: int,
+    time: float,
+    place: float,
+    reach: float,
+    cameras: Integers,
+    times: Array,
+    first: Array,
+    reaches: Array,
+    candidates: Integers,
+) -> None:
+    """Mark components (n,) at home at the same place and time that the first coordinate does not rule out.
+
+    One loop without branches and over whole arrays, which the compiler turns into vector instructions, rules out most
+    components. `reach` and `reaches` are the largest squares of differences of the first coordinate.
+    """
+    for k in range(len(first)):
+        square = (first[k] - place) * (first[k] - place)
+        candidates[k] = (cameras[k] == camera) & (times[k] == time) & (square <= reaches[k]) & (square <= reach)
+
+
+@compiled
+def reduce_mixture(
+    mixture: GaussianMixture,
+    shares: Array,
+    prune_weight: float,
+    merge_distance: float,
+    max_components: int,
+    mutual: bool = True,
+) -> tuple[GaussianMixture, int]:
+    """Drop light components, merge near ones, and keep the heaviest.
+
+    Parameters
+    ----------
+    mixture : GaussianMixture
+        Components are compared only with those at home in the same camera at the same time.
+    shares : array (n,)
+        What each component counts for the mean and the covariance of a merged one; the weights for its moments as a
+        part of the intensity.
+    prune_weight : float
+        Components below this weight are dropped.
+    merge_distance : float
+        Squared Mahalanobis distance, in the covariance of the lighter component, below which a
+        component is merged into a heavier one.
+    max_components : int
+        The heaviest are kept.
+    mutual : bool
+        Require the distance in the covariance of the heavier component as well. Without it, as in the
+        textbook, a component of known depth absorbs every light one of unknown depth, and its own
+        depth is then unknown too.
+
+    Returns
+    -------
+    mixture : GaussianMixture
+        In order of falling weight of the heaviest part; a merged component keeps the identity of its
+        heaviest part.
+    left_out : int
+        Number of components that `max_components` left out.
+    """
+    heavy = places(mixture.weights >= prune_weight)
+    order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
+    found = take_components(mixture, order)
+    if merge_distance > 0.0 and len(found.weights) > 1:
+        weights, means, covariances, leaders = merge_sorted(
+            found.weights, picked(shares, order), found.means, found.covariances, found.cameras, found.times,
+            merge_distance, mutual,
+        )  # fmt: skip
+        found = GaussianMixture(
+            weights, means, covariances, found.cameras[leaders], found.times[leaders], found.labels[leaders],
+            found.tracks[leaders], found.reported[leaders],
+        )  # fmt: skip
+    left_out = max(len(found.weights) - max_components, 0)
+    if left_out > 0:
+        kept = np.zeros(len(found.weights), dtype=np.bool_)
+        for k in stable_order(-found.weights)[:max_components]:
+            kept[k] = True
+        found = take_components(found, places(kept))
+    return found, left_out

@@ -1,0 +1,238 @@
+"""Where compiled kernels are kept, and when a kept one is still valid.
+
+A kernel is compiled together with every kernel that it calls, so a kept kernel is valid only while its own source file
+and all files of the package that it imports, directly or not, have the same contents. The name of a kernel's folder
+contains the hash of these contents. A changed kernel therefore has no folder yet and is compiled, an outdated folder is
+never read again, and checkouts with the same kernels share one folder. (numba's own cache checks the file of the kernel
+alone, and would reuse a kernel whose callee has changed.)
+
+A kept kernel that cannot be read (damaged, cut off) is compiled anew. Several folders are searched, so that the kernels
+of a read-only installation are found. A new kernel is kept in the first folder that can be written to; if there is none
+(read-only, full), nothing is kept, and one warning reports it. Importing reads and writes nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
+
+from stereophd.core.numerics.compilation import kernel_units
+from stereophd.core.numerics.compilation.kernel_digest import PACKAGE_PARENT, source_digest
+
+FOLDER_NAME = "stereophd-kernels"
+# Kernels that have not been used for this long are removed when a new kernel is kept.
+UNUSED_DAYS = 30
+
+_DAY_S = 86400.0
+_DIGEST_LENGTH = 20
+_KERNEL_NAME = re.compile(rf"[\w.]+-[0-9a-f]{{{_DIGEST_LENGTH}}}")
+_HAS_USERS = hasattr(os, "getuid")
+
+LOGGER = logging.getLogger("stereophd")
+
+
+def _candidates() -> list[Path]:
+    """Return the folders in which kernels may be kept, in the order in which they are tried.
+
+    That of the environment variable ``NUMBA_CACHE_DIR``, ``__pycache__`` of the package, the user's cache folder, and
+    a folder in the temporary folder that belongs to this user alone, because it holds code.
+    """
+    stated = os.environ.get("NUMBA_CACHE_DIR")
+    parents = [Path(stated)] if stated else []
+    parents.append(PACKAGE_PARENT / "stereophd" / "__pycache__")
+    user, home = os.environ.get("XDG_CACHE_HOME"), os.environ.get("HOME")
+    if user:
+        parents.append(Path(user))
+    elif home and Path(home).is_dir():
+        parents.append(Path(home) / ".cache")
+    return [*(parent / FOLDER_NAME for parent in parents), *_temporary_folder()]
+
+
+def _temporary_folder() -> list[Path]:
+    """Return this user's folder in the temporary folder, or an empty list if the system has no temporary folder."""
+    try:
+        return [Path(tempfile.gettempdir()) / f"{FOLDER_NAME}-{os.getuid() if _HAS_USERS else 'user'}"]
+    except OSError:
+        return []
+
+
+@cache
+def kernel_folders() -> tuple[Path, ...]:
+    """Return the folders searched for kept kernels, in order; a new one is kept in the first that can be written to."""
+    return tuple(folder for folder in _candidates() if folder not in _temporary_folder() or _is_private(folder))
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder belongs to this user and no other user may enter it, or does not exist yet."""
+    try:
+        found = folder.lstat()
+    except OSError:
+        return True
+    return not _HAS_USERS or (found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) == 0o700)
+
+
+def place_to_keep() -> Path | None:
+    """Return the folder in which a new kernel would be kept, or None if no folder can be written to."""
+    for folder in kernel_folders():
+        there = next((path for path in (folder, *folder.parents) if path.exists()), None)
+        if there is not None and there.is_dir() and os.access(there, os.W_OK):
+            return folder
+    return None
+
+
+# Folders that a kernel could not be written to in this process.
+_FAILED: set[Path] = set()
+
+
+@cache
+def _note_nothing_kept() -> None:
+    """Warn once that kernels cannot be kept; worker processes have no handlers and stay silent."""
+    if LOGGER.hasHandlers():
+        LOGGER.warning(
+            "compiled kernels cannot be kept, so every run compiles them, for up to a minute: none of these "
+            "folders can be written to: %s; set NUMBA_CACHE_DIR to one that can",
+            ", ".join(map(str, kernel_folders())),
+        )
+
+
+@cache
+def _mark_used(folder: Path) -> None:
+    """Set the modification time of a kernel's folder to now, if it is more than a day old."""
+    with contextlib.suppress(OSError):
+        if time.time() - folder.stat().st_mtime > _DAY_S:
+            os.utime(folder)
+
+
+@cache
+def _prune(folder: Path) -> None:
+    """Remove kernels that have not been used for `UNUSED_DAYS`; runs once a process, when a kernel is kept."""
+    oldest = time.time() - UNUSED_DAYS * _DAY_S
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if _KERNEL_NAME.fullmatch(path.name) and path.stat().st_mtime < oldest:
+                shutil.rmtree(path, ignore_errors=True)
+
+
+class _Locator(_CacheLocator):  # type: ignore[misc]
+    """Name and validity of one kernel's folder."""
+
+    def __init__(self, function: Callable[..., object], file: str) -> None:
+        self._file = Path(file).resolve()
+        self._line = function.__code__.co_firstlineno
+        self._digest = source_digest(self._file)
+        self._py_file = str(self._file)
+
+    def get_cache_path(self) -> str:
+        """Return the name of the folder; where it lies is decided by `KernelCache`."""
+        name = ".".join(self._file.relative_to(PACKAGE_PARENT).with_suffix("").parts[1:])
+        return f"{name}-{self._digest[:_DIGEST_LENGTH]}"
+
+    def get_source_stamp(self) -> str:
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., object], py_file: str) -> _Locator:
+        return cls(py_func, py_file)
+
+
+class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes: ClassVar = [_Locator]
+
+
+class KernelCache(FunctionCache):  # type: ignore[misc]
+    """Cache of one kernel's compiled forms, in the place of numba's own."""
+
+    _impl_class = _Implementation
+
+    def __init__(self, function: Callable[..., object], for_python: bool) -> None:
+        super().__init__(function)
+        self._for_python = for_python
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return (*super()._index_key(sig, codegen), self._for_python)
+
+    def folder_in(self, folder: Path) -> Path:
+        """Return where this kernel is kept in one of the `kernel_folders`."""
+        return folder / str(self._impl.locator.get_cache_path())
+
+    def _file_in(self, folder: Path) -> IndexDataCacheFile:
+        stamp = self._impl.locator.get_source_stamp()
+        return IndexDataCacheFile(str(self.folder_in(folder)), self._impl.filename_base, stamp)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return a kept form, or None if none is kept or it cannot be read for any reason."""
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        for folder in kernel_folders():
+            try:
+                data = self._file_in(folder).load(key)
+                if data is not None:
+                    apart, units, reduced = data
+                    if not kernel_units.load_units(units, target_context):
+                        continue
+                    form = self._impl.rebuild(target_context, reduced)
+                    kernel_units.set_apart(form, self._py_func, units, apart)
+                    _mark_used(self.folder_in(folder))
+                    return form
+            except Exception:  # a damaged file may raise anything
+                continue
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a form in the first folder that can be written to."""
+        units, apart = kernel_units.units_of(data), kernel_units.is_large(data)
+        if not self._impl.check_cachable(data):
+            kernel_units.set_apart(data, self._py_func, units, apart)
+            return
+        key = self._index_key(sig, data.codegen)
+        reduced = apart, units, self._impl.reduce(data)
+        # callers see the form without its code from here on; what is kept holds it
+        kernel_units.set_apart(data, self._py_func, units, apart)
+        for folder in kernel_folders():
+            if folder not in _FAILED and self._save(folder, key, reduced):
+                _prune(folder)
+                return
+        _note_nothing_kept()
+
+    def _save(self, folder: Path, key: Any, reduced: Any) -> bool:
+        """Keep a form in a folder, or return False: it cannot be written to, or the disk is full."""
+        file = self._file_in(folder)
+        try:
+            if folder in _temporary_folder():
+                folder.mkdir(mode=0o700, exist_ok=True)
+                if not _is_private(folder):
+                    return False
+            self.folder_in(folder).mkdir(parents=True, exist_ok=True)
+            try:
+                file.save(key, reduced)
+            except OSError:
+                raise
+            except Exception:  # a damaged index: start anew
+                file.flush()
+                file.save(key, reduced)
+        except OSError:
+            _FAILED.add(folder)
+            return False
+        return True
+
+
+def is_kept(kernel: Any) -> bool:
+    """Whether compiled forms of a kernel (as decorated by `compiled`) are kept from an earlier run."""
+    # as numba names its files: module, function, first line, version of Python
+    name = f"{kernel._cache._impl.filename_base}*"
+    return any(any(kernel._cache.folder_in(folder).glob(name)) for folder in kernel_folders())

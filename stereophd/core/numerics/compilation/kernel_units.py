@@ -1,0 +1,111 @@
+"""Large kernels are compiled once, apart from their callers.
+
+numba links the code of every kernel into each of its callers, and optimises all of it again there: the cost of a deep
+tree of calls grows with its depth. A kernel that is too large to be inlined gains nothing by that. Such a kernel is an
+`apart` unit here: its callers hold only its symbol, and the machine code of a caller is linked against the one compiled
+form. For this, the symbol of a kernel must be the same in every process that compiles it (numba numbers them in order
+of compilation), and a process that finds a compiled caller must load its units first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import llvmlite.binding as llvm
+from numba.core.compiler import Compiler
+
+from stereophd.core.numerics.compilation.kernel_digest import source_digest
+from stereophd.core.numerics.compilation.quick_compilation import quick_compilation
+
+# Instructions (after optimisation) from which on a kernel is a unit of its own. LLVM inlines functions of some 50.
+APART_INSTRUCTIONS = 200
+
+_UNITS_OF = "_stereophd_units"
+_DIGEST_LENGTH = 16
+# The cases of a `switch` have lines of their own, further in.
+_INSTRUCTION = re.compile(r"^  [^ \]]", re.MULTILINE)
+
+
+class Unit(NamedTuple):
+    """A compiled form that callers are linked against.
+
+    Attributes
+    ----------
+    kernel : tuple of str
+        Module, qualified name and first line of its function.
+    arguments : tuple
+        Types of the arguments (numba).
+    symbol : str
+        Name of its machine code.
+    """
+
+    kernel: tuple[str, str, int]
+    arguments: tuple[Any, ...]
+    symbol: str
+
+
+# Kernels by the names in `Unit`: whoever loads a caller has imported its units.
+_DISPATCHERS: dict[tuple[str, str, int], Any] = {}
+
+
+class KernelCompiler(Compiler):  # type: ignore[misc]
+    """numba's compiler, with symbols that depend on the sources alone."""
+
+    def _compile_bytecode(self) -> Any:
+        function = self.state.func_id.func
+        text = f"{source_digest(Path(function.__code__.co_filename).resolve())} {function.__code__.co_firstlineno}"
+        self.state.func_id.unique_id = hashlib.sha256(text.encode()).hexdigest()[:_DIGEST_LENGTH]
+        with quick_compilation():
+            return super()._compile_bytecode()
+
+
+def name_of(function: Any) -> tuple[str, str, int]:
+    """Return the name of a kernel's function, as in a `Unit`."""
+    return function.__module__, function.__qualname__, function.__code__.co_firstlineno
+
+
+def register(dispatcher: Any) -> None:
+    """Make a kernel known to those that load its callers."""
+    _DISPATCHERS.setdefault(name_of(dispatcher.py_func), dispatcher)
+
+
+def units_of(form: Any) -> tuple[Unit, ...]:
+    """Return the units that the machine code of a form, just compiled, is linked against."""
+    found = dict.fromkeys(
+        unit for library in form.library._linking_libraries for unit in getattr(library, _UNITS_OF, ())
+    )
+    return tuple(found)
+
+
+def set_apart(form: Any, function: Any, units: Iterable[Unit], apart: bool) -> None:
+    """Decide what callers of a form are linked against: the form itself if it is apart, else what it needs."""
+    library = form.library
+    if not apart:
+        setattr(library, _UNITS_OF, tuple(units))
+        return
+    unit = Unit(name_of(function), tuple(form.signature.args), form.fndesc.llvm_func_name)
+    setattr(library, _UNITS_OF, (unit,))
+    library._shared_module = llvm.parse_assembly(str(library.codegen._create_empty_module(library.name)))
+
+
+def is_large(form: Any) -> bool:
+    """Whether a form, just compiled, is too large to be inlined."""
+    function = form.library.get_function(form.fndesc.llvm_func_name)
+    # to walk through the instructions takes far longer than to count the lines that hold one
+    return len(_INSTRUCTION.findall(str(function))) >= APART_INSTRUCTIONS
+
+
+def load_units(units: Iterable[Unit], target_context: Any) -> bool:
+    """Load, or compile, what a form is linked against; False if that is not to be had."""
+    for unit in units:
+        dispatcher = _DISPATCHERS.get(unit.kernel)
+        if dispatcher is None:
+            return False
+        dispatcher.compile(unit.arguments)
+        if not target_context.codegen()._engine.is_symbol_defined(unit.symbol):
+            return False
+    return True

@@ -1,0 +1,1 @@
+"""Detection logs, read and written."""

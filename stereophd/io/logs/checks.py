@@ -1,0 +1,201 @@
+"""What makes a row of a detection log bad, decided for whole arrays of rows at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stereophd.core.settings import LARGEST_SIGMA_PX, LARGEST_TIME_S, SMALLEST_SIGMA_PX
+from stereophd.errors import InputError, unknown_camera
+from stereophd.io.logs.rows import Booleans, Decoded, Floats, Integers, Rows
+
+#: The kinds of bad rows, in the order in which a row is tested; keys of `LogReader.counts`.
+KINDS = (
+    "null_value",
+    "non_finite",
+    "time_out_of_range",
+    "unknown_camera",
+    "half_null",
+    "outside_image",
+    "invalid_sigma",
+    "time_backwards",
+    "frame_out_of_order",
+    "duplicate_row",
+)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Bad rows of one kind: a mask over the rows, and the message about row i."""
+
+    kind: str
+    bad: Booleans
+    say: Callable[[int], str]
+
+
+@dataclass
+class OrderState:
+    """What the order checks remember of the rows before: the largest time, and frame per camera."""
+
+    last_time: float = -np.inf
+    last_frame: dict[int, int] = field(default_factory=dict)
+
+
+def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Floats, margin: float) -> Iterator[Fault]:
+    """Yield the faults that a row has by itself.
+
+    Parameters
+    ----------
+    piece
+        The rows as read.
+    cameras
+        Their names.
+    sizes
+        Width and height of each camera's image, (cameras, 2).
+    margin
+        How far outside the image a detection may be, px.
+    """
+    rows = piece.rows
+    u, v = rows.pixels[:, 0], rows.pixels[:, 1]
+    yield Fault("null_value", piece.nulls, lambda i: "expected time_s, camera and frame, found null")
+    yield Fault(
+        "non_finite",
+        ~np.isfinite(rows.time_s),
+        lambda i: f"time_s: expected a finite number, found {rows.time_s[i]}",
+    )
+    yield Fault(
+        "time_out_of_range",
+        np.abs(rows.time_s) > LARGEST_TIME_S,
+        lambda i: (
+            f"time_s: expected a number between {-LARGEST_TIME_S:g} and {LARGEST_TIME_S:g}, found {rows.time_s[i]:g}"
+        ),
+    )
+    yield Fault(
+        "unknown_camera", rows.camera < 0, lambda i: f"camera: {unknown_camera(piece.names[i].as_py(), cameras)}"
+    )
+    yield Fault("half_null", piece.half, lambda i: "expected u_px and v_px both set or both null, found one null")
+    yield Fault(
+        "non_finite",
+        ~rows.empty & ~(np.isfinite(u) & np.isfinite(v)),
+        lambda i: f"u_px, v_px: expected finite numbers, found {u[i]}, {v[i]}",
+    )
+    # Pixel (0, 0) is a centre: the image reaches from -0.5 to width - 0.5.
+    limit = sizes[rows.camera] - 0.5 + margin
+    outside = (rows.pixels < -0.5 - margin) | (rows.pixels > limit)
+    yield Fault(
+        "outside_image",
+        ~rows.empty & outside.any(axis=1),
+        lambda i: (
+            f"u_px, v_px: expected a detection inside the {sizes[rows.camera[i], 0]:.0f} x "
+            f"{sizes[rows.camera[i], 1]:.0f} px image (to within {margin:g} px), found {u[i]:g}, {v[i]:g}"
+        ),
+    )
+    if rows.sigma is not None:
+        sigma = rows.sigma
+        valid = ((sigma >= SMALLEST_SIGMA_PX) & (sigma <= LARGEST_SIGMA_PX)).all(axis=1)
+        yield Fault(
+            "invalid_sigma",
+            ~rows.empty & ~valid,
+            lambda i: (
+                f"sigma_u_px, sigma_v_px: expected numbers from {SMALLEST_SIGMA_PX:g} to {LARGEST_SIGMA_PX:g}, found "
+                f"{sigma[i, 0]}, {sigma[i, 1]}"
+            ),
+        )
+
+
+def time_fault(rows: Rows, state: OrderState) -> Fault:
+    """Return the rows whose time is before that of an earlier (good) row; updates `state`."""
+    # A row that is too early does not raise the running maximum, so it needs no exclusion from it.
+    latest = np.maximum.accumulate(np.concatenate([[state.last_time], rows.time_s]))
+    bad = rows.time_s < latest[:-1]
+    state.last_time = float(latest[-1])
+    return Fault(
+        "time_backwards",
+        bad,
+        lambda i: f"time_s: expected rows in order of time, found {rows.time_s[i]:.9g} after {latest[i]:.9g}",
+    )
+
+
+def frame_fault(rows: Rows, state: OrderState) -> Fault:
+    """Return the rows whose frame number is not above all of the same camera at earlier times.
+
+    `rows` are in order of time, and hold all rows of each of their times. Updates `state`.
+    """
+    bad = np.zeros(len(rows), dtype=bool)
+    before = np.zeros(len(rows), dtype=np.int64)
+    lowest = np.iinfo(np.int64).min
+    for camera in np.unique(rows.camera):
+        mine = np.flatnonzero(rows.camera == camera)
+        time, frame = rows.time_s[mine], rows.frame[mine]
+        starts = np.flatnonzero(np.concatenate([[True], time[1:] != time[:-1]]))
+        highest = np.maximum.reduceat(frame, starts)
+        earlier = np.maximum.accumulate(np.concatenate([[state.last_frame.get(int(camera), lowest)], highest]))
+        group = np.repeat(np.arange(len(starts)), np.diff(np.concatenate([starts, [len(mine)]])))
+        before[mine] = earlier[group]
+        # Bad rows lie at or below the maximum, so they do not raise it either.
+        bad[mine] = frame <= earlier[group]
+        if (before[mine] == lowest).any():
+            bad[mine[before[mine] == lowest]] = False
+        state.last_frame[int(camera)] = int(earlier[-1])
+
+    def say(i: int) -> str:
+        if rows.frame[i] == before[i]:
+            return f"frame: expected a frame of a camera at one time only, found frame {rows.frame[i]} at two"
+        return (
+            f"frame: expected frame numbers of a camera to increase with time, found {rows.frame[i]} after {before[i]}"
+        )
+
+    return Fault("frame_out_of_order", bad, say)
+
+
+def frame_starts(rows: Rows) -> Integers:
+    """Return where a new (time, camera, frame) begins in sorted rows."""
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = (
+        (rows.time_s[1:] != rows.time_s[:-1])
+        | (rows.camera[1:] != rows.camera[:-1])
+        | (rows.frame[1:] != rows.frame[:-1])
+    )
+    return np.flatnonzero(new)
+
+
+def duplicate_fault(rows: Rows) -> Fault:
+    """Return the rows that repeat another of their frame, in rows sorted by frame.
+
+    Such a row is a detection at exactly the pixels of an earlier row of the frame, or an empty row of a frame that has
+    another row.
+    """
+    starts = frame_starts(rows)
+    sizes = np.diff(np.concatenate([starts, [len(rows)]]))
+    group = np.repeat(np.arange(len(starts)), sizes)
+    # One sort puts equal pixels of a frame side by side, empty rows last, earlier rows first.
+    order = np.lexsort((rows.row, rows.pixels[:, 1], rows.pixels[:, 0], rows.empty, group))
+    same_frame = group[order][1:] == group[order][:-1]
+    pixels, empty = rows.pixels[order], rows.empty[order]
+    repeats = same_frame & (empty[1:] | ((pixels[1:] == pixels[:-1]).all(axis=1) & ~empty[1:]))
+    bad = np.zeros(len(rows), dtype=bool)
+    bad[order[1:][repeats]] = True
+
+    def say(i: int) -> str:
+        if rows.empty[i]:
+            return f"expected an empty frame to have one row, found others too (frame {rows.frame[i]})"
+        return f"expected each detection once, found a duplicate row (frame {rows.frame[i]})"
+
+    return Fault("duplicate_row", bad, say)
+
+
+def raise_first(faults: list[Fault], rows: Rows, path: Any) -> None:
+    """Raise `InputError` for the bad row that comes first in the file, if there is one."""
+    first: tuple[int, str] | None = None
+    for fault in faults:
+        bad = np.flatnonzero(fault.bad)
+        if len(bad):
+            i = int(bad[np.argmin(rows.row[bad])])
+            if first is None or rows.row[i] < first[0]:
+                add = "add the camera to the cameras, or " if fault.kind == "unknown_camera" else ""
+                first = (int(rows.row[i]), f"{fault.say(i)} ({add}input.on_bad_row: drop skips and counts bad rows)")
+    if first is not None:
+        raise InputError(f"{path}: row {first[0]}: {first[1]}")

@@ -1,0 +1,278 @@
+"""Detection logs, read frame by frame in the order of true time (writing: `log_writing`).
+
+A log is a Parquet file with one row a detection (see ``docs/formats.md``). It is read in pieces, so
+memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from stereophd.core.numerics.times import TIME_DECIMALS
+from stereophd.errors import InputError
+from stereophd.io.file_kinds import LOG
+from stereophd.io.logs.checks import (
+    KINDS,
+    Fault,
+    OrderState,
+    duplicate_fault,
+    frame_fault,
+    frame_starts,
+    point_faults,
+    raise_first,
+    time_fault,
+)
+from stereophd.io.logs.order import is_by_camera
+from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Booleans, Floats, Integers, Rows, decode
+from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.tables.writing import ROW_GROUP_ROWS
+
+if TYPE_CHECKING:
+    from stereophd.core.geometry.camera import Camera
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """All detections of one camera frame.
+
+    Attributes
+    ----------
+    time_s
+        True time (the camera's clock corrected), s.
+    camera
+        Index in the configuration's order of cameras.
+    frame
+        Frame number.
+    pixels
+        Detections (m, 2), distorted px; m = 0 for an empty frame.
+    sigma
+        Standard deviations (m, 2), px, or None where the log states none.
+    object_id
+        True objects (m,), -1 clutter, or None where the log states none. For evaluation only.
+    """
+
+    time_s: float
+    camera: int
+    frame: int
+    pixels: Floats
+    sigma: Floats | None = None
+    object_id: Integers | None = None
+
+
+class LogReader:
+    """Iterate over the frames of a detection log in the order of true time, ties in camera order.
+
+    All rows of one (time, camera, frame) are one `Frame`, wherever they lie among the rows of that time. Rows
+    in blocks of one camera each are merged, if each block is in order of time. A frame whose rows are all bad
+    is dropped: it carries no information about the scene.
+
+    Parameters
+    ----------
+    path
+        The log.
+    cameras
+        The cameras in the configuration's order; their names, image sizes and clocks are used.
+    on_bad_row
+        ``error``: the first bad row raises; ``drop``: bad rows are dropped and counted.
+    image_margin_px
+        A detection further than this outside the image is a bad row.
+    from_s
+        True time before which the caller needs no frame: row groups that end before it are not read. (Frames before it
+        may still come.)
+
+    Attributes
+    ----------
+    counts
+        Counts of the last (or running) iteration: ``rows``, ``frames``, ``empty_frames``, ``detections``, one
+        for each kind of bad row (`stereophd.io.logs.checks.KINDS`), and ``cameras_without_frames``.
+    num_rows
+        Rows of the file.
+
+    Raises
+    ------
+    InputError
+        At construction: no such file, not Parquet, truncated, no rows, a column missing or of a wrong
+        type. While iterating: damaged data; a bad row under ``error``; no usable row at all.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        cameras: Sequence[Camera],
+        on_bad_row: Literal["error", "drop"] = "error",
+        image_margin_px: float = 10.0,
+        from_s: float = -math.inf,
+    ) -> None:
+        self.path = Path(path)
+        self._from_s = from_s
+        self._cameras = tuple(cameras)
+        self._index = {camera.name: i for i, camera in enumerate(cameras)}
+        self._drop = on_bad_row == "drop"
+        self._margin = image_margin_px
+        self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float).reshape(-1, 2)
+        self.counts: dict[str, int] = {}
+        with open_parquet(self.path, LOG) as parquet:
+            present = check_columns(parquet.schema_arrow, REQUIRED, OPTIONAL, self.path)
+            self.num_rows: int = parquet.metadata.num_rows
+            self.metadata: Mapping[bytes, bytes] = parquet.schema_arrow.metadata or {}
+        if self.num_rows == 0:
+            raise InputError(f"{self.path}: expected a detection log, found one without rows")
+        if ("sigma_u_px" in present) != ("sigma_v_px" in present):
+            raise InputError(f"{self.path}: expected both of the columns sigma_u_px and sigma_v_px, found one")
+        self._columns = [*REQUIRED, *present]
+
+    @cached_property
+    def is_by_camera(self) -> bool:
+        """Whether only the rows of each camera are in order of time, not those of all: they are merged on reading."""
+        return is_by_camera(self.path)
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
+        self.counts["cameras_without_frames"] = len(self._cameras)
+        seen: set[int] = set()
+        exact = all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras)
+        if exact and not self.is_by_camera:
+            frames = self._frames(None)
+        else:
+            # Each camera's clock is monotonic, so each camera's frames are in order by themselves: one
+            # pass over the file for each camera keeps the memory bounded, however far the clocks differ.
+            if self.is_by_camera:
+                LOGGER.warning("%s: the rows are in order of time by camera only: the cameras are merged", self.path)
+            passes = [self._frames(i) for i in range(len(self._cameras))]
+            frames = heapq.merge(*passes, key=lambda f: (f.time_s, f.camera, f.frame))
+        counts = self.counts
+        for frame in frames:
+            counts["frames"] += 1
+            counts["detections"] += len(frame.pixels)
+            counts["empty_frames"] += not len(frame.pixels)
+            if frame.camera not in seen:
+                seen.add(frame.camera)
+                counts["cameras_without_frames"] -= 1
+            yield frame
+        if not seen:
+            why = ", ".join(f"{kind} {counts[kind]}" for kind in KINDS if counts.get(kind))
+            raise InputError(f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad ({why})")
+
+    def _frames(self, only: int | None) -> Iterator[Frame]:
+        """Yield the frames in log order; with `only`, those of that camera, on its true time."""
+        state = OrderState()
+        carry: Rows | None = None
+        for rows in self._good_rows(state, only):
+            if only is not None:
+                rows = rows.take(rows.camera == only)
+            if carry is not None:
+                rows = carry.join(rows)
+            if not len(rows):
+                carry = None
+                continue
+            # The last time may continue in the next piece: its rows wait until it is complete.
+            complete = int(np.searchsorted(rows.time_s, rows.time_s[-1], side="left"))
+            carry = rows.take(slice(complete, None))
+            yield from self._split(rows.take(slice(0, complete)), state)
+        if carry is not None:
+            yield from self._split(carry, state)
+
+    def _good_rows(self, state: OrderState, only: int | None) -> Iterator[Rows]:
+        """Yield pieces of the log without rows that are bad by themselves or too early."""
+        start: int | None = None
+        for first_row, batch in self._batches():
+            start = first_row if start is None else start
+            with damaged_is_input_error(self.path):
+                piece = decode(batch, start, self._index, self.path)
+            rows = piece.rows
+            start += len(rows)
+            # In a pass for one camera only its own rows count; rows of no camera count in the first.
+            counted = np.ones(len(rows), dtype=bool)
+            if only is not None:
+                counted = (rows.camera == only) | ((rows.camera < 0) & (only == 0))
+            self.counts["rows"] += int(counted.sum())
+            faults = list(point_faults(piece, list(self._index), self._sizes, self._margin))
+            good = rows.take(self._accept(faults, rows, counted))
+            if only is not None and self.is_by_camera:
+                # rows of other cameras in between do not matter for the order of these
+                good = good.take(good.camera == only)
+            late = time_fault(good, state)
+            good = good.take(self._accept([late], good, None if only is None else good.camera == only))
+            yield good
+
+    def _accept(self, faults: list[Fault], rows: Rows, counted: Booleans | None = None) -> Booleans:
+        """Return the mask of good rows; count the bad ones, each once, or raise for the first."""
+        if not self._drop:
+            raise_first(faults, rows, self.path)
+        good = np.ones(len(rows), dtype=bool)
+        for fault in faults:
+            new = fault.bad & good
+            good &= ~fault.bad
+            self.counts[fault.kind] += int((new if counted is None else new & counted).sum())
+        return good
+
+    def _batches(self) -> Iterator[tuple[int, pa.RecordBatch]]:
+        """Yield pieces of the file, each with the number of the first row that is read at all."""
+        with open_parquet(self.path, LOG) as parquet:
+            groups, first_row = self._groups(parquet.metadata)
+            pieces = parquet.iter_batches(ROW_GROUP_ROWS, groups, columns=self._columns, use_threads=False)
+            while True:
+                with damaged_is_input_error(self.path):
+                    batch = next(pieces, None)
+                if batch is None:
+                    return
+                yield first_row, batch
+
+    def _groups(self, metadata: pq.FileMetaData) -> tuple[list[int], int]:
+        """Return the row groups to read, all from the first one that reaches `from_s`, and their first row."""
+        least = min((camera.clock.to_log(self._from_s) for camera in self._cameras), default=-math.inf)
+        column = metadata.schema.names.index("time_s")
+        first_row = 0
+        for group in range(metadata.num_row_groups):
+            rows = metadata.row_group(group)
+            statistics = rows.column(column).statistics
+            if statistics is None or not statistics.has_min_max or not statistics.max < least:
+                return list(range(group, metadata.num_row_groups)), first_row
+            first_row += rows.num_rows
+        return [], first_row
+
+    def _split(self, rows: Rows, state: OrderState) -> Iterator[Frame]:
+        """Check the rows against those around them, and yield their frames in order."""
+        if not len(rows):
+            return
+        rows = rows.take(self._accept([frame_fault(rows, state)], rows))
+        rows = rows.take(np.lexsort((rows.row, rows.frame, rows.camera, rows.time_s)))
+        rows = rows.take(self._accept([duplicate_fault(rows)], rows))
+        starts = frame_starts(rows)
+        ends = np.append(starts[1:], len(rows)).tolist()
+        # Plain Python numbers: indexing arrays one element at a time is slow.
+        frames = rows.frame[starts].tolist()
+        cameras = rows.camera[starts].tolist()
+        times = self._true_times(rows.time_s[starts], rows.camera[starts]).tolist()
+        # A duplicate empty row is gone by now, so an empty frame is exactly one empty row.
+        ends = (np.asarray(ends) - rows.empty[starts]).tolist()
+        for time, camera, frame, i, j in zip(times, cameras, frames, starts.tolist(), ends, strict=True):
+            yield Frame(
+                time,
+                camera,
+                frame,
+                rows.pixels[i:j],
+                None if rows.sigma is None else rows.sigma[i:j],
+                None if rows.object_id is None else rows.object_id[i:j],
+            )
+
+    def _true_times(self, time_s: Floats, camera: Integers) -> Floats:
+        offset = np.array([c.clock.offset_s for c in self._cameras])
+        rate = np.array([c.clock.rate for c in self._cameras])
+        true: Floats = offset[camera] + rate[camera] * time_s
+        # Cameras whose frames coincide come in their order: a clock must not part them by its rounding.
+        kept = (offset == 0.0) & (rate == 1.0)
+        return np.where(kept[camera], time_s, np.round(true, TIME_DECIMALS))

@@ -1,0 +1,67 @@
+"""Detection logs, written frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from stereophd.io.logs.rows import Floats, Integers
+from stereophd.io.tables.schemas import DETECTIONS, OBJECT_ID
+from stereophd.io.tables.writing import TableWriter
+
+
+class LogWriter:
+    """Write a detection log frame by frame, in the order of its times.
+
+    Parameters
+    ----------
+    path
+        The file; usually a temporary one of `stereophd.io.outputs.atomic.OutputFolder`.
+    metadata
+        Key-value metadata, as `stereophd.io.outputs.provenance.to_metadata` returns them.
+    object_id
+        Whether the log has the column ``object_id``.
+    """
+
+    def __init__(self, path: Path | str, metadata: Mapping[Any, Any] | None = None, object_id: bool = False) -> None:
+        self._object_id = object_id
+        self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
+
+    def write(self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None) -> None:
+        """Write one frame.
+
+        Parameters
+        ----------
+        time_s
+            Time on the camera's own clock, s.
+        camera, frame
+            Name of the camera and number of the frame.
+        pixels
+            Detections (m, 2), distorted px; with m = 0 the frame becomes one row of nulls.
+        object_id
+            True objects (m,), -1 clutter; required with ``object_id=True``.
+        """
+        columns: dict[str, Any] = {"time_s": time_s, "camera": camera, "frame": frame}
+        if len(pixels):
+            columns |= {"u_px": pixels[:, 0], "v_px": pixels[:, 1]}
+        else:
+            columns |= {"u_px": [None], "v_px": [None]}
+        if self._object_id:
+            if object_id is None:
+                raise ValueError("this log has the column object_id: expected an object_id for each detection")
+            columns["object_id"] = object_id if len(pixels) else [None]
+        self._table.append(columns)
+
+    def close(self) -> None:
+        """Write what is left and the footer."""
+        self._table.close()
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._table.__exit__(kind, error, traceback)

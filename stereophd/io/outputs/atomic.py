@@ -1,0 +1,316 @@
+"""Outputs that are either complete or absent.
+
+Everything is written under a temporary name on the same file system, flushed to the disk, and put into place in one
+step (`io.outputs.commit`); a failure before that (an error, a full disk, Ctrl-C) leaves no trace, and the next run
+removes what a killed process left. One run at a time writes to a folder (`stereophd.io.outputs.locks`). Errors of
+the user, such as a folder that holds other files or a full disk, become `InputError`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import TracebackType
+
+from stereophd.errors import InputError
+from stereophd.io.outputs.commit import (
+    COMMIT_NAME,
+    NEW,
+    OLD,
+    beside_of,
+    commit_files,
+    commit_folder,
+    complete,
+    files_below,
+)
+from stereophd.io.outputs.disk import (
+    TEMPORARY_PREFIX,
+    UNFINISHED_PREFIX,
+    USER_ERRNOS,
+    current_umask,
+    signals_deferred,
+    sync,
+    write_error,
+)
+from stereophd.io.outputs.locks import LOCK_NAME, output_lock
+
+__all__ = [
+    "TEMPORARY_PREFIX",
+    "OutputFolder",
+    "atomic_write",
+    "output_folder",
+    "output_lock",
+    "temporary_beside",
+    "tidy",
+]
+
+
+def temporary_beside(path: Path) -> Path:
+    """Return the temporary name under which `atomic_write` writes a file."""
+    return path.with_name(f"{TEMPORARY_PREFIX}{path.name}.tmp")
+
+
+@contextlib.contextmanager
+def atomic_write(path: Path | str) -> Iterator[Path]:
+    """Give a temporary path beside `path`; at a clean exit it replaces `path`, else it is removed.
+
+    Parameters
+    ----------
+    path
+        The file to write. Its folder must exist; an existing file is replaced. One process at a time may write it:
+        the temporary name follows from the file's, so that the next call removes what a killed process left.
+
+    Yields
+    ------
+    Path
+        The temporary file (already there, empty), to be opened and written by the caller.
+
+    Raises
+    ------
+    InputError
+        The place cannot be written to (disk full, no permission, ...).
+    """
+    target = Path(path)
+    temporary: Path | None = None
+    try:
+        name = temporary_beside(target)
+        name.unlink(missing_ok=True)
+        name.touch(0o600)
+        temporary = name
+        yield temporary
+        sync(temporary)
+        with signals_deferred():
+            temporary.chmod(0o666 & ~current_umask())
+            os.replace(temporary, target)
+            sync(target.parent)
+    except OSError as error:
+        if temporary is None or error.errno in USER_ERRNOS:
+            raise write_error(error, target) from error
+        raise
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def _matches(relative: Path, names: Iterable[str]) -> bool:
+    """Whether a file below an output folder is one of `names` (patterns, compared part by part)."""
+    parts = relative.parts
+    if _is_temporary(relative):
+        return True
+    for name in names:
+        patterns = Path(name).parts
+        if len(patterns) == len(parts) and all(map(fnmatchcase, parts, patterns)):
+            return True
+    return False
+
+
+def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
+    """Check that an output folder may be used, and create it if missing.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    force
+        Whether outputs of an earlier run may be replaced.
+    names
+        The files that the command writes, relative to the folder; each part may be a pattern
+        (``run-*/truth.parquet``).
+
+    Returns
+    -------
+    list of Path
+        The files of an earlier run that are there now, relative to the folder. Empty folders do not count.
+
+    Raises
+    ------
+    InputError
+        It is not a folder, holds files that are not ours, has a folder in the place of a file, holds an earlier run
+        and `force` is not given, or cannot be made or written to.
+    """
+    folder = Path(path)
+    names = list(names)
+    existing: list[Path] = []
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"output folder {folder}: expected a folder, found a file")
+        folder.mkdir(parents=True, exist_ok=True)
+        complete(folder)
+        for relative in files_below(folder):
+            if (folder / relative).is_dir():
+                # Empty folders may be the user's, or those of a run that was killed as it began: they stay.
+                if _matches(relative, names) and not _is_temporary(relative):
+                    raise InputError(f"output folder {folder}: {relative}: expected a file or nothing, found a folder")
+                continue
+            if not _matches(relative, names):
+                raise InputError(
+                    f"output folder {folder}: expected a new folder or one of an earlier run of this command, found "
+                    f"one with {relative}, which this command does not write; choose another folder"
+                )
+            existing.append(relative)
+    except OSError as error:
+        raise InputError(f"output folder {folder}: {error.strerror or error}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"output folder {folder}: Permission denied; expected a writable folder")
+    ours = [relative for relative in existing if not _is_temporary(relative)]
+    if ours and not force:
+        raise InputError(f"output folder {folder} already holds {ours[0]}; use `force=True` to replace it")
+    return ours
+
+
+def _is_temporary(relative: Path) -> bool:
+    return any(part.startswith(TEMPORARY_PREFIX) for part in relative.parts)
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what killed runs left in a folder, and beside it; the folder is locked, so none of them is alive."""
+    shutil.rmtree(beside_of(folder.resolve()), ignore_errors=True)
+    for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name != LOCK_NAME:
+            path.unlink(missing_ok=True)
+
+
+def tidy(path: Path | str) -> None:
+    """Finish or remove what a killed run left in an output folder, if anything.
+
+    Raises
+    ------
+    InputError
+        A run is writing to the folder, or the folder cannot be written to.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        return
+    if any(folder.glob(f"{TEMPORARY_PREFIX}*")) or beside_of(folder.resolve()).exists():
+        with output_lock(folder):
+            complete(folder)
+            _remove_leftovers(folder)
+
+
+class OutputFolder:
+    """All files of one run, put in place together or not at all.
+
+    ::
+
+        with OutputFolder(out_dir, ["tracks.parquet", "report.json"], force) as out:
+            write(out.path("tracks.parquet"))
+
+    Inside the block the files lie in a temporary folder inside `path`, and other runs are kept out of `path`. A clean
+    exit flushes them, puts them into place in one step, and removes what an earlier run (under `force`) left behind,
+    so that the folder holds one run's files only. Any exception removes everything that was written, and the folders
+    that were made. If even that fails (a disk that refuses every move), nothing is removed, and the next command
+    that uses the folder finishes what was begun.
+
+    Parameters
+    ----------
+    path
+        The output folder; created if missing.
+    names
+        Every file that the command may write, as in `output_folder`.
+    force
+        Whether the outputs of an earlier run may be replaced.
+
+    Raises
+    ------
+    InputError
+        As `output_folder`; and, from inside the block, when a write fails because of the disk.
+    """
+
+    def __init__(self, path: Path | str, names: Iterable[str], force: bool = False) -> None:
+        self.folder = Path(path)
+        self._names = list(names)
+        self._force = force
+        self._stale: list[Path] = []
+        self._fresh = False
+        self._held = contextlib.ExitStack()
+        self._staged: Path | None = None
+
+    def __enter__(self) -> OutputFolder:
+        with contextlib.ExitStack() as held:
+            try:
+                self._fresh = held.enter_context(output_lock(self.folder))
+                self._stale = output_folder(self.folder, self._force, self._names)
+                _remove_leftovers(self.folder)
+                self._staged = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=self.folder))
+                held.callback(self._discard)
+                (self._staged / NEW).mkdir()
+                (self._staged / OLD).mkdir()
+            except OSError as error:
+                raise write_error(error, self.folder) from error
+            self._held = held.pop_all()
+        return self
+
+    def path(self, name: str) -> Path:
+        """Return where to write the file `name` for now; its parent folder exists.
+
+        `name` must be one of the `names` of this folder (else `ValueError`: a fault of the program).
+        """
+        if self._staged is None:
+            raise ValueError("OutputFolder.path is only valid inside its with block")
+        if not _matches(Path(name), self._names):
+            raise ValueError(f"{name} is not among the names of this output folder: {self._names}")
+        target = self._staged / NEW / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return target
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        with self._held:
+            if error is None:
+                try:
+                    self._commit()
+                except OSError as failure:
+                    raise self._explain(failure) from failure
+            elif isinstance(error, OSError) and error.errno in USER_ERRNOS and self._is_ours(error):
+                raise self._explain(error) from error
+
+    def _is_ours(self, error: OSError) -> bool:
+        """Whether an error of the block comes from a write here (a bare ENOSPC names no file)."""
+        if error.filename is None:
+            return True
+        path = Path(os.fsdecode(error.filename))
+        if self._staged in path.parents:
+            return True
+        # Tables of an unfinished run lie beside the staged folder; other files of the output folder may be inputs.
+        inside = path.relative_to(self.folder).parts if self.folder in path.parents else ("",)
+        return inside[0].startswith(UNFINISHED_PREFIX)
+
+    def _explain(self, error: OSError) -> InputError:
+        """Name the final file, not the temporary one."""
+        path = self.folder
+        if error.filename is not None and self._staged is not None:
+            written = Path(os.fsdecode(error.filename))
+            for inside in (self._staged / NEW, self.folder / COMMIT_NAME / NEW):
+                if inside in written.parents:
+                    path = self.folder / written.relative_to(inside)
+        return write_error(error, path)
+
+    def _commit(self) -> None:
+        """Flush, then put everything into place."""
+        staged = self._staged
+        assert staged is not None
+        for root, _, files in os.walk(staged / NEW):
+            for name in (*files, ""):
+                sync(Path(root) / name)
+        with signals_deferred():
+            unused = self._fresh and all(_matches(relative, self._names) for relative in files_below(self.folder))
+            if not (unused and commit_folder(staged, self.folder)):
+                commit_files(staged, self.folder, self._stale)
+            self._staged = None
+
+    def _discard(self) -> None:
+        """Remove the staged files, if they were not put into place."""
+        if self._staged is not None:
+            shutil.rmtree(self._staged, ignore_errors=True)
+            self._staged = None

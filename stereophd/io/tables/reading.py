@@ -1,0 +1,265 @@
+"""Read Parquet tables with checks: every way in which a file can be wrong is a clear `InputError`."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from stereophd.errors import InputError
+from stereophd.io.file_kinds import HEAD_BYTES, PARQUET, kind_of_content, remedy
+from stereophd.io.outputs.commit import complete
+from stereophd.io.outputs.disk import for_arrow
+
+# What pyarrow raises for a damaged Parquet file; the last where the name of a column is no text.
+DAMAGED = (pa.ArrowException, OSError, UnicodeDecodeError)
+
+
+def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
+    """Open a Parquet file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        What it should be, for the message (``detection log``).
+
+    Raises
+    ------
+    InputError
+        It is not there, not readable, empty, not Parquet, or cut off.
+    """
+    file = Path(path)
+    try:
+        complete(file.parent)
+        if file.is_dir():
+            raise InputError(f"{file}: expected a {what} (Parquet file), found a folder")
+        size = file.stat().st_size
+        if size == 0:
+            raise InputError(f"{file}: expected a {what} (Parquet file), found an empty file")
+        with open(file, "rb") as stream:
+            head = stream.read(HEAD_BYTES)
+    except FileNotFoundError as error:
+        raise InputError(f"{file}: there is no such file; expected a {what}") from error
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
+    if (found := kind_of_content(head)) != PARQUET:
+        described = found or "something that is not Parquet"
+        raise InputError(f"{file}: expected a {what} (Parquet file), found {described}{remedy(what, found)}")
+    try:
+        return pq.ParquetFile(for_arrow(file), memory_map=False)
+    except DAMAGED as error:
+        raise InputError(
+            f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"
+        ) from error
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or ["no details"])[0].rstrip(".")
+
+
+@contextlib.contextmanager
+def damaged_is_input_error(path: Path | str) -> Iterator[None]:
+    """Turn the errors that reading the data of a damaged Parquet file raises into `InputError`."""
+    try:
+        yield
+    except DAMAGED as error:
+        raise InputError(f"{path}: the file is damaged or truncated: {_first_line(error)}") from error
+
+
+def check_texts(column: pa.Array | pa.ChunkedArray, name: str, path: Path | str, start: int = 0) -> None:
+    """Check that all texts of a column are UTF-8, as Parquet requires and other programs may not know.
+
+    Parameters
+    ----------
+    column
+        Strings.
+    name, path, start
+        The column, the file, and the index of the first row in it, for the message.
+
+    Raises
+    ------
+    InputError
+        A text is not UTF-8.
+    """
+    for chunk in column.chunks if isinstance(column, pa.ChunkedArray) else [column]:
+        try:
+            chunk.validate(full=True)
+        except pa.ArrowInvalid:
+            texts = chunk.cast(pa.binary())
+            row = next(row for row, text in enumerate(texts) if not _is_utf8(text.as_py()))
+            raise InputError(
+                f"{path}: row {start + row}: column {name}: expected text in UTF-8, found {texts[row].as_py()[:40]!r}"
+            ) from None
+        start += len(chunk)
+
+
+def cast_column(
+    column: pa.Array | pa.ChunkedArray, name: str, kind: pa.DataType, path: Path | str, start: int = 0
+) -> pa.Array | pa.ChunkedArray:
+    """Return a column as another type, without loss.
+
+    Parameters
+    ----------
+    column
+        Values of a type that `check_columns` accepts for `kind`.
+    name, path, start
+        The column, the file, and the index of the first row in it, for the message.
+
+    Raises
+    ------
+    InputError
+        A value does not fit the type.
+    """
+    try:
+        return column.cast(kind)
+    except pa.ArrowInvalid:
+        row, value = _first_misfit(column, kind)
+    expected, hint = f"a value of type {kind}", ""
+    if pa.types.is_integer(kind):
+        expected = f"a whole number of type {kind}"
+    elif name == "time_s":
+        expected, hint = "seconds as float64", " (nanoseconds?)"
+    raise InputError(f"{path}: row {start + row}: column {name}: expected {expected}, found {value}{hint}")
+
+
+def _first_misfit(column: pa.Array | pa.ChunkedArray, kind: pa.DataType) -> tuple[int, object]:
+    """Return index and value of the first row that does not fit a type, by halving."""
+    low, count = 0, len(column)
+    while count > 1:
+        half = count // 2
+        try:
+            column.slice(low, half).cast(kind)
+        except pa.ArrowInvalid:
+            count = half
+        else:
+            low, count = low + half, count - half
+    return low, column[low].as_py()
+
+
+def _is_utf8(text: bytes | None) -> bool:
+    try:
+        (text or b"").decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind))
+
+
+def _fits(found: pa.DataType, expected: pa.DataType) -> bool:
+    """Whether a column can be read as `expected` without loss: wider numbers, other kinds of text, nulls alone."""
+    if pa.types.is_null(found):
+        return True
+    if pa.types.is_floating(expected):
+        return bool(pa.types.is_floating(found) or pa.types.is_integer(found))
+    if pa.types.is_integer(expected):
+        return bool(pa.types.is_integer(found))
+    if pa.types.is_string(expected):
+        return _is_text(found)
+    if pa.types.is_fixed_size_list(expected):
+        return bool(
+            pa.types.is_fixed_size_list(found)
+            and found.list_size == expected.list_size
+            and _fits(found.value_type, expected.value_type)
+        )
+    return bool(found == expected)
+
+
+def _data_type(kind: pa.DataType | str) -> pa.DataType:
+    return pa.type_for_alias(kind) if isinstance(kind, str) else kind
+
+
+def check_columns(
+    schema: pa.Schema,
+    required: Mapping[str, pa.DataType | str],
+    optional: Mapping[str, pa.DataType | str],
+    path: Path | str,
+) -> list[str]:
+    """Check the columns of a table, and return the names of those of `optional` that are there.
+
+    Raises
+    ------
+    InputError
+        A required column is missing, or a column has another type.
+    """
+    missing = [name for name in required if name not in schema.names]
+    if missing:
+        raise InputError(
+            f"{path}: missing column{'s' if len(missing) > 1 else ''} {', '.join(missing)}; "
+            f"expected {', '.join(required)}, found {', '.join(schema.names) or 'none'}"
+        )
+    present = [name for name in optional if name in schema.names]
+    for name in [*required, *present]:
+        if schema.names.count(name) > 1:
+            raise InputError(f"{path}: column {name}: expected one column of this name, found several")
+        expected = _data_type(required[name] if name in required else optional[name])
+        found = schema.field(name).type
+        # pandas keeps whole numbers with gaps as floats
+        is_whole = name in present and pa.types.is_integer(expected) and pa.types.is_floating(found)
+        if not (is_whole or _fits(found, expected)):
+            raise InputError(f"{path}: column {name}: expected type {expected}, found {found}")
+    return present
+
+
+def read_table(
+    path: Path | str,
+    required: Mapping[str, pa.DataType | str],
+    optional: Mapping[str, pa.DataType | str] | None = None,
+    what: str = "table",
+) -> pa.Table:
+    """Read columns of a Parquet table, checked and in the expected types.
+
+    Parameters
+    ----------
+    path
+        The file.
+    required, optional
+        Name -> type (`pyarrow.DataType` or its name, such as ``"float64"``). Narrower numbers are
+        widened, any kind of text becomes a string. Other columns are not read.
+    what
+        What the table should be, for the messages.
+
+    Returns
+    -------
+    pyarrow.Table
+        The required columns in their order, then the optional ones that are there; the file's
+        key-value metadata are its ``schema.metadata``.
+
+    Raises
+    ------
+    InputError
+        Not there, not Parquet, damaged, a column missing, of another type, or (required) with nulls.
+    """
+    optional = optional or {}
+    with open_parquet(path, what) as parquet:
+        schema = parquet.schema_arrow
+        present = check_columns(schema, required, optional, path)
+        names = [*required, *present]
+        with damaged_is_input_error(path):
+            table = parquet.read(columns=names).select(names)
+    fields = []
+    for name in names:
+        kind = _data_type(required[name] if name in required else optional[name])
+        fields.append(pa.field(name, kind))
+        nulls = table.column(name).null_count
+        if nulls and name in required:
+            row = table.column(name).is_null().index(True).as_py()
+            raise InputError(f"{path}: row {row}: column {name}: expected a value, found null")
+    try:
+        columns = [cast_column(table.column(field.name), field.name, field.type, path) for field in fields]
+        table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=schema.metadata))
+        for field in fields:
+            if pa.types.is_string(field.type):
+                check_texts(table.column(field.name), field.name, path)
+        return table
+    except pa.ArrowException as error:
+        raise InputError(f"{path}: {_first_line(error)}") from error

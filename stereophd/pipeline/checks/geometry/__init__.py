@@ -1,0 +1,1 @@
+"""Checks of the cameras by where rays of different cameras meet."""

@@ -1,0 +1,266 @@
+"""Mistakes in cameras and clocks that are tried, and the one that explains the log best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
+from stereophd.pipeline.checks.geometry.measure import LEAST_SCORE, Geometry, pairs_of
+from stereophd.pipeline.checks.geometry.rays import (
+    TOLERANCES,
+    Candidates,
+    Meeting,
+    Rays,
+    Reading,
+    candidates,
+    distances,
+    meeting,
+    pixels_at,
+)
+from stereophd.pipeline.checks.log.sample import CameraSample
+
+Array = NDArray[np.float64]
+
+# An alternative is named if it raises the excess by this much, to this multiple.
+LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
+# The same for a clock offset or rate: rays of slow objects meet nearly as well at other times.
+LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
+# Clock offsets that are tried: up to this many seconds, in this many steps; ratios of usual frame rates.
+LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
+RATES = (24 / 25, 25 / 24, 0.8, 1.25, 25 / 30, 1.2, 0.6, 5 / 3, 0.5, 2.0, 1.001, 1 / 1.001)
+SHIFT_DETECTIONS = 120
+# Offsets that are computed together: more would take much memory where frames have many detections.
+SHIFTS_AT_ONCE = 40
+# Clocks that are tried, and pairs of cameras for each: each is a search through many offsets.
+MOST_CLOCKS, MOST_CLOCK_PAIRS = 12, 6
+# Frames with detections below which no clock offset or rate can be told.
+LEAST_CLOCK_FRAMES = 8
+# Detections and shifted times of the first trial of an alternative, and alternatives that get a second one.
+FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 100, 3, 6
+# The same where the check is part of another command and must be quick: fewer detections, coarser clock steps.
+QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An alternative that explains the log better than the cameras as stated.
+
+    Attributes
+    ----------
+    cameras : tuple of int
+        Cameras that it changes.
+    cause, text, remedy : str
+    excess, given, chance, share, score : float
+        Means over the pairs concerned: with it, as stated, by chance; and its share and score.
+    """
+
+    cameras: tuple[int, ...]
+    cause: str
+    text: str
+    remedy: str
+    excess: float
+    given: float
+    share: float
+    given_share: float
+    chance: float
+    score: float
+
+
+def best_explanation(
+    geometry: Geometry,
+    thorough: bool = True,
+    clocks_only: bool = False,
+    tolerances: tuple[float, ...] = TOLERANCES,
+) -> Explanation | None:
+    """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
+
+    Every alternative is tried on a few detections, and the best of them on all.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    thorough : bool
+        Whether the first look takes more detections, and finer steps of the clock.
+    clocks_only : bool
+        Whether only clock offsets are tried.
+    tolerances : tuple of float
+        Tolerances of a meeting, in standard deviations.
+    """
+    size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
+    few = tuple(pair.thinned(*size) for pair in geometry.pairs)
+    views = geometry.views
+    quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in few))
+    if tolerances != TOLERANCES:
+        given = tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in geometry.pairs)
+        geometry = replace(geometry, given=given)
+    trials = [
+        *([] if clocks_only else _camera_trials(geometry)),
+        *_clock_trials(geometry, () if clocks_only else RATES, SHIFT_STEPS if thorough else QUICK_STEPS),
+    ]
+    looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
+    promising = [(t, one) for t, one in looks if one is not None and one.excess >= one.given + 0.5 * LEAST_GAIN]
+    best_first = sorted(promising, key=lambda look: -look[1].excess)[:FINALISTS]
+    finalists = [trial for trial, _ in promising if any(trial is other for other, _ in best_first)]
+    found = [
+        one
+        for one in (trial.explain(geometry, tolerances) for trial in finalists)
+        if one is not None and _is_decisive(one)
+    ]
+    if not found:
+        return None
+    best = max(one.excess for one in found)
+    # the first of those that explain as much: the list begins with the likely ones
+    return next(one for one in found if one.excess >= best - 0.03)
+
+
+def _is_decisive(one: Explanation) -> bool:
+    clock = one.cause in ("clock_offset", "frame_rate")
+    gain, ratio = (LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO) if clock else (LEAST_GAIN, LEAST_RATIO)
+    return one.excess >= one.given + gain and one.excess >= ratio * max(one.given, 0.0) and one.score >= LEAST_SCORE
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Cameras or clocks with one mistake undone.
+
+    Attributes
+    ----------
+    scope : tuple of int
+        Cameras that are changed.
+    cause, text, remedy : str
+    views : list of Reading
+    samples : list of CameraSample or None
+        With other times; None: as they are.
+    """
+
+    scope: tuple[int, ...]
+    cause: str
+    text: str
+    remedy: str
+    views: list[Reading]
+    samples: list[CameraSample] | None = None
+
+    def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
+        """Return how much the change explains of the pairs concerned; None if it concerns none."""
+        after, before = [], []
+        for k, (pair, given) in enumerate(zip(geometry.pairs, geometry.given, strict=True)):
+            if pair.a not in self.scope and pair.b not in self.scope:
+                continue
+            found: Candidates | None = pair
+            known: Rays = (None, None)
+            if self.samples is not None:
+                found = candidates(self.samples, pair.a, pair.b, len(pair.detections), len(pair.pixels_b) - 1)
+            else:
+                rays_a, rays_b = geometry.rays[k]
+                known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
+            if found is not None:
+                after.append(meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known))
+                before.append(given)
+        if not after:
+            return None
+
+        def mean(name: str, meetings: list[Meeting]) -> float:
+            return float(np.mean([getattr(one, name) for one in meetings]))
+
+        return Explanation(
+            self.scope, self.cause, self.text, self.remedy, mean("excess", after), mean("excess", before),
+            mean("share", after), mean("share", before), mean("chance", after), max(one.score for one in after),
+        )  # fmt: skip
+
+
+def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
+    everything = tuple(range(len(geometry.samples)))
+    singles = [(c,) for c in everything]
+    for alternative in alternatives():
+        scopes: Sequence[tuple[int, ...]] = singles if alternative.alone else [everything, *singles]
+        for scope in scopes:
+            trial = _trial(geometry, alternative, scope)
+            if trial is not None:
+                yield trial
+    for a, b in pairs_of(len(everything)):
+        views = geometry.views
+        first, second = geometry.samples[a].camera, geometry.samples[b].camera
+        views[a] = Reading(replace(second, detector=first.detector))
+        views[b] = Reading(replace(first, detector=second.detector))
+        yield Trial(
+            (a, b), "cameras_exchanged", "their entries seem to be exchanged",
+            "exchange the entries of the two cameras", views,
+        )  # fmt: skip
+
+
+def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...]) -> Trial | None:
+    views = geometry.views
+    for c in scope:
+        view = alternative.apply(geometry.samples[c].camera)
+        if view is None:
+            return None
+        views[c] = view
+    return Trial(scope, alternative.cause, alternative.text, alternative.remedy, views)
+
+
+def usable_clocks(geometry: Geometry) -> list[int]:
+    """Return the cameras whose clocks can be examined, those whose rays meet least first.
+
+    A camera needs a pair with another one, and some frames.
+    """
+    cameras = range(len(geometry.samples))
+    of_camera = [_pairs_with(geometry, c) for c in cameras]
+    usable = [c for c in cameras if of_camera[c] and len(geometry.samples[c].times) >= LEAST_CLOCK_FRAMES]
+    return sorted(usable, key=lambda c: float(np.mean([geometry.given[k].excess for k in of_camera[c]])))
+
+
+def _pairs_with(geometry: Geometry, camera: int) -> list[int]:
+    """Return the numbers of the pairs of one camera."""
+    return [k for k, pair in enumerate(geometry.pairs) if camera in (pair.a, pair.b)]
+
+
+def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> Iterator[Trial]:
+    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least."""
+    for c in sorted(usable_clocks(geometry)[:MOST_CLOCKS]):
+        sample, concerned = geometry.samples[c], _pairs_with(geometry, c)[:MOST_CLOCK_PAIRS]
+        shift = _best_shift(geometry, concerned, c, steps)
+        if shift is not None:
+            yield Trial(
+                (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s",
+                f"add {shift:.4g} s to its clock (clock.offset_s)", geometry.views,
+                _with_times(geometry, c, sample.times + shift),
+            )  # fmt: skip
+        for rate in rates:
+            times = sample.times[0] + (sample.times - sample.times[0]) * rate
+            yield Trial(
+                (c,), "frame_rate", f"its times seem to run at {1 / rate:.4g} times the true rate",
+                f"check its frame rate; multiply its times by {rate:.4g} (clock.rate)", geometry.views,
+                _with_times(geometry, c, times),
+            )  # fmt: skip
+
+
+def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSample]:
+    """Return the samples with other times of one camera; its one-camera tracks stay."""
+    sample = geometry.samples[camera]
+    moved = replace(sample, times=times)
+    moved.__dict__.update(links=sample.links, between=sample.between)
+    return [moved if k == camera else one for k, one in enumerate(geometry.samples)]
+
+
+def _best_shift(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> float | None:
+    """Return the clock offset, s, of a camera at which most rays meet; None if it is next to none."""
+    largest = min(LARGEST_SHIFT_S, 0.25 * float(np.ptp(geometry.samples[camera].times)))
+    step = max(geometry.samples[camera].interval_s / 4.0, 2.0 * largest / steps)
+    shifts = np.arange(-largest, largest + 0.5 * step, step)
+    total = np.zeros(len(shifts))
+    for k in concerned:
+        pair = geometry.pairs[k]
+        few = pair.thinned(SHIFT_DETECTIONS, 0)
+        first, second = Reading(geometry.samples[pair.a].camera), Reading(geometry.samples[pair.b].camera)
+        for block in np.array_split(np.arange(len(shifts)), -(-len(shifts) // SHIFTS_AT_ONCE)):
+            # moving A's clock by s means looking at B at t + s
+            at = few.times + (1.0 if camera == pair.a else -1.0) * shifts[block, None]
+            seen = pixels_at(geometry.samples[pair.b], at.ravel())
+            there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
+            total[block] += (distances(there, first, second)[0].min(axis=2) <= TOLERANCES[0]).mean(axis=1)
+    best = int(np.argmax(total))
+    return None if abs(shifts[best]) < 0.5 * step else float(shifts[best])

@@ -1,0 +1,284 @@
+"""Do the rays of two cameras meet more often than chance?
+
+A detection of camera A has a partner in camera B if a detection of B, at the same true time, lies near its epipolar
+line and both rays meet in front of the cameras. With the essential matrix E of the pair and the rays a, b,
+
+    r = b^T E a / sqrt(sum over the four pixels of (derivative of b^T E a)^2 sigma^2)
+
+is the distance in standard deviations to first order (P. D. Sampson, 1982). The share of detections with a partner is
+compared with the share that the same cameras have when B's times are shifted, which is what chance gives. No track and
+no filter is involved, so the figures show whether cameras and clocks fit the log.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose
+from stereophd.pipeline.checks.log.sample import CameraSample
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+# Of the detections of both cameras of a pair; None: not computed.
+Rays = tuple[Array | None, Array | None]
+
+# Detections of A that are examined, time shifts that measure chance, and candidates in B that are kept at most.
+MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 80
+# Tolerances, in standard deviations of the distance.
+TOLERANCES = (3.0, 8.0, 20.0)
+# Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
+LEAST_SINE = 1e-3
+
+
+def unchanged(camera: Camera, pixels: Array) -> Array:
+    """Return the pixels as they are."""
+    return pixels
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A camera, and how the pixels of the log are to be read.
+
+    Attributes
+    ----------
+    camera : Camera
+    read : callable (Camera, (n, 2) array) -> (n, 2) array
+        From pixels of the log to pixels of the camera.
+    """
+
+    camera: Camera
+    read: Callable[[Camera, Array], Array] = unchanged
+
+    def rays(self, pixels: Array) -> Array:
+        """Return the rays (n, 3), third component 1, of pixels (n, 2) of the log; NaN where there are none."""
+        return self.camera.rays(self.read(self.camera, pixels))
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Detections of A, and the detections of B at their times and at shifted times.
+
+    Attributes
+    ----------
+    a, b : int
+        The cameras.
+    detections : array (n,) of int
+        Indices of the detections of A.
+    times : array (n,)
+        True times of these, s.
+    pixels_a : array (n, 2)
+    pixels_b : array (1 + s, n, k, 2)
+        At the same times, then at shifted ones; NaN where there are fewer than k.
+    """
+
+    a: int
+    b: int
+    detections: Integers
+    times: Array
+    pixels_a: Array
+    pixels_b: Array
+
+    def thinned(self, count: int, shifts: int = SHIFTS) -> Candidates:
+        """Return fewer of the detections, and fewer shifted times."""
+        kept = np.unique(np.linspace(0, len(self.detections) - 1, min(count, len(self.detections))).astype(int))
+        return Candidates(
+            self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept],
+            np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """How many of A's detections have a partner in B.
+
+    Attributes
+    ----------
+    share, chance : float
+        Share with a partner, and at shifted times.
+    excess : float
+        ``(share - chance) / (1 - chance)``: the share that meets for a reason.
+    score : float
+        `share` minus `chance` in standard deviations of chance.
+    tolerance : float
+        In standard deviations of the distance.
+    count : int
+        Detections.
+    """
+
+    share: float
+    chance: float
+    excess: float
+    score: float
+    tolerance: float
+    count: int
+
+
+def candidates(
+    samples: list[CameraSample], a: int, b: int, most: int = MOST_DETECTIONS, shifts: int = SHIFTS
+) -> Candidates | None:
+    """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing."""
+    first, second = samples[a], samples[b]
+    if len(first.pixels) == 0 or len(second.times) < 4:
+        return None
+    low, high = max(first.times[0], second.times[0]), min(first.times[-1], second.times[-1])
+    times = first.times[first.frame_of]
+    usable = np.flatnonzero((times >= low) & (times <= high))
+    if len(usable) < 10 or high <= low:
+        return None
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
+    delays = first.camera.row_delays(first.pixels[chosen, 1])
+    at, length = times[chosen] if delays is None else times[chosen] + delays, high - low
+    shifted = [at] + [low + (at - low + length * (k + 1) / (shifts + 1)) % length for k in range(shifts)]
+    there = np.stack([pixels_at(second, times) for times in shifted])
+    most_there = max(1, int(np.isfinite(there[..., 0]).sum(axis=2).max()))
+    return Candidates(a, b, chosen, at, first.pixels[chosen], there[:, :, :most_there])
+
+
+def pixels_at(sample: CameraSample, times: Array) -> Array:
+    """Return the detections (n, k, 2) of a camera at times (n,), s: between frames, along the one-camera tracks.
+
+    A detection without a track counts for the nearer of the two frames. NaN where a time has fewer than k. On a rolling
+    shutter a track is where it is read at these times, not where the frames have it.
+    """
+    start, end, now, later = sample.between
+    interval = (np.searchsorted(sample.times, times, side="right") - 1).clip(0, len(sample.times) - 2)
+    span = sample.times[interval + 1] - sample.times[interval]
+    weights = np.clip((times - sample.times[interval]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[:, None, None]
+    moved = (1.0 - weights) * start[interval] + weights * end[interval]
+    delays = sample.camera.row_delays(moved[:, :, 1])
+    if delays is not None:
+        velocities = (end - start)[interval] / np.where(span > 0.0, span, np.inf)[:, None, None]
+        moved = moved - delays[:, :, None] * velocities
+    width = max(now.shape[1], later.shape[1])
+    alone = np.where(weights <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
+    return np.concatenate([moved, alone], axis=1)[:, :MOST_CANDIDATES]
+
+
+def _wide(table: Array, width: int) -> Array:
+    """Return a table (f, k, 2) with this many columns, the new ones NaN."""
+    if table.shape[1] == width:
+        return table
+    return np.pad(table, ((0, 0), (0, width - table.shape[1]), (0, 0)), constant_values=np.nan)
+
+
+def distances(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> tuple[Array, Array]:
+    """Return distances in standard deviations, and depths before A, both (1 + s, n, k).
+
+    Infinite where the rays do not meet in front of both cameras. `known`: the rays of A's and B's detections, if they
+    have been computed (see `rays_of`).
+    """
+    rays_a, rays_b = known
+    if rays_a is None:
+        rays_a = first.rays(found.pixels_a)
+    if rays_b is None:
+        rays_b = _rays_there(found, second)
+    pose_a, pose_b = first.camera.pose, second.camera.pose
+    offset = pose_b.center - pose_a.center
+    essential = _essential(pose_a, pose_b)
+    line_b = rays_a @ essential.T
+    line_a = rays_b @ essential
+    value = np.einsum("snki,ni->snk", rays_b, line_b)
+    variance = _pixel_variance(line_b, second.camera)[None, :, None] + _pixel_variance(line_a, first.camera)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        distance = np.abs(value) / np.sqrt(variance)
+    depth, in_front = _depths(rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, offset)
+    return np.where(in_front & np.isfinite(distance), distance, np.inf), depth
+
+
+def rays_of(found: Candidates, first: Reading, second: Reading) -> tuple[Array, Array]:
+    """Return the rays (n, 3) of A's detections and (1 + s, n, k, 3) of B's, each in its camera's frame."""
+    return first.rays(found.pixels_a), _rays_there(found, second)
+
+
+def _rays_there(found: Candidates, second: Reading) -> Array:
+    return second.rays(found.pixels_b.reshape(-1, 2)).reshape(*found.pixels_b.shape[:3], 3)
+
+
+def signed_distances(first: Camera, second: Camera, pixels_a: Array, pixels_b: Array) -> Array:
+    """Return the distances (n,) of the rays of pixels (n, 2) and (n, 2) in standard deviations, with their sign."""
+    rays_a, rays_b = Reading(first).rays(pixels_a), Reading(second).rays(pixels_b)
+    essential = _essential(first.pose, second.pose)
+    line_b, line_a = rays_a @ essential.T, rays_b @ essential
+    variance = _pixel_variance(line_b, second) + _pixel_variance(line_a, first)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((rays_b * line_b).sum(axis=1) / np.sqrt(variance))
+
+
+def _essential(pose_a: Pose, pose_b: Pose) -> Array:
+    """Return the essential matrix E of two poses: b^T E a = 0 for rays that meet."""
+    offset = pose_b.center - pose_a.center
+    cross = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
+    return np.asarray(pose_b.rotation @ cross @ pose_a.rotation.T)
+
+
+def _pixel_variance(line: Array, camera: Camera) -> Array:
+    """Variance of b^T E a by the pixels of one camera, from the epipolar line (..., 3) in normalised coordinates."""
+    slopes = line[..., :2] / [camera.fx, camera.fy] * camera.detector.sigma
+    return np.asarray((slopes**2).sum(axis=-1))
+
+
+def _depths(directions_a: Array, directions_b: Array, offset: Array) -> tuple[Array, Array]:
+    """Return depths before A where rays (n, 3) and (s, n, k, 3) in the world are nearest, and whether both are > 0."""
+    aa = (directions_a**2).sum(axis=-1)[None, :, None]
+    bb = (directions_b**2).sum(axis=-1)
+    ab = np.einsum("snki,ni->snk", directions_b, directions_a)
+    da, db = (directions_a @ offset)[None, :, None], directions_b @ offset
+    determinant = aa * bb - ab**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth_a = (bb * da - ab * db) / determinant
+        depth_b = (ab * da - aa * db) / determinant
+        parallel = determinant < LEAST_SINE**2 * aa * bb
+    return depth_a, parallel | ((depth_a > 0.0) & (depth_b > 0.0))
+
+
+def meeting(
+    found: Candidates,
+    first: Reading,
+    second: Reading,
+    tolerances: tuple[float, ...] = TOLERANCES,
+    known: Rays = (None, None),
+) -> Meeting:
+    """Return how often the rays meet, at the tolerance with the highest score (`known`: see `distances`)."""
+    least = distances(found, first, second, known)[0].min(axis=2)
+    count = len(least[0])
+    shares = (least <= np.array(tolerances)[:, None, None]).mean(axis=2)
+    chances, stds = shares[:, 1:].mean(axis=1), shares[:, 1:].std(axis=1, ddof=1)
+    best: Meeting | None = None
+    for tolerance, share, chance, std in zip(
+        tolerances, shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True
+    ):
+        spread = math.hypot(std, math.sqrt(max(chance * (1 - chance), 0.25 / count) / count))
+        excess = (share - chance) / max(1.0 - chance, 1e-9)
+        one = Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerance, count)
+        if best is None or one.score > best.score:
+            best = one
+    assert best is not None
+    return best
+
+
+def expected_excess(found: Candidates, samples: list[CameraSample], depths: tuple[float, float]) -> float:
+    """Return the excess that the configuration promises: objects among A's detections, in view of B and detected there.
+
+    Parameters
+    ----------
+    found : Candidates
+    samples : list of CameraSample
+    depths : (2,) floats
+        Depths before A between which objects are expected, length.
+    """
+    first, second = samples[found.a], samples[found.b]
+    rate = first.detections_per_frame
+    objects = float(np.clip(1.0 - first.camera.detector.clutter_per_frame / max(rate, 1e-9), 0.0, 1.0))
+    rays = Reading(first.camera).rays(found.pixels_a)
+    directions = rays @ first.camera.pose.rotation
+    seen = [
+        second.camera.in_view(first.camera.pose.center + depth * directions)
+        for depth in np.geomspace(*depths, 9).tolist()
+    ]
+    return objects * float(np.mean(seen)) * second.camera.detector.p_detect

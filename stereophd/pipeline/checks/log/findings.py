@@ -1,0 +1,206 @@
+"""Checks that need the log alone: times, frames, pixels and the statements about the detectors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.wording import percent
+
+# Relative difference of frame rates that is reported.
+RATE_TOLERANCE = 0.02
+# A camera without a stated frame rate and with a longer interval seems to have its times in milliseconds, s.
+LONGEST_INTERVAL_S = 10.0
+# Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
+CORNER_SHARE, CORNER_COUNT = 0.55, 100
+# Standard deviations outside these limits are implausible, px.
+LEAST_SIGMA_PX, LARGEST_SIGMA_SHARE = 0.01, 0.05
+# Expected false detections of a frame over detections of a frame.
+CLUTTER_FACTOR = 1.5
+# Detections of a frame that no neighbouring frame continues, over the stated clutter; and at least this many.
+ISOLATED_FACTOR, LEAST_ISOLATED = 5.0, 0.3
+# Measured over stated noise of a detection.
+NOISE_FACTOR = 4.0
+# Share of the shorter period that the periods of two cameras must share.
+LEAST_OVERLAP = 0.05
+# Field of view of a lens, degrees.
+WIDEST_VIEW_DEG = 150.0
+
+
+def check_files(samples: list[CameraSample], whole: bool = True) -> Iterator[Finding]:
+    """Yield the findings about frames, pixels and detectors of every camera.
+
+    Parameters
+    ----------
+    samples : list of CameraSample
+    whole : bool
+        Whether the samples are the whole log: only then a camera without frames is a finding.
+    """
+    for sample in samples:
+        if not len(sample.times):
+            if not whole:
+                continue
+            yield Finding(
+                "log.frames", "warning", f"{sample.camera.name}: the log has no frame of this camera",
+                0, None, sample.camera.name, "check the name of the camera in the log", "camera_without_frames",
+            )  # fmt: skip
+            continue
+        yield from _frames(sample)
+        yield from _pixels(sample)
+        yield from _detector(sample)
+    yield from _periods([sample for sample in samples if len(sample.times) > 1])
+
+
+def _frames(sample: CameraSample) -> Iterator[Finding]:
+    name, rate = sample.camera.name, sample.camera.frame_rate_hz
+    if len(sample.times) < 3:
+        return
+    found = 1.0 / sample.interval_s if sample.interval_s > 0.0 else float("inf")
+    # frames without a row are not frames of another rate
+    per_number = np.diff(sample.times) / np.maximum(np.diff(sample.frames), 1)
+    by_number = 1.0 / max(float(np.median(per_number)), 1e-300)
+    if rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE:
+        numbers = sample.frames - sample.frames[0]
+        is_number = bool(np.allclose(sample.times - sample.times[0], numbers, atol=1e-6)) and rate > 1.5
+        factor = rate / found
+        if is_number:
+            cause, text = "frame_number_as_time", "the times seem to be frame numbers"
+            remedy = f"divide time_s by the frame rate, {rate:g} Hz"
+        elif 900.0 < factor < 1100.0:
+            cause, text = "milliseconds", "the times seem to be in milliseconds"
+            remedy = "divide time_s by 1000"
+        else:
+            cause, text = "frame_rate", "the times do not fit the stated frame rate"
+            remedy = "check the frame rate from which the times were computed"
+        yield Finding(
+            "log.frame_rate", "warning", f"{name}: frames come at {found:.4g} Hz, frame_rate_hz is {rate:g}: {text}",
+            round(found, 6), rate, name, remedy, cause,
+        )  # fmt: skip
+    elif rate is None and sample.interval_s > LONGEST_INTERVAL_S:
+        yield Finding(
+            "log.frame_rate", "warning",
+            f"{name}: {sample.interval_s:.4g} s between frames: the times seem to be in milliseconds",
+            round(found, 6), None, name, "divide time_s by 1000, or state frame_rate_hz if the interval is right",
+            "milliseconds",
+        )  # fmt: skip
+    else:
+        yield Finding("log.frame_rate", "ok", f"{name}: frames come at {found:.4g} Hz", round(found, 6), rate, name)
+
+
+def _pixels(sample: CameraSample) -> Iterator[Finding]:
+    camera = sample.camera
+    if len(sample.pixels) < 20:
+        return
+    low, high = sample.pixels.min(axis=0), sample.pixels.max(axis=0)
+    size = np.array([camera.width, camera.height], dtype=float)
+    if (high <= 1.5).all() and (low >= -0.5).all():
+        yield Finding(
+            "log.pixels", "warning", f"{camera.name}: all pixels lie between 0 and 1: they seem to be normalised",
+            float(high.max()), float(size.max()), camera.name, "multiply u by the width and v by the height",
+            "pixels_normalised",
+        )  # fmt: skip
+        return
+    filled = high / size
+    clutter = camera.detector.clutter_per_frame * len(sample.times)
+    if clutter >= CORNER_COUNT and (filled < CORNER_SHARE).all():
+        yield Finding(
+            "log.pixels", "warning",
+            f"{camera.name}: the detections fill only {percent(filled[0])} of the width and {percent(filled[1])} of "
+            "the height, from the top-left corner: the image size seems to be too large",
+            round(float(filled.max()), 3), 1.0, camera.name, "state the size of the images that were searched",
+            "image_size",
+        )  # fmt: skip
+        return
+    outside = ~camera.contains(sample.pixels)
+    if outside.mean() > 0.01:
+        yield Finding(
+            "log.pixels", "warning",
+            f"{camera.name}: {percent(outside.mean())} of the detections lie outside the image",
+            round(float(outside.mean()), 3), 0.0, camera.name, "check image_size_px, and the order of u and v",
+            "outside_image",
+        )  # fmt: skip
+        return
+    yield Finding("log.pixels", "ok", f"{camera.name}: the detections fill the image", camera=camera.name)
+
+
+def _detector(sample: CameraSample) -> Iterator[Finding]:
+    camera, detector = sample.camera, sample.camera.detector
+    rate = sample.detections_per_frame
+    if detector.clutter_per_frame > CLUTTER_FACTOR * rate + 3.0 * np.sqrt((rate + 1.0) / len(sample.times)):
+        yield Finding(
+            "detector.clutter", "warning",
+            f"{camera.name}: clutter_per_frame is {detector.clutter_per_frame:g}, but a frame has only {rate:.3g} "
+            "detections",
+            detector.clutter_per_frame, round(rate, 3), camera.name,
+            "state the false detections of a frame, or estimate them (detector: estimate)", "clutter",
+        )  # fmt: skip
+    isolated = sample.isolated_per_frame
+    if isolated > max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame) and isolated > 0.15 * rate:
+        yield Finding(
+            "detector.clutter", "warning",
+            f"{camera.name}: {isolated:.2g} detections of a frame are continued by none of the next frames, but "
+            f"clutter_per_frame is {detector.clutter_per_frame:g}",
+            detector.clutter_per_frame, round(isolated, 3), camera.name,
+            f"set clutter_per_frame near {isolated:.2g}, or estimate it (detector: estimate)", "clutter",
+        )  # fmt: skip
+    noise = sample.noise_px
+    if noise is not None and noise > NOISE_FACTOR * float(detector.sigma.mean()):
+        yield Finding(
+            "detector.sigma", "warning",
+            f"{camera.name}: detections scatter by about {noise:.2g} px about one-camera tracks, but sigma_px is "
+            f"{detector.sigma.mean():g}",
+            float(detector.sigma.mean()), round(noise, 4), camera.name,
+            f"set sigma_px near {noise:.2g}, or estimate it (detector: estimate)", "sigma",
+        )  # fmt: skip
+    sigma = float(detector.sigma.max())
+    if not float(detector.sigma.min()) >= LEAST_SIGMA_PX or sigma > LARGEST_SIGMA_SHARE * camera.width:
+        yield Finding(
+            "detector.sigma", "warning", f"{camera.name}: a noise of {sigma:g} px is implausible",
+            sigma, None, camera.name, "state the standard deviation of a detection in pixels", "sigma",
+        )  # fmt: skip
+    view = 2.0 * np.rad2deg(np.arctan(0.5 * camera.width / camera.fx))
+    if view > WIDEST_VIEW_DEG and camera.lens.model != "fisheye":
+        yield Finding(
+            "camera.focal_length", "warning",
+            f"{camera.name}: fx = {camera.fx:g} px means a field of view of {view:.0f} degrees: the focal length seems "
+            "to be in millimetres",
+            camera.fx, None, camera.name, "state the focal length in pixels", "focal_length_millimetres",
+        )  # fmt: skip
+    centre = np.array([camera.cx / camera.width, camera.cy / camera.height])
+    if (np.abs(centre - 0.5) > 0.25).any():
+        yield Finding(
+            "camera.principal_point", "warning",
+            f"{camera.name}: the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image: "
+            "it seems to belong to another resolution",
+            float(camera.cx), 0.5 * camera.width, camera.name, "state cx and cy in pixels of this image size",
+            "principal_point_resolution",
+        )  # fmt: skip
+
+
+def _periods(samples: list[CameraSample]) -> Iterator[Finding]:
+    """Yield whether the periods of the cameras overlap."""
+    if len(samples) < 2:
+        return
+    middles = np.array([0.5 * (sample.times[0] + sample.times[-1]) for sample in samples])
+    for k, sample in enumerate(samples):
+        others = [one for one in samples if one is not sample]
+        start = float(np.median([one.times[0] for one in others]))
+        end = float(np.median([one.times[-1] for one in others]))
+        shared = min(end, sample.times[-1]) - max(start, sample.times[0])
+        shortest = max(min(end - start, sample.times[-1] - sample.times[0]), 1e-9)
+        if shared < LEAST_OVERLAP * shortest and (len(samples) > 2 or k == int(np.argmax(np.abs(middles)))):
+            ratio = (sample.times[-1] - sample.times[0]) / max(end - start, 1e-300)
+            odd = "runs at another rate" if abs(np.log(max(ratio, 1e-300))) > 0.5 else "is on another clock"
+            yield Finding(
+                "log.periods", "warning",
+                f"{sample.camera.name}: its frames lie between {sample.times[0]:.6g} and {sample.times[-1]:.6g} s, "
+                f"those of the other cameras between {start:.6g} and {end:.6g} s: it {odd}",
+                round(max(shared, 0.0) / shortest, 3), 1.0, sample.camera.name,
+                "check the unit of its times; give its clock (clock.offset_s, clock.rate)",
+                "clock_rate" if "rate" in odd else "clock_offset",
+            )  # fmt: skip
+            return
+    yield Finding("log.periods", "ok", "the periods of the cameras overlap")

@@ -1,0 +1,282 @@
+"""A part of a log in memory, camera by camera, and the short one-camera tracks in it.
+
+Checks look at raw pixels and at the times of frames, before any filter. A one-camera track is a chain of detections of
+successive frames that are mutually nearest, within a gate that separates objects from clutter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.io.logs.reading import Frame
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+# Frames of each camera that are kept.
+MOST_FRAMES = 3000
+# A frame with more than this many times the median number of detections, and more than as many as this, is a burst of
+# clutter and not used to check the cameras.
+BURST_SHARE, BURST_LEAST = 20, 1000
+# Candidate gates of a link, px.
+GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+# Standard deviations above chance from which steps beyond the gate are those of objects.
+LEAST_SURE = 4.0
+# Most pairs of pixels of which all distances are computed; beyond it a tree finds the nearest.
+ALL_DISTANCES = 20_000
+# Frames of the shortest track that counts.
+LEAST_LENGTH = 6
+
+
+@dataclass(frozen=True)
+class CameraSample:
+    """Frames of one camera.
+
+    Attributes
+    ----------
+    camera : Camera
+    times : array (f,)
+        True times of the frames (by the clock of the configuration), s, rising.
+    frames : array (f,) of int
+        Frame numbers.
+    first : array (f + 1,) of int
+        The detections of frame k are those from ``first[k]`` to ``first[k + 1]``.
+    pixels : array (n, 2)
+        Distorted pixels.
+    """
+
+    camera: Camera
+    times: Array
+    frames: Integers
+    first: Integers
+    pixels: Array
+
+    @property
+    def detections_per_frame(self) -> float:
+        """Mean number of detections of a frame."""
+        return len(self.pixels) / max(1, len(self.times))
+
+    @cached_property
+    def interval_s(self) -> float:
+        """Median interval between successive frames, s; NaN with fewer than two frames."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else float("nan")
+
+    @cached_property
+    def frame_of(self) -> Integers:
+        """Frame of each detection (n,)."""
+        return np.repeat(np.arange(len(self.times)), np.diff(self.first))
+
+    @cached_property
+    def links(self) -> Integers:
+        """Next detection of each detection's one-camera track (n,); -1 where the track ends."""
+        return _link(self)
+
+    @cached_property
+    def linked(self) -> Booleans:
+        """Whether each detection (n,) belongs to a chain of frames."""
+        linked = self.links >= 0
+        linked[self.links[linked]] = True
+        return linked
+
+    @cached_property
+    def between(self) -> tuple[Array, Array, Array, Array]:
+        """Detections of every interval between frames k and k + 1, each (f - 1, *, 2), NaN where there are fewer.
+
+        Start and end of those that a one-camera track carries over, and those of k and of k + 1 that none does.
+        """
+        following, intervals = self.links, len(self.times) - 1
+        index = np.arange(len(self.pixels))
+        linked = following >= 0
+        reached = np.zeros(len(self.pixels), dtype=bool)
+        reached[following[linked]] = True
+        carried = index[linked]
+        now = index[~linked & (self.frame_of < intervals)]
+        later = index[~reached & (self.frame_of > 0)]
+        return (
+            _by_interval(self.frame_of[carried], self.pixels[carried], intervals),
+            _by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
+            _by_interval(self.frame_of[now], self.pixels[now], intervals),
+            _by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
+        )
+
+    @property
+    def isolated_per_frame(self) -> float:
+        """Median number of detections of a frame that belong to no chain: the median leaves out fast movements.
+
+        Objects near one another that move far between frames leave the gate of a chain too, all the time. What they
+        leave over in successive frames lies nearer together than in frames that lie far apart, unlike false detections,
+        and is not isolated.
+        """
+        if not len(self.times):
+            return 0.0
+        alone = ~(self.linked | _leaping(self))
+        return float(np.median(np.bincount(self.frame_of[alone], minlength=len(self.times))))
+
+    @cached_property
+    def noise_px(self) -> float | None:
+        """Standard deviation of a detection about its one-camera track, px; None without long tracks.
+
+        From third differences, which a steady acceleration does not change; the median resists wrong links.
+        """
+        differences = [
+            np.diff(self.pixels[track], n=3, axis=0).ravel()
+            for track in self.tracks
+            if np.ptp(np.diff(self.times[self.frame_of[track]])) < 0.2 * self.interval_s
+        ]
+        if sum(map(len, differences)) < 60:
+            return None
+        # 1 + 9 + 9 + 1 = 20 times the variance of one detection
+        return float(np.median(np.abs(np.concatenate(differences))) / (0.6745 * np.sqrt(20.0)))
+
+    @cached_property
+    def tracks(self) -> tuple[Integers, ...]:
+        """Detections of every one-camera track of at least `LEAST_LENGTH` frames."""
+        following = self.links
+        starts = np.setdiff1d(np.flatnonzero(following >= 0), following[following >= 0])
+        found = []
+        for start in starts.tolist():
+            chain, k = [start], int(following[start])
+            while k >= 0:
+                chain.append(k)
+                k = int(following[k])
+            if len(chain) >= LEAST_LENGTH:
+                found.append(np.array(chain, dtype=np.int64))
+        return tuple(found)
+
+
+def _by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
+    """Return pixels (n, 2) in rows by their interval, (count, most, 2), NaN where a row has fewer; n in order."""
+    sizes = np.bincount(intervals, minlength=count)
+    table = np.full((count, max(1, int(sizes.max(initial=0))), 2), np.nan)
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    table[intervals, np.arange(len(intervals)) - starts[intervals]] = pixels
+    return table
+
+
+def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...], most: int = MOST_FRAMES) -> list[CameraSample]:
+    """Return the first frames of a log, at most `most` a camera on average.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        In the order of true time.
+    cameras : tuple of Camera
+    most : int
+
+    Returns
+    -------
+    list of CameraSample
+        One per camera, in order; those of cameras without frames are empty.
+    """
+    kept: list[list[Frame]] = [[] for _ in cameras]
+    for count, frame in enumerate(frames):
+        if count >= most * len(cameras):
+            break
+        kept[frame.camera].append(frame)
+    return [_of_camera(camera, own) for camera, own in zip(cameras, kept, strict=True)]
+
+
+def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
+    counts = np.array([len(frame.pixels) for frame in frames], dtype=np.int64)
+    most = max(BURST_LEAST, BURST_SHARE * float(np.median(counts))) if frames else 0.0
+    frames, counts = [frame for frame in frames if len(frame.pixels) <= most], counts[counts <= most]
+    return CameraSample(
+        camera,
+        np.array([frame.time_s for frame in frames], dtype=np.float64),
+        np.array([frame.frame for frame in frames], dtype=np.int64),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        np.concatenate([frame.pixels for frame in frames]) if frames else np.empty((0, 2)),
+    )
+
+
+def _nearest(
+    sample: CameraSample, step: int, going: Booleans | None = None, coming: Booleans | None = None
+) -> tuple[Integers, Integers, Array]:
+    """Return mutually nearest detections of frames k and k + step: first, second, distance in px.
+
+    Among all detections, or among those (n,) of frame k that are `going` and those of frame k + step that are `coming`.
+    """
+    first, second, distances = [], [], []
+    for k in range(len(sample.times) - step):
+        here = np.arange(sample.first[k], sample.first[k + 1])
+        there = np.arange(sample.first[k + step], sample.first[k + step + 1])
+        here = here if going is None else here[going[here]]
+        there = there if coming is None else there[coming[there]]
+        if not (len(here) and len(there)):
+            continue
+        distance, index, returned = _neighbours(sample.pixels[here], sample.pixels[there])
+        found = index < len(there)
+        mutual = np.flatnonzero(found & (returned[np.where(found, index, 0)] == np.arange(len(here))))
+        first.append(here[mutual])
+        second.append(there[index[mutual]])
+        distances.append(distance[mutual])
+    if not first:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
+    return np.concatenate(first), np.concatenate(second), np.concatenate(distances)
+
+
+def _neighbours(here: Array, there: Array) -> tuple[Array, Integers, Integers]:
+    """Return the distance to the nearest pixel of another frame and its index, and the nearest index the other way.
+
+    A pixel so far away that its distances overflow has no neighbour: its index is the number of pixels there.
+    """
+    if len(here) * len(there) > ALL_DISTANCES:
+        from scipy.spatial import cKDTree  # costly to import, and few recordings need it
+
+        distance, index = cKDTree(there).query(here)
+        return distance, index, cKDTree(here).query(there)[1]
+    with np.errstate(over="ignore"):
+        squared = ((here[:, None] - there) ** 2).sum(axis=2)
+    index = squared.argmin(axis=1)
+    nearest = np.sqrt(squared[np.arange(len(here)), index])
+    return nearest, np.where(np.isfinite(nearest), index, len(there)), squared.argmin(axis=0)
+
+
+def _link(sample: CameraSample) -> Integers:
+    """Link detections of successive frames within the gate that gains most over frames that lie far apart."""
+    following = np.full(len(sample.pixels), -1, dtype=np.int64)
+    first, second, near, _ = _gated(sample, None, None)
+    following[first[near]] = second[near]
+    return following
+
+
+def _gated(
+    sample: CameraSample, going: Booleans | None, coming: Booleans | None
+) -> tuple[Integers, Integers, Booleans, float]:
+    """Mutually nearest detections of successive frames, whether they lie within the best gate, and how sure that is.
+
+    The gate is that which gains most over frames that lie far apart. The last value is its gain in standard deviations
+    of what chance gives.
+    """
+    first, second, distances = _nearest(sample, 1, going, coming)
+    if not len(first):
+        return first, second, np.empty(0, dtype=np.bool_), 0.0
+    _, _, chance = _nearest(sample, max(2, min(len(sample.times) // 3, 200)), going, coming)
+    expected = len(distances) / max(1, len(chance))
+    by_chance = np.array([expected * np.count_nonzero(chance <= gate) for gate in GATES_PX])
+    gains = np.array([np.count_nonzero(distances <= gate) for gate in GATES_PX]) - by_chance
+    best = int(np.argmax(gains))
+    # the expectation is itself a count, scaled
+    sure = gains[best] / np.sqrt((1.0 + expected) * max(by_chance[best], 1.0))
+    return first, second, distances <= GATES_PX[best], float(sure)
+
+
+def _leaping(sample: CameraSample) -> Booleans:
+    """Whether each detection (n,) has a step beyond the gate of the chains, among what the chains leave over."""
+    leaps = np.zeros(len(sample.pixels), dtype=np.bool_)
+    following = sample.links
+    going, coming = following < 0, np.ones(len(following), dtype=np.bool_)
+    coming[following[following >= 0]] = False
+    while True:
+        first, second, near, sure = _gated(sample, going, coming)
+        if sure < LEAST_SURE:
+            return leaps
+        leaps[first[near]], leaps[second[near]] = True, True
+        going[first[near]], coming[second[near]] = False, False

@@ -1,0 +1,147 @@
+"""How much of the distances of rays a small error of clock, lens or pose explains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.pipeline.checks.geometry.rays import signed_distances
+from stereophd.pipeline.checks.residuals.partners import Partners
+
+Array = NDArray[np.float64]
+
+# Least share of the squared distances that a cause must explain, its least size in standard deviations of a detection,
+# and in standard errors.
+LEAST_EXPLAINED, LEAST_EFFECT, LEAST_SCORE = 0.15, 0.4, 6.0
+# The same for a pose, which has six numbers and therefore explains more of any distances; and pairs of tracks that it
+# needs.
+POSE_EXPLAINED, POSE_EFFECT, POSE_TRACKS = 0.3, 0.6, 8
+# Steps of numerical derivatives: s, radians, and of k1.
+STEP_S, STEP_ANGLE, STEP_K1 = 1e-3, 1e-6, 1e-5
+
+
+@dataclass(frozen=True)
+class CauseFit:
+    """How much of the distances of a pair of cameras a cause explains.
+
+    Attributes
+    ----------
+    value : float
+        The number of a cause that has one: s, or k1.
+    error : float
+        Its standard error, from the spread between pairs of tracks.
+    explained : float
+        Share of the squared distances.
+    effect : float
+        Root mean square of what is explained, standard deviations of a detection.
+    """
+
+    value: float
+    error: float
+    explained: float
+    effect: float
+
+    @property
+    def is_decisive(self) -> bool:
+        """Whether a cause with one number is beyond doubt, and large enough to matter."""
+        return (
+            self.explained >= LEAST_EXPLAINED
+            and self.effect >= LEAST_EFFECT
+            and abs(self.value) >= LEAST_SCORE * self.error
+        )
+
+
+@dataclass(frozen=True)
+class PairFits:
+    """How much each cause explains of the distances of a pair of cameras.
+
+    Attributes
+    ----------
+    clock, lens_a, lens_b, pose : CauseFit
+        An offset of B's clock; the first radial coefficient of A and of B; turns and shifts of B.
+    """
+
+    clock: CauseFit
+    lens_a: CauseFit
+    lens_b: CauseFit
+    pose: CauseFit
+
+    def of(self, cause: str) -> CauseFit:
+        """Return the fit of a cause, of the better camera."""
+        if cause == "lens":
+            return max(self.lens_a, self.lens_b, key=lambda fit: fit.explained)
+        return self.clock if cause == "clock" else self.pose
+
+    def is_suspicious(self, tracks: int) -> bool:
+        """Whether a cause explains the distances beyond doubt, given the number of pairs of tracks."""
+        smooth = self.pose.explained >= POSE_EXPLAINED and self.pose.effect >= POSE_EFFECT
+        return self.clock.is_decisive or self.of("lens").is_decisive or (smooth and tracks >= POSE_TRACKS)
+
+
+def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
+    """Return how much each cause explains of the distances of a pair."""
+
+    def slope(change: Callable[[float], Array], step: float) -> Array:
+        """Return the derivative of the distances by central differences."""
+        return np.asarray((change(step) - change(-step)) / (2.0 * step))
+
+    def between(a: Camera, b: Camera, pixels_b: Array) -> Array:
+        return signed_distances(a, b, pair.pixels_a, pixels_b)
+
+    size = float(np.linalg.norm(second.pose.center - first.pose.center))
+    columns = [
+        slope(lambda x, k=k: between(first, _moved(second, k, x, size), pair.pixels_b), STEP_ANGLE)  # type: ignore[misc]
+        for k in range(6)
+    ]
+    return PairFits(
+        _fit(pair, slope(lambda s: between(first, second, pair.pixels_b + s * pair.velocity_b), STEP_S)),
+        _fit(pair, slope(lambda k: between(_bent(first, k), second, pair.pixels_b), STEP_K1)),
+        _fit(pair, slope(lambda k: between(first, _bent(second, k), pair.pixels_b), STEP_K1)),
+        _fit_all(pair, np.stack(columns, axis=1)),
+    )
+
+
+def _fit_all(pair: Partners, design: Array) -> CauseFit:
+    """Fit a cause with several numbers; those that the data do not determine (the scale) stay 0."""
+    design = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
+    if not np.isfinite(design).all():
+        return CauseFit(0.0, float("inf"), 0.0, 0.0)
+    fitted = design @ np.linalg.lstsq(design, -pair.distance, rcond=1e-6)[0]
+    total = float((pair.distance**2).sum())
+    explained = 1.0 - float(((pair.distance + fitted) ** 2).sum()) / max(total, 1e-12)
+    return CauseFit(0.0, float("inf"), explained, float(np.sqrt((fitted**2).mean())))
+
+
+def _fit(pair: Partners, slope: Array) -> CauseFit:
+    """Fit a cause with one number."""
+    weight = float((slope**2).sum())
+    if not np.isfinite(weight) or weight <= 0.0:
+        return CauseFit(0.0, float("inf"), 0.0, 0.0)
+    value = -float((slope * pair.distance).sum()) / weight
+    left = pair.distance + value * slope
+    spread = np.bincount(np.unique(pair.tracks, return_inverse=True)[1], slope * left)
+    explained = 1.0 - float((left**2).sum()) / max(float((pair.distance**2).sum()), 1e-12)
+    effect = abs(value) * np.sqrt(weight / len(slope))
+    return CauseFit(value, float(np.sqrt((spread**2).sum())) / weight, explained, float(effect))
+
+
+def _bent(camera: Camera, k1: float) -> Camera:
+    """Return a camera with another first radial coefficient."""
+    lens = camera.lens
+    bent = Lens("radial", k1=k1) if lens.model == "none" else replace(lens, k1=lens.k1 + k1)
+    return replace(camera, lens=bent)
+
+
+def _moved(camera: Camera, component: int, step: float, size: float) -> Camera:
+    """Return a camera turned about one of its axes (0 to 2), or moved along one of the world's (3 to 5)."""
+    pose, change = camera.pose, np.zeros(6)
+    change[component] = step
+    rotation = rotation_from_vector(change[:3]) @ pose.rotation
+    center = pose.center + size * change[3:]
+    return replace(camera, pose=Pose(rotation, center, pose.velocity, pose.rotation_rate, pose.time_s))

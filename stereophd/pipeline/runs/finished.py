@@ -1,0 +1,53 @@
+"""Whether an output folder holds the finished results of a run already."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stereophd.errors import InputError
+from stereophd.io.outputs.atomic import tidy
+
+REPORT_FILE = "report.json"
+
+
+def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) -> dict[str, Any] | None:
+    """Return the report of a run that is finished.
+
+    Parameters
+    ----------
+    folder : path
+        Its output folder.
+    record : mapping
+        Provenance of the wanted run (`stereophd.io.outputs.provenance.provenance`).
+    force : bool
+        Whether results of another run may be replaced.
+
+    Returns
+    -------
+    dict or None
+        None: there is none, or it is to be replaced.
+
+    Raises
+    ------
+    InputError
+        The folder holds the results of another configuration or of other inputs, and `force` is not given.
+    """
+    path = Path(folder) / REPORT_FILE
+    tidy(path.parent)
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); use `force=True` to start anew") from error
+    if isinstance(report, dict) and report.get("provenance") == record:
+        return report
+    if force:
+        return None
+    raise InputError(
+        f"output folder {folder} holds the results of another configuration, log or version; use `force=True` to "
+        "replace them"
+    )

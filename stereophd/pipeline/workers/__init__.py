@@ -1,0 +1,1 @@
+"""Work on other processes: of this machine, or of a cluster."""

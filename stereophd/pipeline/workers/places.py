@@ -1,0 +1,198 @@
+"""Where independent work is done: in this process, on the cores of this machine, on a Dask cluster.
+
+All three call a function of a module for each of some arguments and yield the results in any order; what these hold
+does not depend on where they were made. `complete` continues when workers die.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, Protocol, TypeVar
+
+from stereophd.errors import InputError
+from stereophd.pipeline.workers.processes import on_processes
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+
+# How long a scheduler may take to answer, s.
+CONNECT_S = 10
+
+# How often in a row workers may be lost without a result.
+ATTEMPTS = 3
+
+LOGGER = logging.getLogger("stereophd")
+
+
+class WorkersLostError(Exception):
+    """Worker processes died; the arguments without a result are to be done again."""
+
+
+class Workers(Protocol):
+    """Calls a function for each argument, until all are done or workers are lost (`WorkersLostError`)."""
+
+    @property
+    def count(self) -> int:
+        """Number of workers that there are now, at least 1."""
+
+    @property
+    def remote(self) -> bool:
+        """Whether the calls are made in other processes."""
+
+    def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
+        """Yield the results in any order."""
+
+
+class ThisProcess:
+    """One call after the other."""
+
+    count = 1
+    remote = False
+
+    def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
+        """Do the calls."""
+        return map(function, arguments)
+
+
+class Cores:
+    """Processes of this machine.
+
+    Parameters
+    ----------
+    count : int
+        Their number.
+    """
+
+    remote = True
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
+        """Do the calls."""
+        try:
+            yield from on_processes(function, arguments, self.count, ordered=False)
+        except BrokenProcessPool as error:
+            raise WorkersLostError(str(error).split("\n")[0]) from error
+
+
+class DaskWorkers:
+    """Workers of a Dask cluster.
+
+    Parameters
+    ----------
+    address : str
+        Address of its scheduler, such as ``tcp://host:8786``.
+
+    Raises
+    ------
+    InputError
+        Dask is not installed, or no scheduler answers there.
+    """
+
+    remote = True
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client
+        except ImportError:
+            raise InputError("`dask` needs Dask, which is not installed: pip install 'stereophd[dask]'") from None
+        try:
+            self._client = Client(address, timeout=CONNECT_S)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(f"`dask` {address}: expected the address of a Dask scheduler, found no answer") from error
+
+    @property
+    def count(self) -> int:
+        """Number of threads of the workers that are there now, at least 1."""
+        return max(1, sum(int(threads) for threads in self._client.nthreads().values()))
+
+    def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
+        """Do the calls; those of a worker that dies are done by others."""
+        from distributed import CancelledError, KilledWorker, as_completed
+
+        futures = self._client.map(function, arguments, pure=False)
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+                future.release()
+        except (KilledWorker, CancelledError) as error:
+            raise WorkersLostError(f"{type(error).__name__}: {error}") from error
+        finally:
+            self._client.cancel(futures)
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        self._client.close()
+
+
+@contextmanager
+def open_workers(jobs: int, dask: str | None) -> Iterator[Workers]:
+    """Open the workers that the options state, and close them at the end.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes of this machine; 1: this one.
+    dask : str, optional
+        Address of a Dask scheduler whose workers do the work instead.
+
+    Raises
+    ------
+    InputError
+        As `DaskWorkers`.
+    """
+    if dask is None:
+        yield ThisProcess() if jobs == 1 else Cores(jobs)
+        return
+    cluster = DaskWorkers(dask)
+    try:
+        yield cluster
+    finally:
+        cluster.close()
+
+
+def complete(
+    workers: Workers, function: Callable[[Argument], Result], arguments: Sequence[Argument]
+) -> Iterator[tuple[int, Result | None]]:
+    """Call a function for each argument, again where a worker dies.
+
+    Parameters
+    ----------
+    workers : Workers
+    function : callable
+        A function of a module, or `functools.partial` of one.
+    arguments : sequence
+
+    Yields
+    ------
+    tuple
+        Number of an argument and its result, in any order. The result is None where the worker died in each of several
+        attempts, the last of which had nothing else to do.
+    """
+    left = dict(enumerate(arguments))
+    fruitless = 0
+    while left and fruitless < ATTEMPTS:
+        before = len(left)
+        try:
+            for number, result in workers(partial(_numbered, function), list(left.items())):
+                del left[number]
+                yield number, result
+        except WorkersLostError as error:
+            fruitless = 0 if len(left) < before else fruitless + 1
+            LOGGER.warning("a worker died; what is left (%d of %d) starts again (%s)", len(left), before, error)
+    for number, argument in left.items():
+        try:
+            for _, result in workers(partial(_numbered, function), [(number, argument)]):
+                yield number, result
+        except WorkersLostError:
+            yield number, None
+
+
+def _numbered(function: Callable[[Any], Result], numbered: tuple[int, Any]) -> tuple[int, Result]:
+    number, argument = numbered
+    return number, function(argument)

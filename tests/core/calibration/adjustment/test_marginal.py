@@ -1,0 +1,240 @@
+"""The marginal posterior of the cameras: its gradient, its optimum, and where the joint optimum stands."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stereophd.core.calibration.adjustment import marginal
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
+from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
+from stereophd.core.calibration.adjustment.solver import adjust
+from stereophd.core.calibration.annealing.fits import FITTED_LOSS, marginal_fit
+from stereophd.core.calibration.annealing.task import Fit
+from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.motion.ballistic import Ballistic
+from stereophd.core.motion.base import Motion
+
+from ..problems_of_unknowns import ACCELERATION, MOTION, observe, problem_of, rig, some_problem, unknowns
+
+
+def check_gradient(problem: Problem, states: np.ndarray, values: np.ndarray, **tolerance: float) -> None:
+    """Compare the gradient with differences of the objective along four steps."""
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    at = posterior.at(np.append(values, 0.1), states)
+    gradient, root = posterior.gradient(at)
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        step = 0.02 * root @ rng.standard_normal(posterior.size)
+        ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
+        assert ahead - behind == pytest.approx(2.0 * float(gradient @ step), **tolerance)
+
+
+def test_the_marginal_posterior_has_the_gradient_of_its_objective() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal", "clock_offset"))
+    check_gradient(problem, states, drawn, rel=0.02, abs=1e-4)
+
+
+def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_for_long() -> None:
+    """To first order in the step the knots follow so badly that differences of the volume are wrong."""
+    true = unknowns(rig(), ("center", "rotation", "focal"))
+    drawn = true.sample(np.random.default_rng(100), 1)[0]
+    observations, _, points = observe(true.cameras, 1, 3, 12.0)
+    rows = np.flatnonzero((observations.trajectories > 0) | (observations.cameras == 0) | (observations.times < 3.0))
+    problem, states = problem_of(true.about(true.guess(drawn)), observations.take(rows), points[rows])
+    check_gradient(problem, states, drawn, abs=1e-3)
+
+
+@pytest.mark.parametrize("motion", [MOTION, Ballistic([ACCELERATION] * 3, gravity=[0.0, 9.8, 0.0])])
+def test_the_equations_of_the_knots_alone_are_those_of_all(motion: Motion) -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "clock_offset"))
+    problem = replace(problem, knots=replace(problem.knots, motion=motion))
+    linearisation = Linearisation.of(problem)
+    whole = linearisation.at(drawn, states, 0.3)
+    bands, vector = linearisation.of_knots(drawn, states, 0.3)
+    np.testing.assert_allclose(bands, whole.bands, rtol=1e-12)
+    np.testing.assert_allclose(vector, whole.state_vector, rtol=1e-9, atol=1e-9 * np.abs(whole.state_vector).max())
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_marginal_posterior_does_not_tell_the_scale(factor: float) -> None:
+    """Cameras and knots stretched about the reference change nothing but the prior, whatever the noise."""
+    problem, states, drawn = some_problem(("center", "rotation", "clock_offset"))
+    parameters = problem.parameters
+    origin = parameters.cameras[0].pose.center
+    posterior = MarginalPosterior(Linearisation.of(problem))
+
+    def without_prior(values: np.ndarray, knots: np.ndarray) -> float:
+        unknowns_there = np.append(values, 0.2)
+        equations = posterior.equations(unknowns_there, knots)
+        cost = equations.cost - (((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum()
+        return 0.5 * cost + posterior.volume(unknowns_there, knots)
+
+    stretched = drawn.copy()
+    for camera in parameters.build(drawn)[1:]:
+        places = parameters.index(camera.name, CENTER)
+        stretched[places] += (factor - 1.0) * (camera.pose.center - origin)
+    about = np.stack([origin, np.zeros(3)])
+    assert without_prior(stretched, about + factor * (states - about)) == pytest.approx(
+        without_prior(drawn, states), abs=1e-5
+    )
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.3])
+def test_a_wrong_noise_of_the_motion_is_found(factor: float) -> None:
+    """The optimum is that of the right noise; with the noise held as stated focal lengths are several errors off."""
+    problem, states, drawn = some_problem(("center", "rotation", "focal", "clock_offset"))
+    right = marginal_optimum(problem, adjust(problem, drawn, states))
+    stated = replace(problem, knots=replace(problem.knots, noise_std=factor * problem.knots.noise_std))
+    found = marginal_optimum(stated, adjust(stated, drawn, states))
+    assert factor * found.noise_factor == pytest.approx(right.noise_factor, rel=0.05)
+    std = np.sqrt(np.diag(right.adjustment.covariance))
+    np.testing.assert_allclose((found.adjustment.values - right.adjustment.values) / std, 0.0, atol=0.35)
+
+
+@pytest.mark.parametrize(("place", "deviations"), [(-1, 6.0), (-1, -15.0), (-4, 15.0)])
+def test_the_marginal_optimum_is_found_from_far_away(place: int, deviations: float) -> None:
+    """A joint optimum may lie far off, along a direction that the data hardly show: no detection is lost on the way."""
+    problem, states, drawn = some_problem(("center", "rotation", "focal"), loss=FITTED_LOSS)
+    near = marginal_optimum(problem, adjust(problem, drawn, states)).adjustment
+    prior_std = problem.parameters.prior_std
+    variances, directions = np.linalg.eigh(near.covariance / np.outer(prior_std, prior_std))
+    away = deviations * np.sqrt(variances[place]) * directions[:, place] * prior_std
+    held = replace(problem, loss=SQUARED, held=np.ones(problem.parameters.size, dtype=np.bool_))
+    found = marginal_optimum(problem, adjust(held, drawn + away, states)).adjustment
+    np.testing.assert_allclose((found.values - near.values) / np.sqrt(np.diag(near.covariance)), 0.0, atol=0.1)
+
+
+def test_detections_that_the_loss_leaves_out_are_left_out_of_the_volume_too() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"), loss=FITTED_LOSS)
+    wrong = np.arange(10, len(problem.observations), 40)
+    points = problem.observations.points.copy()
+    points[wrong] += 30.0
+    problem = replace(problem, observations=replace(problem.observations, points=points))
+    found = marginal_optimum(problem, adjust(problem, drawn, states)).adjustment
+    assert (found.distances[wrong] > marginal.LEFT_OUT).all()
+    weights = np.ones(len(points))
+    weights[wrong] = 0.0
+    without = problem.weighted(weights)
+    expected = marginal_optimum(without, adjust(without, drawn, states)).adjustment
+    std = np.sqrt(np.diag(expected.covariance))
+    np.testing.assert_allclose((found.values - expected.values) / std, 0.0, atol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.02)
+
+
+def test_a_search_that_ends_too_early_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    joint = adjust(problem, drawn, states)
+    assert marginal_optimum(problem, joint).adjustment.converged
+    monkeypatch.setattr(marginal, "MOST_STEPS", 1)
+    monkeypatch.setattr(marginal, "MOST_WEIGHTINGS", 1)
+    assert not marginal_optimum(problem, joint).adjustment.converged
+
+
+def test_trajectories_are_integrated_out_for_poses_alone_too() -> None:
+    problem, states, drawn = some_problem(("center", "rotation"))
+    joint = adjust(problem, drawn, states)
+    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
+    fit = Fit(joint, problem.knots, problem.observations, np.arange(len(problem.observations)))
+    found, factor, _ = marginal_fit(task, fit)
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    log_noise = np.log(found.knots.noise_std[0] / problem.knots.noise_std[0])
+    assert log_noise == pytest.approx(np.log(factor))
+    reached = posterior.at(np.append(found.adjustment.values, log_noise), states).objective
+    assert reached < posterior.at(np.append(joint.values, 0.0), states).objective - 1.0
+
+
+def test_held_values_stay_and_are_as_unknown_as_before_where_trajectories_are_integrated_out() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    free = np.array([parameter.quantity.name != "focal" for parameter in problem.parameters.parameters])
+    held = replace(problem, held=~free)
+    fit = Fit(adjust(held, drawn, states), problem.knots, problem.observations, np.arange(len(problem.observations)),
+              ~free)  # fmt: skip
+    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
+    found, factor, _ = marginal_fit(task, fit)
+    values, covariance = found.adjustment.values, found.adjustment.covariance
+    np.testing.assert_allclose(values[~free], drawn[~free], rtol=1e-9)
+    np.testing.assert_allclose(covariance[np.ix_(~free, ~free)], np.diag(problem.parameters.prior_std[~free] ** 2))
+    assert not covariance[np.ix_(free, ~free)].any()
+    # with the true focal lengths held, the others are as right as if those were known
+    known = np.linalg.inv(
+        np.linalg.inv(marginal_optimum(held, fit.adjustment).adjustment.covariance)[np.ix_(free, free)]
+    )
+    error = (values - drawn)[free]
+    assert error @ np.linalg.solve(known, error) < 4.0 * free.sum()
+    posterior = MarginalPosterior(Linearisation.of(held))
+    before = posterior.at(np.append(fit.adjustment.values, 0.0), states).objective
+    assert posterior.at(np.append(values, np.log(factor)), found.adjustment.states).objective < before - 0.5
+
+
+def test_held_centres_stay_although_the_noise_of_the_motion_is_in_units_of_their_distance() -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    held = np.array([parameter.quantity.name == "center" for parameter in problem.parameters.parameters])
+    problem = replace(problem, held=held)
+    joint = adjust(problem, drawn, states)
+    found = marginal_optimum(problem, joint).adjustment
+    assert found.converged
+    np.testing.assert_allclose(found.values[held], joint.values[held], rtol=1e-9)
+    np.testing.assert_allclose(found.covariance[held], np.diag(problem.parameters.prior_std**2)[held], atol=1e-12)
+
+
+def test_an_optimum_that_the_prior_excludes_leaves_the_joint_one_with_a_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, states, drawn = some_problem(("center", "rotation"))
+    fit = Fit(adjust(problem, drawn, states), problem.knots, problem.observations, np.arange(len(problem.observations)))
+    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
+    assert marginal_fit(task, fit)[2] == ""
+    against = "the cameras lie 7.0 standard deviations from the prior"
+    joint = fit.adjustment.values
+    monkeypatch.setattr(
+        type(problem.parameters), "prior_disagreement", lambda _, at: None if np.array_equal(at, joint) else against
+    )
+    kept, factor, doubt = marginal_fit(task, fit)
+    assert kept is fit
+    assert factor == 1.0
+    assert doubt == f"with the trajectories integrated out {against}"
+
+
+def test_still_objects_keep_the_joint_optimum() -> None:
+    """One knot each, without a velocity, as objects that stand still have."""
+    problem, states, drawn = some_problem(("center", "rotation"))
+    begin = problem.knots.first[:-1]
+    knots = replace(problem.knots, times=problem.knots.times[begin], first=np.arange(len(begin) + 1))
+    assert len(knots.links()) == 0
+    fit = Fit(adjust(problem, drawn, states), knots, problem.observations, np.arange(len(problem.observations)))
+    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
+    kept, factor, _ = marginal_fit(task, fit)
+    assert kept is fit
+    assert factor == 1.0
+
+
+def test_a_noise_of_the_motion_far_from_what_is_stated_is_not_believed() -> None:
+    problem, states, drawn = some_problem(("center", "rotation"))
+    stated = replace(problem, knots=replace(problem.knots, noise_std=20.0 * problem.knots.noise_std))
+    fit = Fit(adjust(stated, drawn, states), stated.knots, stated.observations, np.arange(len(stated.observations)))
+    task: Any = SimpleNamespace(parameters=stated.parameters, reference=stated.reference, scale=stated.scale)
+    kept, factor, _ = marginal_fit(task, fit)
+    assert kept is fit
+    assert factor < 0.2
+    moved, same, _ = marginal_fit(task, fit, any_noise=True)
+    assert same == factor
+    np.testing.assert_allclose(moved.knots.noise_std, factor * stated.knots.noise_std)
+
+
+def test_steps_to_the_marginal_optimum_that_are_too_long_are_shortened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of six times the right one would never settle; a quarter of each does."""
+    problem, states, _ = some_problem(("center", "rotation", "focal", "clock_offset"))
+    joint = adjust(problem, np.zeros(problem.parameters.size), states)
+    expected = marginal_optimum(problem, joint).adjustment
+    std = np.sqrt(np.diag(expected.covariance))
+    assert np.abs((expected.values - joint.values) / std).max() > 1.0
+    right_step = marginal._times_inverse
+
+    def too_long(vector: np.ndarray, root: np.ndarray, pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        return 6.0 * right_step(vector, root, pairs)
+
+    monkeypatch.setattr(marginal, "_times_inverse", too_long)
+    found = marginal_optimum(problem, joint).adjustment
+    np.testing.assert_allclose((found.values - expected.values) / std, 0.0, atol=0.3)

@@ -1,0 +1,214 @@
+"""Bundle adjustment: against SciPy, against the Cramer-Rao bound, and its invariance to scale."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.calibration.adjustment import normal_equations
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Problem
+from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, posterior_covariance
+from stereophd.core.calibration.adjustment.trajectories import (
+    KNOTS_PER_DETECTION,
+    fit_states,
+    interpolation,
+    knot_spacing,
+    motion_links,
+    motion_prior,
+    place_knots,
+    positions,
+)
+from stereophd.core.calibration.unknowns.observability import DETERMINED, UNDETERMINED, observability, pose_spread
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale
+from stereophd.core.geometry.camera import Detector
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from tests.core.calibration.scenes import STDS, MadeUp, make_problem
+
+STRAIGHT = ConstantVelocity([0.0, 0.0, 0.0])
+
+
+def solve(
+    problem: MadeUp, motion: ConstantVelocity = STRAIGHT, loss: Loss = SQUARED, scale: ScaleMeasurement | None = None
+) -> tuple[Problem, Adjustment]:
+    """Adjust from the guess, the trajectories begun at a common depth."""
+    observations = problem.observations
+    count = int(observations.trajectories.max()) + 1
+    spans = [(0.0, float(observations.times.max()))] * count
+    knots = place_knots(spans, knot_spacing(motion, 0.2), motion)
+    interpolated = interpolation(knots, observations.trajectories, observations.times)
+    rough = np.empty((len(observations), 3))
+    for k, camera in enumerate(problem.parameters.cameras):
+        here = observations.cameras == k
+        rough[here] = camera.unproject(observations.points[here], np.full(int(here.sum()), 150.0))
+    states = fit_states(knots, *interpolated, rough, np.ones(len(rough)))
+    whole = Problem(problem.parameters, 0, knots, observations, loss, scale)
+    return whole, adjust(whole, np.zeros(problem.parameters.size), states)
+
+
+def residuals(problem: Problem, values: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """All residuals, plainly: what the normal equations are the linearisation of."""
+    observations, parameters = problem.observations, problem.parameters
+    points = positions(states, *interpolation(problem.knots, observations.trajectories, observations.times))
+    cameras = parameters.build(values)
+    parts = [(values - parameters.prior_mean) / parameters.prior_std]
+    for n, camera in enumerate(cameras):
+        here = observations.cameras == n
+        error = observations.points[here] - camera.project(points[here])
+        parts.append((error * np.sqrt(observations.precisions[here][:, [0, 1], [0, 1]])).ravel())
+    scale = np.exp(log_scale(parameters, problem.reference, values)[0])
+    links = motion_links(problem.knots)
+    for link, precision in zip(links.knot, links.precisions, strict=True):
+        both = states[link : link + 2].reshape(4, 3)
+        factor = np.linalg.cholesky(precision[2:, 2:])  # of rank 2: the last knot given the first
+        step = problem.knots.times[link + 1] - problem.knots.times[link]
+        change = np.stack([both[2] - both[0] - step * both[1], both[3] - both[1]])
+        parts.append((factor.T @ change / problem.knots.noise_std / scale).ravel())
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 0.02])
+def test_optimum_is_that_of_scipy(acceleration: float) -> None:
+    problem = make_problem(1, objects=3, frames=30)
+    whole, found = solve(problem, ConstantVelocity([acceleration] * 3))
+    size = problem.parameters.size
+
+    def plain(x: np.ndarray) -> np.ndarray:
+        return residuals(whole, x[:size], x[size:].reshape(found.states.shape))
+
+    at = np.concatenate([found.values, found.states.ravel()])
+    np.testing.assert_allclose((plain(at) ** 2).sum(), found.cost, rtol=1e-9)
+    reference = least_squares(plain, at, x_scale="jac", max_nfev=5)
+    # nothing left to gain, and the same covariance, from SciPy's numerical Jacobian of everything
+    assert 2.0 * reference.cost >= found.cost * (1.0 - 1e-6)
+    full = np.linalg.inv(reference.jac.T @ reference.jac)[:size, :size]
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), np.sqrt(np.diag(full)), rtol=0.02)
+
+
+@pytest.mark.parametrize("loss", [SQUARED, Loss(normal_equations.CAUCHY, 2.0), Loss(normal_equations.FLOOR, 1e-3)])
+def test_vectors_are_the_gradient_of_the_cost(loss: Loss) -> None:
+    problem = make_problem(2, objects=2, frames=8)
+    measurement = ScaleMeasurement("baseline", 41.0, 0.5, (0, 1))
+    whole, found = solve(problem, ConstantVelocity([0.02] * 3), loss, measurement)
+    linearisation = Linearisation.of(whole)
+    values = found.values + 0.1 * np.array(STDS) * [1, -1, 1, 0.1, -0.02, 0.1]
+    states = found.states + 0.05
+    equations = linearisation.at(values, states)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        dv, dx = 1e-6 * rng.standard_normal(len(values)) * STDS, 1e-6 * rng.standard_normal(states.shape)
+        change = linearisation.at(values + dv, states + dx).cost - linearisation.at(values - dv, states - dx).cost
+        expected = -4.0 * (equations.value_vector @ dv + equations.state_vector @ dx.ravel())
+        assert change == pytest.approx(expected, rel=1e-4)
+
+
+def test_errors_and_covariance_are_those_of_the_bound() -> None:
+    """Normalised errors over 12 scenes; their mean square is chi-square / dof, here within 5 standard errors."""
+    squares, ratios = [], []
+    for seed in range(12):
+        problem = make_problem(seed, frames=40)
+        _, found = solve(problem)
+        o = problem.observations
+        truth = replace(problem.parameters, cameras=problem.parameters.build(problem.truth))
+        # everything was detected
+        sure = [replace(c, detector=Detector(c.detector.sigma, 1.0, 0.0)) for c in truth.cameras]
+        truth = replace(truth, cameras=tuple(sure))
+        bound = calibration_bound(
+            truth, np.zeros(6), 0, STRAIGHT, o.trajectories, o.cameras, o.times, problem.positions
+        )
+        error = found.values - problem.truth
+        squares.append(error @ np.linalg.solve(found.covariance, error) / 6)
+        ratios.append(np.sqrt(np.diag(found.covariance) / np.diag(bound)))
+    assert abs(np.mean(squares) - 1.0) < 5.0 * np.sqrt(2.0 / (6 * 12))
+    # the same information, at the estimate and at the truth
+    np.testing.assert_allclose(np.median(ratios, axis=0), 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 0.05])
+def test_scale_stays_at_the_prior(acceleration: float) -> None:
+    problem = make_problem(3)
+    _, found = solve(problem, ConstantVelocity([acceleration] * 3))
+    seen = observability(problem.parameters, 0, found.values, found.covariance)
+    assert seen.status == DETERMINED
+    assert seen.scale_ratio == pytest.approx(1.0, abs=0.02)
+    assert (seen.ratios[:5] < 0.3).all()
+    # the motion model does not pull: with the direction given, the isotropic prior alone says how far the camera is
+    cameras = problem.parameters.build(found.values)
+    offset = cameras[1].pose.center - cameras[0].pose.center
+    guess = problem.parameters.cameras[1].pose.center - problem.parameters.cameras[0].pose.center
+    distance = np.linalg.norm(offset)
+    assert distance == pytest.approx(guess @ offset / distance, abs=0.05)
+
+
+def test_a_known_baseline_fixes_the_scale() -> None:
+    problem = make_problem(4)
+    _, found = solve(problem, scale=ScaleMeasurement("baseline", 40.0, 0.1, (0, 1)))
+    spread = pose_spread(problem.parameters, 0, found.values, found.covariance, "right")
+    assert spread.scale * 40.0 == pytest.approx(0.1, rel=0.1)
+    assert np.linalg.norm((found.values - problem.truth)[:3]) < 5.0 * spread.center
+
+
+def test_an_object_that_stands_still_says_little() -> None:
+    problem = make_problem(5, objects=1, still=True)
+    _, found = solve(problem)
+    assert observability(problem.parameters, 0, found.values, found.covariance).status == UNDETERMINED
+
+
+def test_two_unknown_cameras() -> None:
+    problem = make_problem(6, three=True, frames=40)
+    _, found = solve(problem)
+    error = found.values - problem.truth
+    assert error @ np.linalg.solve(found.covariance, error) < 12 + 5.0 * np.sqrt(24)
+    for name in ("right", "above"):
+        assert pose_spread(problem.parameters, 0, found.values, found.covariance, name).rotation < np.deg2rad(1.0)
+
+
+def test_knots_follow_a_manoeuvre_to_a_part_of_the_noise() -> None:
+    motion = ConstantVelocity([0.5, 0.5, 0.5])
+    spacing = knot_spacing(motion, 0.1)
+    knots = place_knots([(0.0, 20.0)], spacing, motion)
+    times = np.linspace(0.0, 20.0, 400)
+    path = np.column_stack([np.sin(times), np.cos(0.7 * times), 0.1 * times])
+    interpolated = interpolation(knots, np.zeros(400, dtype=int), times)
+    states = fit_states(knots, *interpolated, path, np.full(400, 0.1**-2))
+    assert np.abs(positions(states, *interpolated) - path).max() < 0.05
+
+
+def test_knots_grow_with_the_detections_however_small_the_noise_seems() -> None:
+    motion = ConstantVelocity([0.5, 0.5, 0.5])
+    spans, counts = [(0.0, 20.0), (3.0, 5.0), (1.0, 1.0)], np.array([40, 9, 1])
+    spacing = knot_spacing(motion, 1e-9)
+    assert len(place_knots(spans, spacing, motion).times) > 100_000
+    knots = place_knots(spans, spacing, motion, counts)
+    np.testing.assert_array_equal(np.diff(knots.first), [KNOTS_PER_DETECTION * 40 + 1, KNOTS_PER_DETECTION * 9 + 1, 1])
+    usual = knot_spacing(motion, 10.0)
+    np.testing.assert_array_equal(
+        place_knots(spans, usual, motion, counts).times, place_knots(spans, usual, motion).times
+    )
+
+
+def test_motion_precision_has_no_say_on_straight_lines() -> None:
+    knots = place_knots([(0.0, 10.0), (2.0, 5.0)], 2.0, ConstantVelocity([0.1, 0.2, 0.3]))
+    assert knots.count == 2
+    bands = motion_prior(knots).bands
+    dense = np.zeros((knots.size, knots.size))
+    for k in range(12):
+        dense += np.diag(bands[k, : knots.size - k], -k)
+    dense += np.tril(dense, -1).T
+    line = np.zeros((len(knots.times), 2, 3))
+    line[:, 0] = [1.0, 2.0, 3.0] + knots.times[:, None] * [0.1, -0.2, 0.3]
+    line[:, 1] = [0.1, -0.2, 0.3]
+    np.testing.assert_allclose(dense @ line.ravel(), 0.0, atol=1e-8 * np.abs(dense).max())
+    assert (np.linalg.eigvalsh(dense) > -1e-9 * np.abs(dense).max()).all()
+
+
+def test_knots_without_information_are_held() -> None:
+    """The weights of detections far off a robust loss underflow: what is left of them is no matrix to factorise."""
+    bands = np.zeros((12, 12))
+    bands[0, :6], bands[0, 6:], bands[1, 6:11] = 1.0, 5e-324, 5e-324
+    equations = NormalEquations(
+        0.0, bands, np.zeros((12, 2)), 4.0 * np.eye(2), np.zeros(12), np.zeros(2), np.empty(0), 0.0, np.zeros(12)
+    )
+    np.testing.assert_allclose(posterior_covariance(equations, np.ones(2)), 0.25 * np.eye(2))

@@ -1,0 +1,102 @@
+"""Corners of a board are paired from cameras that are off by more than the distance of two corners."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.pairing.hypotheses import crowded, hypotheses
+from stereophd.core.calibration.pairing.search import coarse_columns
+from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+
+CORNERS, FRAMES, SPACING, NOISE = 8, 24, 0.054, 0.5
+PRIORS = {"center": 0.07, "rotation": 0.052, "focal": 0.1}
+
+
+def board(times: np.ndarray) -> np.ndarray:
+    """Corners (f, k, 3) of a board that is carried and turned by hand about a metre away."""
+    flat = SPACING * np.array([[x - 1.5, y - 0.5, 0.0] for y in range(2) for x in range(4)])
+    turns = [rotation_from_vector([0.5 * np.sin(t), 0.6 * np.cos(0.8 * t), 0.4 * np.sin(1.3 * t)]) for t in times]
+    way = np.column_stack([0.15 * np.sin(0.9 * times), 0.1 * np.cos(1.1 * times), 1.0 + 0.15 * np.sin(0.7 * times)])
+    return np.stack([flat @ turn.T + step for turn, step in zip(turns, way, strict=True)])
+
+
+def cameras_around() -> tuple[Camera, ...]:
+    detector = Detector((NOISE, NOISE), 1.0, 0.0)
+    poses = (
+        Pose(np.eye(3), [0.0, 0.0, 0.0]),
+        Pose(rotation_from_vector([0.0, 0.7, 0.0]), [0.7, 0.0, 0.2]),
+        Pose(rotation_from_vector([-0.6, 0.0, 0.0]), [0.0, 0.6, 0.2]),
+    )
+    return tuple(
+        Camera(f"cam{k}", 1280, 720, 800.0, 800.0, 639.5, 359.5, pose, Lens(), detector) for k, pose in enumerate(poses)
+    )
+
+
+def unknowns(cameras: tuple[Camera, ...]) -> ParameterSet:
+    names = {"center": ("center_x", "center_y", "center_z"), "rotation": ("rotation_x", "rotation_y", "rotation_z")}
+    return ParameterSet(
+        cameras,
+        tuple(
+            Parameter(component, camera.name, 0.0, std)
+            for k, camera in enumerate(cameras)
+            for quantity, std in PRIORS.items()
+            for component in names.get(quantity, (quantity,))
+            if k or quantity == "focal"
+        ),
+    )
+
+
+def pairs_about(guess: ParameterSet, true: tuple[Camera, ...], seed: int) -> TrackPairs:
+    """Pairs of the true one-camera tracks: track number is camera times corners plus corner."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for k, camera in enumerate(true):
+        times = (np.arange(FRAMES) + 0.3 * k) / 6.0
+        for time_s, points in zip(times.tolist(), board(times), strict=True):
+            pixels = camera.project(points)
+            frames.append((k, time_s, pixels + rng.normal(scale=NOISE, size=pixels.shape), None))
+    frames.sort(key=lambda frame: frame[1])
+    recording = Recording.of(guess.cameras, frames)
+    of_camera = recording.cameras[recording.frame_of]
+    tracks = [
+        (k, np.flatnonzero(of_camera == k)[corner::CORNERS]) for k in range(len(true)) for corner in range(CORNERS)
+    ]
+    return make_pairs(guess, Scans.of(recording, guess.cameras), tracks)
+
+
+def test_corners_are_paired_from_a_guess_that_is_off_by_more_than_their_distance() -> None:
+    rng = np.random.default_rng(1)
+    true = unknowns(cameras_around())
+    moved = true.prior_std * rng.standard_normal(true.size)
+    guess = true.about(true.guess(moved))
+    pairs = pairs_about(guess, true.cameras, 1)
+    assert crowded(pairs)
+    columns = coarse_columns(guess, pairs)
+    best = hypotheses(guess, pairs, guess.prior_mean, columns)[0]
+    tracks = pairs.tracks[best.chosen]
+    assert (tracks[:, 0] % CORNERS == tracks[:, 1] % CORNERS).all()
+    assert len(tracks) == 3 * CORNERS
+
+
+def test_tracks_with_few_partners_are_not_crowded() -> None:
+    true = unknowns(cameras_around())
+    pairs = pairs_about(true, true.cameras, 0)
+    corner = pairs.tracks % CORNERS
+    few = pairs.take(np.flatnonzero((corner < 3).all(axis=1)))
+    assert not crowded(few)
+    none = np.empty(0, dtype=np.int64)
+    assert not crowded(replace(pairs, cameras=none.reshape(0, 2), tracks=none.reshape(0, 2), pair=none))
+
+
+def test_hypotheses_without_pairs_are_none() -> None:
+    true = unknowns(cameras_around())
+    pairs = pairs_about(true, true.cameras, 0)
+    empty = pairs.take(np.empty(0, dtype=np.int64))
+    assert hypotheses(true, empty, true.prior_mean, np.arange(true.size)) == []

@@ -1,0 +1,79 @@
+"""The motion and the map of time from tracks to truth are found again."""
+
+import numpy as np
+import pytest
+
+from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.core.metrics.truth.interpolation import Truth
+from stereophd.core.metrics.truth.registration import Freedom, register
+
+
+def two_objects():
+    """Two objects on curves, 30 s at 50 Hz, ten apart."""
+    times = np.linspace(100.0, 130.0, 1501)
+    one = np.column_stack([3.0 * np.sin(0.4 * times), 2.0 * np.cos(0.7 * times), 0.1 * (times - 115.0)])
+    other = np.column_stack([10.0 + np.cos(0.5 * times), 2.0 * np.sin(0.3 * times), np.sin(0.9 * times)])
+    return times, np.stack([one, other])
+
+
+def as_truth(times, paths):
+    return Truth(np.tile(times, 2), np.repeat([4, 7], len(times)), paths.reshape(-1, 3))
+
+
+def interpolated(times, paths, at):
+    return np.stack([[np.interp(at, times, path[:, axis]) for axis in range(3)] for path in paths]).transpose(2, 0, 1)
+
+
+@pytest.mark.parametrize("clock", [False, True], ids=["frame", "clock"])
+@pytest.mark.parametrize("scale", [1.0, 1.07], ids=["rigid", "similarity"])
+def test_frame_scale_and_clock_are_found(clock, scale):
+    times, paths = two_objects()
+    turn, move = rotation_from_vector(np.array([0.05, -0.1, 0.08])), np.array([0.6, -0.4, 0.9])
+    shift, rate = (0.12, 1.0007) if clock else (0.0, 1.0)
+    at = np.linspace(103.0, 127.0, 700)
+    seen = interpolated(times, paths, 115.0 + shift + rate * (at - 115.0))
+    tracks = (seen - move) @ turn / scale
+    rng = np.random.default_rng(0)
+    tracks[rng.random((700, 2)) < 0.1] += rng.normal(scale=1.5, size=3)
+    found = register(
+        np.repeat(at, 2), tracks.reshape(-1, 3), as_truth(times, paths), 0.1, Freedom(True, scale != 1.0, clock)
+    )
+    np.testing.assert_allclose(found.rotation, turn, atol=2e-4)
+    np.testing.assert_allclose(found.translation, move, atol=2e-3)
+    assert found.scale == pytest.approx(scale, abs=1e-4)
+    assert found.estimates > 1300
+    np.testing.assert_allclose(found.times(at), 115.0 + shift + rate * (at - 115.0), atol=2e-3)
+    np.testing.assert_allclose(found.track_times(found.times(at)), at, atol=1e-9)
+
+
+def test_one_object_needs_no_start():
+    times, paths = two_objects()
+    turn = rotation_from_vector(np.array([0.5, 1.2, -0.3]))
+    tracks = (paths[0] - [40.0, -10.0, 5.0]) @ turn
+    truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
+    found = register(times, tracks, truth, 0.1, Freedom())
+    np.testing.assert_allclose(found.positions(tracks), paths[0], atol=1e-6)
+
+
+def test_what_a_straight_line_leaves_open_stays():
+    times = np.linspace(0.0, 10.0, 101)
+    path = times[:, None] * [1.0, 0.0, 0.0]
+    found = register(times, path + [0.0, 0.3, 0.0], Truth(times, np.zeros(101, dtype=np.int64), path), 0.2, Freedom())
+    np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(found.translation, [0.0, -0.3, 0.0], atol=1e-9)
+
+
+def test_covariances_and_velocities_turn_and_scale():
+    times, paths = two_objects()
+    turn = rotation_from_vector(np.array([0.0, 0.0, 0.3]))
+    truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
+    found = register(times, paths[0] @ turn / 2.0, truth, 0.1, Freedom(True, True))
+    velocity, covariance = np.array([[1.0, 2.0, 3.0]]), np.diag([1.0, 4.0, 9.0])[None]
+    np.testing.assert_allclose(found.velocities(velocity), 2.0 * velocity @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(found.covariances(covariance)[0], 4.0 * turn @ covariance[0] @ turn.T, atol=1e-5)
+
+
+def test_too_few_estimates():
+    times, paths = two_objects()
+    with pytest.raises(ValueError, match="6 or more estimates at times of the truth, found 0"):
+        register(times - 500.0, paths[0], as_truth(times, paths), 0.1, Freedom())

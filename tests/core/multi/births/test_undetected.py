@@ -1,0 +1,161 @@
+"""Births per second: neither the frame rate nor the number of cameras changes how many objects are expected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.disparity.events import Event, make_event, make_rig
+from stereophd.core.disparity.prior import DisparityPrior
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.births.undetected import (
+    CROWD_SHARE,
+    LEAST_INITIAL,
+    NEWBORN_SHARE,
+    Undetected,
+    expected_births,
+    peak_births,
+    reduction_in_crowd,
+    view_overlap,
+)
+from stereophd.core.multi.filter_settings.common import BirthPrior
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
+from stereophd.core.multi.pmb.hypotheses import PmbReduction
+from tests.core.disparity.cases import make_camera
+
+PRIOR = BirthPrior(per_s=0.5, initial=3.0, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
+
+
+def event(camera: Camera, index: int, time_s: float, n_detections: int = 0) -> Event:
+    return make_event(camera, index, time_s, np.full((n_detections, 2), 100.0))
+
+
+def first_detections(prior: BirthPrior, overlap: np.ndarray, rate_hz: float, seconds: float, p_detect: float) -> float:
+    """Expected number of first detections of all cameras, each at this rate."""
+    camera = make_camera(p_detect=p_detect)
+    state: Undetected | None = None
+    total, time_s = 0.0, 0.0
+    for frame in range(round(rate_hz * seconds)):
+        for index in range(len(overlap)):
+            now = frame / rate_hz
+            left = 1.0 - p_detect * overlap[:, index]
+            births, state = expected_births(
+                state, prior, left, now - time_s, event(camera, index, now), camera.detector
+            )
+            total, time_s = total + p_detect * births, now
+    return total
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0, 60.0])
+@pytest.mark.parametrize("cameras", [1, 2, 5])
+def test_every_object_is_first_detected_once(rate_hz: float, cameras: int) -> None:
+    """Cameras that look at one place: what appears in 50 s, and what was there at the start."""
+    found = first_detections(PRIOR, np.ones((cameras, cameras)), rate_hz, 50.0, 0.9)
+    assert found == pytest.approx(0.5 * 50.0 + 3.0, rel=0.03)
+
+
+def test_cameras_that_share_no_view_have_objects_of_their_own() -> None:
+    found = first_detections(PRIOR, np.eye(3), 10.0, 50.0, 0.9)
+    assert found == pytest.approx(3 * (0.5 * 50.0 + 3.0), rel=0.03)
+
+
+def test_the_old_key_is_a_number_for_every_frame() -> None:
+    prior = replace(PRIOR, per_frame=0.2, initial=None)
+    assert first_detections(prior, np.ones((2, 2)), 10.0, 5.0, 0.9) == pytest.approx(0.2 * 0.9 * 100)
+    with pytest.raises(ValueError, match="per_frame and initial"):
+        replace(PRIOR, per_frame=0.2)
+
+
+@pytest.mark.parametrize(("n_detections", "expected"), [(13, (13 - 4) / 0.9), (2, LEAST_INITIAL)])
+def test_the_first_frame_says_how_many_objects_there_were(n_detections: int, expected: float) -> None:
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    prior = replace(PRIOR, initial=None)
+    first = event(camera, 0, 0.0, n_detections)
+    left = 1.0 - 0.9 * np.array([1.0, 0.6])
+    births, state = expected_births(None, prior, left, 0.0, first, camera.detector)
+    assert births == pytest.approx(expected)
+    np.testing.assert_allclose(state.initial_share, [0.0, 1.0 - 0.9 * 0.6])
+    assert state.counts[0] == pytest.approx(0.1 * expected)
+
+
+def test_a_pause_leaves_as_many_objects_as_the_frame_shows() -> None:
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    before = Undetected(np.array([0.05, 0.0]), np.zeros(2), np.zeros(2))
+    left = 1.0 - 0.9 * np.ones(2)
+    after = event(camera, 0, 3600.0, 9)
+    births, state = expected_births(before, PRIOR, left, 3600.0, after, camera.detector, known=2.0)
+    assert births == pytest.approx((9 - 4 - 2 + 3) / 0.9)
+    assert state.counts[0] == pytest.approx(0.1 * births)
+    # the next frame, and a frame that known objects and clutter explain, expect the usual number
+    births, _ = expected_births(state, PRIOR, left, 0.1, event(camera, 0, 3600.1, 9), camera.detector, known=5.0)
+    assert births == pytest.approx(state.counts[0] + 0.05)
+    births, _ = expected_births(before, PRIOR, left, 3600.0, event(camera, 0, 3600.0, 4), camera.detector, known=3.0)
+    assert births == pytest.approx(1.0)
+
+
+def test_a_camera_that_starts_late_expects_what_its_first_frame_shows() -> None:
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    before, prior = Undetected(np.zeros(2), np.array([0.0, 1.0]), np.zeros(2)), replace(PRIOR, initial=None)
+    births, _ = expected_births(
+        before, prior, 1.0 - 0.9 * np.eye(2)[1], 3600.0, event(camera, 1, 3600.0, 9), camera.detector
+    )
+    # the objects of the first frame, and one standard deviation of the number of its detections
+    assert births == pytest.approx((9 - 4 + 3) / 0.9)
+
+
+def test_cameras_at_one_time_share_the_peak_of_the_first() -> None:
+    """The first of three cameras expects the new objects, the others next to none; the peak is the same for all."""
+    camera = make_camera(p_detect=0.9, clutter=4.0)
+    state: Undetected | None = None
+    peaks, births = np.zeros(3), np.zeros(3)
+    for frame in range(200):
+        for index in range(3):
+            before, elapsed = state, 0.1 if frame > 0 and index == 0 else 0.0
+            left = 1.0 - 0.9 * np.ones(3)
+            births[index], state = expected_births(
+                before, PRIOR, left, elapsed, event(camera, index, 0.1 * frame), camera.detector
+            )
+            peaks[index] = peak_births(before, births[index], index)
+    assert births[2] < 0.02 * births[0]
+    np.testing.assert_allclose(peaks, births[0])
+    assert births[0] == pytest.approx(0.5 * 0.1 / (1.0 - 0.1**3))
+
+
+@pytest.mark.parametrize(
+    ("count", "births", "expected"),
+    [
+        (12, 0.01, NEWBORN_SHARE * 0.009 / 4.009),
+        (13, 0.01, CROWD_SHARE * 0.009 / 4.009),
+        (13, 10.0, 1e-2),
+        (12, 0.0, 1e-5),
+    ],
+)
+def test_a_crowd_ends_what_is_lighter_than_newborns(count: int, births: float, expected: float) -> None:
+    """Ten objects and no more than 2 light components, or 3; light births, heavy ones, and none."""
+    detector = make_camera(p_detect=0.9, clutter=4.0).detector
+    settings = PmbSettings(birth=PRIOR)
+    reduction = PmbReduction(1e-2, 1e-5, settings.merge_distance, 10**6, 4.0, 1e-3, 0)
+    weights = np.concatenate([np.ones(10), np.full(count - 10, 1e-6)])
+    assert reduction_in_crowd(reduction, births, detector, weights).prune_weight == pytest.approx(expected)
+
+
+def test_overlap_of_views() -> None:
+    """The same view, a view beside it, and one that looks the other way."""
+    cameras = [
+        make_camera(),
+        make_camera(),
+        make_camera((0.0, 0.0, 0.0), (50.0, 0.0, 0.0)),
+        make_camera((0.0, np.pi, 0.0)),
+    ]
+    overlap = view_overlap(make_rig(cameras, 1.0, "horizontal"), PRIOR)
+    np.testing.assert_array_equal(overlap[:2, :2], 1.0)
+    np.testing.assert_array_equal(overlap[3, :3], 0.0)
+    # 50 to the side at depths of about 130 of a view 114 wide; quantiles of the disparity stand for the prior
+    rng = np.random.default_rng(1)
+    pixels = rng.uniform(-0.5, [799.5, 599.5], (20_000, 2))
+    disparity = rng.normal(7.0, 2.0, len(pixels))
+    pixels, disparity = pixels[disparity > 0.0], disparity[disparity > 0.0]
+    world = cameras[0].unproject(pixels, cameras[0].fx / disparity)
+    assert overlap[0, 2] == pytest.approx(cameras[2].in_view(world).mean(), abs=0.05)

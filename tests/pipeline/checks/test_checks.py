@@ -1,0 +1,245 @@
+"""Checks: correct set-ups pass, and the usual mistakes are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.io.logs.reading import Frame
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry.alternatives import OPENGL
+from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES
+from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
+from stereophd.pipeline.checks.geometry.measure import MOST_PAIRS, Geometry, measure, pairs_of
+from stereophd.pipeline.checks.geometry.rays import Candidates, Meeting
+from stereophd.pipeline.checks.log import sample as sampling
+from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
+from stereophd.pipeline.checks.run_figures.losses import check_losses
+from stereophd.pipeline.checks.run_figures.tracking import check_tracking
+
+DEPTHS = (3.0, 15.0)
+FRAMES, RATE = 40, 10.0
+
+
+def _camera(name: str, x: float, turn_deg: float) -> Camera:
+    pose = Pose(rotation_from_vector([0.1, np.deg2rad(turn_deg), 0.05]), [x, -1.0, 0.3])
+    return Camera(name, 800, 600, 650.0, 650.0, 399.5, 299.5, pose, Lens("none"), Detector([1.0, 1.0], 0.95, 1.0), RATE)
+
+
+CAMERAS = (_camera("left", -3.0, -20.0), _camera("right", 3.0, 20.0))
+
+
+def _frames(cameras: tuple[Camera, ...], shift_s: float = 0.0) -> list[Frame]:
+    """Four objects that turn, seen by both cameras with noise, misses and clutter; the second clock may be wrong."""
+    rng = np.random.default_rng(5)
+    start, frequency = rng.uniform([-2, -1, 6], [2, 1, 9], (4, 3)), rng.uniform(0.5, 1.2, 4)
+    frames = []
+    for k in range(FRAMES):
+        for c, camera in enumerate(cameras):
+            time = k / RATE + 0.03 * c
+            angle = frequency * time
+            points = start + 1.5 * np.column_stack([np.sin(angle), 0.3 * np.cos(2 * angle), np.cos(angle)])
+            pixels = camera.project(points)[rng.random(4) < 0.95]
+            clutter = rng.uniform([0, 0], [799, 599], (rng.poisson(1.0), 2))
+            found = np.concatenate([pixels + rng.normal(0, 1, pixels.shape), clutter])
+            frames.append(Frame(time + shift_s * c, c, k, found[camera.contains(found)]))
+    return frames
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[CameraSample]:
+    return sample_log(_frames(CAMERAS), CAMERAS)
+
+
+def _with(samples: list[CameraSample], *cameras: Camera) -> list[CameraSample]:
+    return [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
+
+
+def _geometry(samples: list[CameraSample], thorough: bool = False) -> list[Finding]:
+    return list(check_geometry(measure(samples, DEPTHS), thorough))
+
+
+def _turned(camera: Camera, rotation: np.ndarray, center: np.ndarray | None = None) -> Camera:
+    return replace(camera, pose=Pose(rotation, camera.pose.center if center is None else center))
+
+
+def test_a_correct_set_up_passes(samples: list[CameraSample]) -> None:
+    assert all(found.status == "ok" for found in [*_geometry(samples), *check_files(samples)])
+
+
+def test_one_camera_tracks_hold_the_objects(samples: list[CameraSample]) -> None:
+    for sample in samples:
+        assert sum(map(len, sample.tracks)) > 0.7 * 4 * 0.95 * FRAMES
+        assert sample.isolated_per_frame <= 2.0
+        assert sample.noise_px == pytest.approx(1.0, abs=0.4)
+
+
+MISTAKES = {
+    "rotation_transposed": lambda c: _turned(c, c.pose.rotation.T),
+    "center_is_translation": lambda c: _turned(c, c.pose.rotation, -c.pose.rotation @ c.pose.center),
+    "opengl_axes": lambda c: _turned(c, OPENGL @ c.pose.rotation),
+    "intrinsics_resolution": lambda c: replace(c, fx=2 * c.fx, fy=2 * c.fy, cx=2 * c.cx, cy=2 * c.cy),
+}
+
+
+@pytest.mark.parametrize("cause", MISTAKES)
+def test_a_mistake_is_named(samples: list[CameraSample], cause: str) -> None:
+    wrong = [MISTAKES[cause](camera) for camera in CAMERAS]
+    named = [found for found in _geometry(_with(samples, *wrong)) if found.status == "warning"]
+    assert [found.cause for found in named] == [cause]
+    assert named[0].remedy
+
+
+def test_a_clock_offset_is_measured() -> None:
+    named = _geometry(sample_log(_frames(CAMERAS, 0.7), CAMERAS), thorough=True)[0]
+    assert named.cause == "clock_offset"
+    assert "0.7" in named.message
+
+
+def test_times_in_milliseconds_and_frame_numbers(samples: list[CameraSample]) -> None:
+    for factor, cause in ((1000.0, "milliseconds"), (RATE, "frame_number_as_time")):
+        start = [sample.times[0] for sample in samples]
+        wrong = [replace(s, times=(s.times - t) * factor) for s, t in zip(samples, start, strict=True)]
+        assert {found.cause for found in check_files(wrong) if found.status == "warning"} == {cause}
+
+
+def test_normalised_pixels_are_named(samples: list[CameraSample]) -> None:
+    wrong = [replace(sample, pixels=sample.pixels / [800, 600]) for sample in samples]
+    assert {found.cause for found in check_files(wrong) if found.status == "warning"} == {"pixels_normalised"}
+
+
+def test_tracks_of_one_camera_are_reported() -> None:
+    def run(right: int) -> list[str | None]:
+        tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
+        counts = {"detections": 400, "frames": 200}
+        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}}
+        return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
+
+    assert run(95) == []
+    assert run(0) == ["one_camera_tracks"]
+
+
+def test_what_a_run_leaves_out_is_a_warning() -> None:
+    nothing = dict.fromkeys(
+        ["events", "most", "burst_frames", "burst_detections", "hypothesis_events", "most_hypotheses"], 0
+    )
+    summary = {"events": 9, "left_out": nothing}
+    counts = {"rows": 60, "not_invertible": 0, "duplicate_row": 0}
+    assert list(check_losses(summary, counts)) == []
+    summary["left_out"] = dict.fromkeys(nothing, 3) | {"burst_detections": 400, "most_hypotheses": 777}
+    found = list(check_losses(summary, {**counts, "not_invertible": 2, "duplicate_row": 1}))
+    assert [one.name for one in found] == [
+        "input.rows", "input.lens", "filter.max_components", "filter.max_hypotheses", "filter.bursts"
+    ]  # fmt: skip
+    assert "777" in found[3].message
+    assert {one.status for one in found} == {"warning"}
+    assert found[0].message == "1 of 60 rows dropped (duplicate_row 1)"
+
+
+def test_estimated_detectors_that_need_care_are_warnings() -> None:
+    good = {"residual_correlation": [0.1, 0.0], "sigma_px_standard_error": [0.1, 0.1], "residuals": 500.0}
+    report = {"passes": 3, "converged": True, "noise_in_log": False, "cameras": {"left": good}}
+    assert list(check_estimated_detectors(None)) == list(check_estimated_detectors(report)) == []
+    few = {**good, "residual_correlation": [0.1, 0.6], "sigma_px_standard_error": None}
+    report |= {"converged": False, "cameras": {"left": good, "right": few}}
+    causes = [(one.camera, one.cause) for one in check_estimated_detectors(report)]
+    assert causes == [(None, "not_converged"), ("right", "errors_last"), ("right", "too_few_detections")]
+    # noise that the log states is not estimated
+    report |= {"noise_in_log": True}
+    assert [one.cause for one in check_estimated_detectors(report)] == ["not_converged", "errors_last"]
+
+
+def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
+    frames = _frames(CAMERAS)
+    burst = replace(frames[20], pixels=np.zeros((5000, 2)))
+    sample = sample_log([*frames[:20], burst, *frames[21:]], CAMERAS)[burst.camera]
+    assert len(sample.times) == FRAMES - 1
+    assert max(np.diff(sample.first)) < 20
+
+
+def test_all_distances_and_trees_link_the_same_detections(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few detections are compared one by one, many in trees; a pixel whose distances overflow has no neighbour."""
+    frames = _frames(CAMERAS)
+    frames[0] = replace(frames[0], pixels=np.concatenate([frames[0].pixels, [[1e200, 0.0]]]))
+    one_by_one = [one.links for one in sample_log(frames, CAMERAS)]
+    monkeypatch.setattr(sampling, "ALL_DISTANCES", 0)
+    for mine, trees in zip(one_by_one, sample_log(frames, CAMERAS), strict=True):
+        assert np.count_nonzero(trees.linked) > FRAMES
+        np.testing.assert_array_equal(mine, trees.links)
+
+
+@pytest.mark.parametrize("count", [2, 3, 25, 26, 100, 1000])
+def test_the_pairs_of_many_cameras_are_bounded(count: int) -> None:
+    """All pairs of up to 25 cameras; beyond, as many for each camera, and no more than 300 or one each."""
+    pairs = pairs_of(count)
+    assert len(set(pairs)) == len(pairs) == min(count * (count - 1) // 2, max(count, MOST_PAIRS // count * count))
+    assert all(0 <= a < b < count for a, b in pairs)
+    assert len(set(np.bincount(np.array(pairs).ravel(), minlength=count).tolist())) == 1
+
+
+def _many(count: int, few_frames: int = 0, alone: int = 0) -> Geometry:
+    """Cameras that see each other's objects; some have too few frames for their clocks, some no partner."""
+    pairs, samples = [], []
+    for k in range(count):
+        times = np.arange(LEAST_CLOCK_FRAMES - (k < few_frames)) / RATE
+        camera = replace(CAMERAS[0], name=f"camera {k}")
+        samples.append(
+            CameraSample(camera, times, np.arange(len(times)), np.zeros(len(times) + 1, int), np.empty((0, 2)))
+        )
+    none, nowhere = np.empty(0, int), np.empty((0, 2))
+    for a, b in pairs_of(count):
+        if b < count - alone:
+            pairs.append(Candidates(a, b, none, np.empty(0), nowhere, np.empty((1, 0, 0, 2))))
+    met = Meeting(0.9, 0.1, 0.9, 9.0, 3.0, 100)
+    return Geometry(samples, tuple(pairs), (met,) * len(pairs), (0.9,) * len(pairs))
+
+
+@pytest.mark.parametrize(
+    ("count", "few_frames", "alone"),
+    [(2, 0, 0), (12, 0, 0), (13, 0, 0), (25, 0, 0), (26, 0, 0), (100, 0, 0),
+     (13, 1, 0), (13, 0, 1), (15, 1, 1), (20, 8, 0), (26, 14, 0), (27, 27, 0)],
+)  # fmt: skip
+def test_pairs_and_clocks_that_are_left_out_are_stated(count: int, few_frames: int, alone: int) -> None:
+    """Of many cameras, what the checks do not look at, with its number: clocks count if they could be tried."""
+    found = list(left_out(_many(count, few_frames, alone)))
+    missing = count * (count - 1) // 2 - len(pairs_of(count))
+    usable = count - few_frames - alone
+    assert len(found) == (usable > 12 or missing > 0)
+    for one in found:
+        assert (one.status, one.value) == ("not checked", missing)
+        assert (f"{missing} of" in one.message) == (count > 25)
+        assert (f"{usable - 12} of {usable} usable clocks" in one.message) == (usable > 12)
+        assert ("clocks" in one.message) == (usable > 12)
+
+
+def test_a_log_of_many_cameras_says_what_is_left_out() -> None:
+    geometry = replace(_many(27), pairs=(), given=(), expected=())
+    assert [one.name for one in check_geometry(geometry, False)] == ["geometry.left_out"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("clutter", [0.0, 3.0], ids=["no clutter", "clutter"])
+def test_a_crowd_that_moves_far_between_frames_is_no_clutter(seed: int, clutter: float) -> None:
+    # twelve objects in 360 px that move by 9 to 36 px between frames: the gate of chains leaves the fast ones out
+    rng = np.random.default_rng(seed)
+    rate, phase = rng.uniform(0.05, 0.2, (2, 12)), rng.uniform(0.0, 2.0 * np.pi, (2, 12))
+    frames = []
+    for k in range(60):
+        swing = np.column_stack([np.sin(rate[0] * k + phase[0]), np.cos(rate[1] * k + phase[1])])
+        pixels = [400.0, 300.0] + 180.0 * swing + rng.normal(0.0, 1.0, (12, 2))
+        pixels = pixels[rng.random(12) < 0.9]
+        false = rng.uniform([0, 0], [799, 599], (rng.poisson(clutter), 2))
+        frames.append(Frame(k / RATE, 0, k, np.concatenate([pixels, false])))
+    (sample,) = sample_log(frames, CAMERAS[:1])
+    if clutter:
+        assert 1.5 <= sample.isolated_per_frame <= 4.0
+    else:
+        assert np.median(np.bincount(sample.frame_of[~sample.linked], minlength=60)) >= 1.0
+        assert sample.isolated_per_frame == 0.0

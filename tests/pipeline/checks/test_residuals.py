@@ -1,0 +1,131 @@
+"""Checks of residuals: small errors of clock, lens and pose are named, with the camera and the size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.io.logs.reading import Frame
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, signed_distances
+from stereophd.pipeline.checks.log.sample import sample_log
+from stereophd.pipeline.checks.residuals.causes import _fit
+from stereophd.pipeline.checks.residuals.findings import check_residuals
+from stereophd.pipeline.checks.residuals.partners import Partners
+
+FRAMES, RATE, OBJECTS = 90, 12.0, 4
+READOUT_S = 0.04
+
+
+def _camera(name: str, center: list[float], turn_deg: float, readout_s: float = 0.0) -> Camera:
+    pose = Pose(rotation_from_vector([0.1, np.deg2rad(turn_deg), 0.05]), center)
+    detector = Detector([1.0, 1.0], 0.97, 0.5)
+    return Camera(name, 800, 600, 650.0, 650.0, 399.5, 299.5, pose, Lens("none"), detector, RATE, readout_s=readout_s)
+
+
+CAMERAS = (
+    _camera("left", [-3.0, -1.0, 0.3], -20.0), _camera("right", [3.0, -1.2, 0.2], 20.0),
+    _camera("middle", [0.2, 1.5, -1.0], 1.0),
+)  # fmt: skip
+
+
+def _findings(
+    cameras: tuple[Camera, ...] = CAMERAS, late_s: float = 0.0, seen: tuple[Camera, ...] = CAMERAS, seed: int = 5
+) -> list[Finding]:
+    """Check `cameras` on a log of what the cameras `seen` see of slow objects; times of the second may be late."""
+    rng = np.random.default_rng(seed)
+    start, turn = rng.uniform([-1.5, -1, 6], [1.5, 1, 9], (OBJECTS, 3)), rng.uniform(0.3, 0.6, OBJECTS)
+    frames = []
+    for k in range(FRAMES):
+        for c, camera in enumerate(seen[: len(cameras)]):
+            time = k / RATE + 0.021 * c
+
+            def image(at: np.ndarray, camera: Camera = camera) -> np.ndarray:
+                angle = turn * at + np.arange(OBJECTS)
+                points = start + 1.2 * np.column_stack([np.sin(angle), 0.6 * np.cos(2 * angle), np.cos(angle)])
+                return camera.project(points)
+
+            rows = image(np.full(OBJECTS, time))[:, 1]
+            pixels = image(time + camera.readout_s * rows / camera.height)
+            pixels = pixels[rng.random(OBJECTS) < camera.detector.p_detect]
+            found = pixels + rng.normal(0, 1, pixels.shape)
+            frames.append(Frame(time + late_s * (c == 1), c, k, found[camera.contains(found)]))
+    frames.sort(key=lambda frame: (frame.time_s, frame.camera))
+    return list(check_residuals(sample_log(frames, cameras)))
+
+
+def test_a_correct_set_up_leaves_white_noise() -> None:
+    for seed in (5, 6, 7):
+        found = _findings(seed=seed)
+        assert {one.status for one in found} == {"ok"}
+        for one in found:
+            assert isinstance(one.value, float)
+            # of some 300 residuals: a standard error of 0.04, and noise that interpolation makes smaller
+            assert 0.7 < one.value < 1.25
+
+
+@pytest.mark.parametrize("late_s", [0.05, -0.05])
+def test_a_late_clock_is_named_and_measured(late_s: float) -> None:
+    (found,) = _findings(late_s=late_s)
+    assert (found.status, found.cause, found.camera) == ("warning", "clock_offset", "right")
+    assert isinstance(found.value, float)
+    assert found.value == pytest.approx(late_s, abs=0.01)
+    assert found.remedy is not None
+    assert f"add {-found.value:.4g} s" in found.remedy
+
+
+def test_of_two_cameras_nobody_knows_whose_clock_is_late() -> None:
+    (found,) = _findings(CAMERAS[:2], late_s=0.06)
+    assert (found.cause, found.camera) == ("clock_offset", None)
+    assert "left or right" in found.message
+    assert found.value == pytest.approx(0.06, abs=0.012)
+
+
+def test_a_lens_left_out_is_named() -> None:
+    true = replace(CAMERAS[1], lens=Lens("radial", k1=-0.12))
+    (found,) = _findings(seen=(CAMERAS[0], true, CAMERAS[2]))
+    assert (found.cause, found.camera) == ("lens_inaccurate", "right")
+
+
+def test_a_turned_camera_is_named() -> None:
+    pose = CAMERAS[1].pose
+    turned = replace(CAMERAS[1], pose=Pose(rotation_from_vector([0.005, 0.0, 0.003]) @ pose.rotation, pose.center))
+    (found,) = _findings((CAMERAS[0], turned, CAMERAS[2]))
+    assert (found.cause, found.camera) == ("pose_inaccurate", "right")
+
+
+def test_rolling_shutters_are_taken_into_account() -> None:
+    rolling = (*CAMERAS[:1], _camera("right", [3.0, -1.2, 0.2], 20.0, READOUT_S), CAMERAS[2])
+    assert all(one.status == "ok" for one in _findings(rolling, seen=rolling))
+
+
+def test_signed_distances_are_those_of_the_checks() -> None:
+    rng = np.random.default_rng(3)
+    a, b = (rng.uniform(0, 600, (40, 2)) for _ in range(2))
+    expected, _ = distances(
+        Candidates(0, 1, np.arange(40), np.zeros(40), a, b[None, :, None]), *map(Reading, CAMERAS[:2])
+    )
+    found = signed_distances(CAMERAS[0], CAMERAS[1], a, b)
+    met = np.isfinite(expected[0, :, 0])
+    assert met.sum() > 5
+    np.testing.assert_allclose(abs(found[met]), expected[0, met, 0], rtol=1e-12)
+
+
+def test_errors_follow_from_the_spread_between_tracks() -> None:
+    # all detections of a track share one error: as many independent errors as tracks
+    rng = np.random.default_rng(1)
+    values = []
+    for _ in range(200):
+        tracks = np.repeat(np.arange(12), 30)
+        slope = np.repeat(rng.normal(0, 1, 12), 30)
+        distance = np.repeat(rng.normal(0, 1, 12), 30)
+        pair = Partners(0, 1, *(3 * (np.zeros((360, 2)),)), distance, tracks)
+        fit = _fit(pair, slope)
+        values.append(fit.value / fit.error)
+    # by the number of detections the spread would be sqrt(30) = 5.5; a few tracks underestimate it somewhat
+    assert 0.8 < np.std(values) < 2.0
