@@ -16,11 +16,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS, marker_of
-
-Array = NDArray[np.float64]
 
 # Half-width of a 90 % band in standard deviations.
 NINETY = 1.645

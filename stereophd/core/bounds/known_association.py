@@ -18,13 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
-
-Array = NDArray[np.float64]
 
 # Steps until none would lower the cost of its object by this much, relative to one plus itself.
 TOLERANCE = 1e-9

@@ -9,11 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.rolling import readings, travels, turned_to_frame
 from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
 
 # Packed spaces of moving cameras that are kept.
 MOST_KEPT = 4096

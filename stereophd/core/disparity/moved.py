@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
 
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 

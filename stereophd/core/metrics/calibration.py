@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
-
-Array = NDArray[np.float64]
 
 # Eigenvalues of correlations below this are rounding.
 LEAST_EIGENVALUE = 1e-12

@@ -18,11 +18,10 @@ from abc import ABC, abstractmethod
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.arrays import MotionArrays
-
-Array = NDArray[np.float64]
 
 
 class Flow(NamedTuple):

@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import Moved
@@ -30,10 +30,6 @@ from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumb
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 
 # Upper bound on the memory of one component, its moved forms and its updated forms, bytes.
 _COMPONENT_BYTES = 4096

@@ -13,15 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.filter_settings.common import Hysteresis
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.sobol import normal_quantiles, sobol_points
 from stereophd.core.settings import Positive, parameter, settings
 
-Array = NDArray[np.float64]
 Method = Literal["adaptive", "qmc", "particle", "unscented", "linear"]
 
 # Non-linearity (`stereophd.core.disparity.rule_move`) up to which a component is moved by the low-order rule.

@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.base import Motion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
@@ -30,8 +30,6 @@ from stereophd.core.single.base import (
 from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
 from stereophd.core.single.settings import CartesianSettings
-
-Array = NDArray[np.float64]
 
 # A sigma point beyond infinity has no place in the world: it is put this much further away than the mean.
 FARTHEST = 10.0

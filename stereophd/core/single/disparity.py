@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move, world_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW
@@ -32,8 +32,6 @@ from stereophd.core.single.base import (
     only_detection,
 )
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, state_in_world, unseen_state
-
-Array = NDArray[np.float64]
 
 IMPORTANT = np.array([True])
 # H of eq. 4, by the size of the state.

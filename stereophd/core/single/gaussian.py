@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.single.base import SingleState
-
-Array = NDArray[np.float64]
 
 # Camera of a state that has seen no detection yet.
 UNSEEN = -1

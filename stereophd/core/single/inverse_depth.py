@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
@@ -33,8 +33,6 @@ from stereophd.core.single.base import (
 )
 from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

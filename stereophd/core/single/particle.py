@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
@@ -32,8 +33,6 @@ from stereophd.core.single.base import (
 )
 from stereophd.core.single.gaussian import states_in_world
 from stereophd.core.single.settings import ParticleSettings
-
-Array = NDArray[np.float64]
 
 # A prior of disparity that has less than one sample in this many at positive values is refused.
 MOST_DRAWS = 1000

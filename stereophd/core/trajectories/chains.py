@@ -10,16 +10,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion, Transition
 from stereophd.core.trajectories.smoothing import Trajectory, smooth
-
-Array = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
 
 # Standard deviations of the prior: of the position in distances from the camera, of the velocity in the track's speeds.
 WIDE, FAST = 10.0, 3.0

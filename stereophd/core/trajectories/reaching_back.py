@@ -21,15 +21,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back
-
-Array = NDArray[np.float64]
 
 # Squared Mahalanobis distance (99 % of a chi-square with 2 degrees of freedom) of a detection that may be the first.
 GATE = 9.21

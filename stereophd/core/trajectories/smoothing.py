@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.base import Motion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

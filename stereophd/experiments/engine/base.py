@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from stereophd.core.arrays import Array
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.config.model import Config
 
-Array = NDArray[np.float64]
 Scenario = TypeVar("Scenario")
 
 

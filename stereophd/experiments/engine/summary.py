@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtrit
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError, nearest
-from stereophd.experiments.engine.base import Array, Series
+from stereophd.experiments.engine.base import Series
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

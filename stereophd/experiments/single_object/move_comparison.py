@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
@@ -18,8 +18,6 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SETS_IN_TURN, Method, MomentsSettings
 from stereophd.core.single.build import sample_sets
 from stereophd.core.single.disparity import WIDE, widened
-
-Array = NDArray[np.float64]
 
 # Samples drawn at once.
 CLOUD = 200_000

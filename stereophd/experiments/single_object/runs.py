@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import (
     detection_information,
     localisation_bounds,
@@ -32,8 +33,6 @@ from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.stream import EventStream
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

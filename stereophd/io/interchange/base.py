@@ -7,13 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from stereophd.config.cameras import CameraConfig
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 
-Floats = NDArray[np.float64]
 Value = TypeVar("Value")
 
 #: Optional columns of a log that a format may fill.
@@ -127,10 +124,10 @@ class Piece:
     """
 
     camera: str
-    pixels: Floats
-    frame: Floats | None = None
-    time_s: Floats | None = None
-    extra: Mapping[str, Floats] = field(default_factory=dict)
+    pixels: Array
+    frame: Array | None = None
+    time_s: Array | None = None
+    extra: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass

@@ -16,12 +16,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.io.tables.reading import cast_column, check_texts
 from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 REQUIRED = {name: DETECTIONS.field(name).type for name in DETECTIONS.names}
 OPTIONAL = {"sigma_u_px": FLOAT, "sigma_v_px": FLOAT, "object_id": INTEGER}
@@ -32,12 +29,12 @@ class Rows:
     """Rows of a log as arrays of length n; `empty` marks the rows of frames without detections."""
 
     row: Integers
-    time_s: Floats
+    time_s: Array
     camera: Integers
     frame: Integers
-    pixels: Floats
+    pixels: Array
     empty: Booleans
-    sigma: Floats | None
+    sigma: Array | None
     object_id: Integers | None
 
     def take(self, which: Any) -> Rows:

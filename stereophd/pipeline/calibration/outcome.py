@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.annealing.task import Fit
 
 if TYPE_CHECKING:
     pass
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

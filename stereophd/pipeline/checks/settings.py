@@ -10,17 +10,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.model import Config
+from stereophd.core.arrays import Array
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.measure import Geometry
 from stereophd.pipeline.checks.geometry.rays import distances
 from stereophd.pipeline.checks.log.sample import CameraSample
-
-Array = NDArray[np.float64]
 
 # Score of a pair whose depths count.
 LEAST_SCORE = 6.0

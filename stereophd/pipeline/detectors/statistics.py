@@ -31,17 +31,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.association.likelihoods import pair_likelihoods
 from stereophd.core.multi.base import Prediction
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A track whose alternatives are still undecided (the heaviest has less than this share) is not counted yet.
 DECIDED_SHARE = 0.9

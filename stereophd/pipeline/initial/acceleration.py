@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig, variant
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
@@ -32,7 +32,6 @@ from stereophd.pipeline.tracking.loop import run_estimator
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
-Array = NDArray[np.float64]
 
 # Frames of a log that are looked at, stretches of it that the filter runs over, events and detections of them all.
 MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.tracking.loop import run_estimator
-
-Array = NDArray[np.float64]
 
 # Largest standard deviation of a position, over its depth, that counts.
 CERTAIN = 0.05

@@ -21,8 +21,6 @@ from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, S
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.tables import kind_of
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Columns = Mapping[str, NDArray[Any]]
 
 KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}

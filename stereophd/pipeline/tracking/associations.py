@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.association.attribution import Claims
 from stereophd.core.multi.state.estimates import Estimates
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Claims of a smaller probability are left out.
 LEAST_PROBABILITY = 1e-3

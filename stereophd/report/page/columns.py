@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from stereophd.core.arrays import Array, Integers
 
 # Longer than this many usual steps between two estimates of a track is a gap: lines break there. Steps differ by much
 # where cameras report one soon after the other and then pause, so usual is what few steps exceed.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.problem import Problem, true_times
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -22,9 +23,6 @@ from stereophd.core.calibration.unknowns.parameters import taken
 from stereophd.core.calibration.unknowns.quantities.base import TIMES
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

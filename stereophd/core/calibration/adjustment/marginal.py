@@ -49,15 +49,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_triangular
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment, damped_bands, eliminate, posterior_covariance
 from stereophd.core.calibration.unknowns.scale import log_scale
-
-Array = NDArray[np.float64]
 
 # Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
 NOISE_STD = 0.5

@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.trajectories import Knots
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

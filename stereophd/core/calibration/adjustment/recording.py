@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.disparity.events import Event, framed_detections
 from stereophd.core.geometry.camera import Camera, Clock
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # One frame: index of its camera, true time by the camera's clock, raw pixels (m, 2), standard deviations if stated.
 RawFrame = tuple[int, float, Array, Array | None]

@@ -17,14 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Stretches of the log; iterations of an adjustment to half of them and of the trajectories of the others, and the
 # relative change of the cost at which they end.

@@ -19,17 +19,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.solver import solve
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Cells that a camera needs, and the least part of the variance that is shared, for its errors to count as shared.
 LEAST_CELLS, LEAST_PART = 12, 0.2

@@ -20,13 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
-
-Array = NDArray[np.float64]
 
 # Marquardt's damping: where it starts, its factor, and where it gives up.
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10

@@ -16,13 +16,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.motion.base import Motion
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Standard deviation of the deviation from the mean half-way between knots, in parts of the detection noise.
 DEVIATION = 0.3

@@ -15,13 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import adjusted_to
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale, scale_is_free
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Steps in which the length of a path is measured, and times at which distances are.
 SPEED_STEPS, DISTANCE_TIMES = 200, 1000

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
@@ -22,9 +23,6 @@ from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb.filter import PmbFilter
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 SUCCEEDED = "succeeded"
 # Most starts by default: where poses alone are unknown, and otherwise.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.adjustment.trajectories import Knots, interpolation, positions
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
@@ -16,9 +17,6 @@ from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole
 from stereophd.core.multi.pmb.filter import PmbFilter
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise: 3 sigma while
 # tracking, 3.7 sigma (0.1 % of a normal distribution in the plane) once the trajectories are fitted.

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.pairing.association import track_detections
 from stereophd.core.calibration.pairing.track_rays import LONGEST_GAP, RawTracks, rays_of
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.multi.pmb.filter import PmbFilter
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Times at which a pair of tracks is compared, and how many it needs.
 PAIR_TIMES, LEAST_TIMES = 24, 6

@@ -11,14 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Tracks are interpolated over at most this many of their median steps.
 LONGEST_GAP = 3.5

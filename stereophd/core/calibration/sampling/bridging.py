@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
 from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.numerics.resampling import systematic
@@ -35,9 +35,6 @@ from stereophd.core.numerics.weights import (
     step_generator,
     weighted_mean_covariance,
 )
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Of Gaussian random walks in m dimensions: 2.38 / sqrt(m) moves best (G. O. Roberts, A. Gelman, W. R. Gilks 1997).
 OPTIMAL_STEP = 2.38

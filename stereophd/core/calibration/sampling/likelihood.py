@@ -19,16 +19,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.unknowns.parameters import ParameterSet, taken
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, predicted
 from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.layout import CENTER
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
-
-Array = NDArray[np.float64]
 
 
 class LogEvidence(Protocol):

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.covariance_factors import covariance_factor
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Degrees of freedom: tails heavier than the posterior's, finite variance.
 DEGREES_OF_FREEDOM = 5.0

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.sampling.likelihood import extent, log_density_of_scale
@@ -35,9 +35,6 @@ from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.numerics.samples import SampleSets
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # False detections a frame below which a lens that cannot be inverted would make the recording impossible.
 LEAST_CLUTTER = 1e-6

@@ -24,8 +24,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -38,8 +38,6 @@ from stereophd.core.numerics.weights import (
     step_generator,
     weighted_mean_covariance,
 )
-
-Array = NDArray[np.float64]
 
 # Streams of random numbers: the prior's draws, and then one for each event.
 PRIOR_STREAM, FIRST_EVENT_STREAM = 0, 1

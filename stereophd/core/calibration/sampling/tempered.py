@@ -13,14 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.bridging import BridgeSampler
 from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.calibration.settings import TemperedSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-
-Array = NDArray[np.float64]
 
 # Log-likelihoods (k,) of parameter values (k, m).
 LogLikelihood = Callable[[Array], Array]

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH, LENGTH_PER_SECOND
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.covariance_factors import covariance_factor
-
-Array = NDArray[np.float64]
 
 # A direction whose posterior standard deviation is above this part of the prior's is not determined by the data.
 UNDETERMINED_RATIO = 0.7

@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH_PER_SECOND, MOVES, RADIANS_PER_SECOND, Quantity
 from stereophd.core.calibration.unknowns.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Values must be this probable under the prior to agree with it.
 LEAST_PRIOR_PROBABILITY = 1e-6

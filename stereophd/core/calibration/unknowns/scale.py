@@ -16,13 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
-
-Array = NDArray[np.float64]
 
 # Less probable under the prior than this are cameras that have fallen together. Two cameras 1 cm apart have a
 # probability of 8e-8 if their distance is unknown by 1.5 m.

@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Booleans
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import MOVES
-
-Booleans = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.settings import FINITE
-
-Array = NDArray[np.float64]
 
 #: A coefficient of a lens, without unit.
 Coefficient = Annotated[float, Interval(ge=-1e6, le=1e6), FINITE]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.matching.assignment import FloatArray
+from stereophd.core.arrays import Array
 from stereophd.core.metrics.matching.near_pairs import NearPairs, couples, most_gain
 from stereophd.core.metrics.scans import PointSets
 
@@ -40,10 +40,10 @@ class Hota:
         Mean similarity of the pairs (LocA); 1 without pairs.
     """
 
-    hota: FloatArray
-    detection: FloatArray
-    association: FloatArray
-    localisation: FloatArray
+    hota: Array
+    detection: Array
+    association: Array
+    localisation: Array
 
 
 def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
@@ -78,7 +78,7 @@ def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
     return Hota(np.sqrt(detection * association), detection, association, localisation)
 
 
-def _overlap(near: NearPairs, similarity: FloatArray) -> FloatArray:
+def _overlap(near: NearPairs, similarity: Array) -> Array:
     """Return the similarity of each pair over that of all pairs that share a point with it."""
     of_estimate = np.bincount(near.estimate, similarity)
     of_truth = np.bincount(near.truth, similarity)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets, ScanScores
 
 
@@ -15,10 +15,10 @@ from stereophd.core.metrics.scans import PointSets, ScanScores
 class FirstReports:
     """When each track was first reported, confirmed or tentative: rising identities and times, arrays (t,)."""
 
-    track_id: IntArray
-    time_s: FloatArray
+    track_id: Integers
+    time_s: Array
 
-    def of(self, track_id: IntArray, otherwise: FloatArray) -> FloatArray:
+    def of(self, track_id: Integers, otherwise: Array) -> Array:
         """Return the times of some tracks (n,), and `otherwise` for those without an identity."""
         if len(self.track_id) == 0:
             return otherwise
@@ -26,7 +26,7 @@ class FirstReports:
         return np.where(self.track_id[place] == track_id, self.time_s[place], otherwise)
 
 
-def first_reports(track_id: IntArray, time_s: FloatArray) -> FirstReports:
+def first_reports(track_id: Integers, time_s: Array) -> FirstReports:
     """Return the first report of each track, from identities (n,) and times of estimates in order of time."""
     tracks, row = np.unique(track_id, return_index=True)
     known = tracks > UNLABELLED
@@ -47,14 +47,12 @@ class Waits:
         Number of the other objects.
     """
 
-    confirmed_s: FloatArray
-    reported_s: FloatArray
+    confirmed_s: Array
+    reported_s: Array
     never: int
 
 
-def waits(
-    time_s: FloatArray, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports
-) -> Waits:
+def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports) -> Waits:
     """Return how long the objects of scored scans waited.
 
     Parameters

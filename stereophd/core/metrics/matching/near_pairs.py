@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray, optimal_assignment
+from stereophd.core.metrics.matching.assignment import optimal_assignment
 from stereophd.core.metrics.scans import PointSets, base_distances, batches_of_one_size
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -28,12 +26,12 @@ class NearPairs:
         Base distance over the cutoff, in [0, 1).
     """
 
-    scan: IntArray
-    estimate: IntArray
-    truth: IntArray
-    ratio: FloatArray
+    scan: Integers
+    estimate: Integers
+    truth: Integers
+    ratio: Array
 
-    def take(self, index: IntArray | BoolArray) -> NearPairs:
+    def take(self, index: Integers | Booleans) -> NearPairs:
         """Return the chosen pairs."""
         return NearPairs(self.scan[index], self.estimate[index], self.truth[index], self.ratio[index])
 
@@ -68,11 +66,11 @@ class Couples:
         Couple of each near pair.
     """
 
-    object_of: IntArray
-    track_of: IntArray
-    objects: IntArray
-    tracks: IntArray
-    number: IntArray
+    object_of: Integers
+    track_of: Integers
+    objects: Integers
+    tracks: Integers
+    number: Integers
 
 
 def couples(estimates: PointSets, truth: PointSets, near: NearPairs) -> Couples:
@@ -84,7 +82,7 @@ def couples(estimates: PointSets, truth: PointSets, near: NearPairs) -> Couples:
     return Couples(object_of, track_of, objects, tracks, number)
 
 
-def _numbered_tracks(label: IntArray) -> tuple[IntArray, int]:
+def _numbered_tracks(label: Integers) -> tuple[Integers, int]:
     """Number the tracks of estimates (n,) from zero; return the numbers and how many tracks there are."""
     known = label > UNLABELLED
     names, number = np.unique(label[known], return_inverse=True)
@@ -94,7 +92,7 @@ def _numbered_tracks(label: IntArray) -> tuple[IntArray, int]:
     return out, len(names) + int(np.count_nonzero(~known))
 
 
-def most_gain(pairs: NearPairs, gain: FloatArray) -> IntArray:
+def most_gain(pairs: NearPairs, gain: Array) -> Integers:
     """Choose pairs that share no point, of the greatest total gain (not negative) in each scan.
 
     Parameters
@@ -129,7 +127,7 @@ def most_gain(pairs: NearPairs, gain: FloatArray) -> IntArray:
     return np.sort(np.concatenate(chosen))
 
 
-def _solve(estimate: IntArray, truth: IntArray, gain: FloatArray) -> IntArray:
+def _solve(estimate: Integers, truth: Integers, gain: Array) -> Integers:
     """Choose pairs of one scan: those of the greatest total gain."""
     names, row = np.unique(estimate, return_inverse=True)
     others, column = np.unique(truth, return_inverse=True)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # In the place of a detection where none is more probable than all others together.
 UNDECIDED = -1

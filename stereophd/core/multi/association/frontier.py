@@ -23,11 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Up to this number of rows, the order that keeps the frontier narrow is searched for step by step; the search costs the
 # square of the number of rows.

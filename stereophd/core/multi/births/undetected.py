@@ -26,13 +26,11 @@ from statistics import NormalDist
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.geometry.camera import Detector
 from stereophd.core.multi.filter_settings.common import BirthPrior
-
-Array = NDArray[np.float64]
 
 Reduction = TypeVar("Reduction", bound=NamedTuple)
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moments import FEWEST_SAMPLES, NO_REGION, minimum_in_view
 from stereophd.core.disparity.sample_move import Look
@@ -21,9 +21,6 @@ from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import Undetected, reduction_for_births
 from stereophd.core.multi.camera_hypotheses.batch_kernels import Looks, PredictionNumbers, predict
 from stereophd.core.multi.state.mixture import GaussianMixture, concatenate, empty_mixture
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
 CHUNK = 8

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
 from stereophd.core.disparity.sample_move import Look, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
@@ -23,9 +23,6 @@ from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Components that a hypothesis gets room for at first.
 ROOM = 256

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
@@ -21,9 +22,6 @@ from stereophd.core.multi.crosswise.epipolar_pairs import NewObjects
 from stereophd.core.multi.crosswise.history import ClaimedRows
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A detection whose density is further below the peak of its own noise, nats, is another object's or clutter, and is
 # left out: labels have claimed what does not fit before they settled.

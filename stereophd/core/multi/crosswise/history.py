@@ -6,12 +6,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.association.attribution import UNDECIDED
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Events of which detections are kept; at twice as many, every second one of the older half is dropped.
 KEPT_EVENTS = 32

@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
@@ -20,10 +20,6 @@ from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allo
 from stereophd.core.multi.state.outcomes import fill_missed
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, largest, picked, places, stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 
 # `max_hypotheses` that stands for a bound by the number of detections: so many a detection, and at least `LEAST_BOUND`.
 BY_DETECTIONS = 0

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeVar, get_type_hints
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
 
 Kind = TypeVar("Kind")
 

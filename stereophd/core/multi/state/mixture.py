@@ -7,10 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Label of components that represent undetected objects; identity of labels that were never reported.
 UNLABELLED = -1

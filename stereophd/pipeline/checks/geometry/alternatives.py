@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.pipeline.checks.geometry.rays import Reading
-
-Array = NDArray[np.float64]
 
 # From OpenGL camera axes (x right, y up, z back) to those of OpenCV.
 OPENGL = np.diag([1.0, -1.0, -1.0])

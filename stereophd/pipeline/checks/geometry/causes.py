@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
 from stereophd.pipeline.checks.geometry.measure import LEAST_SCORE, Geometry, pairs_of
 from stereophd.pipeline.checks.geometry.rays import (
@@ -22,8 +22,6 @@ from stereophd.pipeline.checks.geometry.rays import (
     pixels_at,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
-
-Array = NDArray[np.float64]
 
 # An alternative is named if it raises the excess by this much, to this multiple.
 LEAST_GAIN, LEAST_RATIO = 0.08, 1.4

@@ -17,14 +17,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 from stereophd.pipeline.checks.log.sample import CameraSample
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 # Of the detections of both cameras of a pair; None: not computed.
 Rays = tuple[Array | None, Array | None]
 

@@ -11,14 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import Frame
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Frames of each camera that are kept.
 MOST_FRAMES = 3000

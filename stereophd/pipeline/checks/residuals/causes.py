@@ -6,15 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.pipeline.checks.geometry.rays import signed_distances
 from stereophd.pipeline.checks.residuals.partners import Partners
-
-Array = NDArray[np.float64]
 
 # Least share of the squared distances that a cause must explain, its least size in standard deviations of a detection,
 # and in standard errors.

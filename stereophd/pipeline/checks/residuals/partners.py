@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.pipeline.checks.geometry.rays import signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Detections of a camera that are examined, and candidates of all of them together.
 MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.settings import LARGEST_LENGTH
-
-Array = NDArray[np.float64]
 
 LENGTH, RADIANS, RATIO, PIXELS, SECONDS = "length", "rad", "1", "px", "s"
 LENGTH_PER_SECOND, RADIANS_PER_SECOND = "length/s", "rad/s"
