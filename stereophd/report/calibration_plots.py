@@ -31,33 +31,21 @@ MOST_PAIRS = 6
 
 @dataclass(frozen=True)
 class CalibrationPictures:
-    """What is drawn.
+    """What is drawn."""
 
-    Attributes
-    ----------
-    names, units : tuple of str
-        Names and units of the parameters; the unit is ``length`` or ``rad``.
-    length_unit : str
-    prior_std : array (m,)
-    times : array (t,)
-        s.
-    means, stds : arrays (t, m)
-        Posterior given the log up to each time.
-    particles, weights : arrays (k, m), (k,)
-    residual_times, residual_cameras, residuals : arrays (n,)
-        Reprojection residuals in sigmas; may be empty.
-    cameras : tuple of str
-    """
-
+    # `names`, `units`: Names and units of the parameters; the unit is ``length`` or ``rad``.
     names: tuple[str, ...]
     units: tuple[str, ...]
     length_unit: str
-    prior_std: Array
-    times: Array
+    prior_std: Array  # (m,)
+    times: Array  # (t,): s
+    # `means`, `stds`: arrays (t, m): Posterior given the log up to each time.
     means: Array
     stds: Array
+    # `particles`, `weights`: arrays (k, m), (k,)
     particles: Array
     weights: Array
+    # `residual_times`, `residual_cameras`, `residuals`: arrays (n,): Reprojection residuals in sigmas; may be empty.
     residual_times: Array
     residual_cameras: NDArray[np.int64]
     residuals: Array

@@ -110,24 +110,12 @@ def _time_axes(rows: int) -> tuple[Figure, Sequence[Axes]]:
 
 @dataclass(frozen=True)
 class _Bins:
-    """Neighbouring scans that are drawn as one point; a short run has one point per scan.
+    """Neighbouring scans that are drawn as one point; a short run has one point per scan."""
 
-    Attributes
-    ----------
-    start : (b,) array
-        First scan of each bin.
-    count : (b,) array
-        Its number of scans.
-    gap : (g,) array
-        Bins before which nothing was scored for a while: lines break there.
-    time_s : (b + g,) array
-        Mean times, NaN at the breaks.
-    """
-
-    start: Integers
-    count: Integers
-    gap: Integers
-    time_s: Array
+    start: Integers  # (b,) array: First scan of each bin
+    count: Integers  # (b,) array: Its number of scans
+    gap: Integers  # (g,) array: Bins before which nothing was scored for a while: lines break there
+    time_s: Array  # Mean times, NaN at the breaks
 
     def mean(self, values: NDArray[Any]) -> Array:
         """Return the mean of each bin, as it is drawn over `time_s`."""

@@ -21,19 +21,12 @@ MARGIN = 0.06
 
 @dataclass(frozen=True)
 class SceneView:
-    """A projection along a world axis.
+    """A projection along a world axis."""
 
-    Attributes
-    ----------
-    horizontal, vertical : int
-        World axes (0 x, 1 y, 2 z) drawn to the right and upwards.
-    inverted : bool
-        The vertical axis points down on the page.
-    """
-
+    # `horizontal`, `vertical`: World axes (0 x, 1 y, 2 z) drawn to the right and upwards.
     horizontal: int
     vertical: int
-    inverted: bool = False
+    inverted: bool = False  # The vertical axis points down on the page
 
     def project(self, points: Array) -> Array:
         """Return the drawn coordinates (n, 2) of world points (n, 3)."""

@@ -26,21 +26,11 @@ WIDE_DISPARITY = 0.05
 
 
 class Look(NamedTuple):
-    """Samples to look at components with.
+    """Samples to look at components with."""
 
-    Attributes
-    ----------
-    samples : array (rows, n)
-        Standard-normal samples.
-    weights : array (n,)
-        Weights of the samples.
-    minimum : int
-        Fewest (effective) samples in view from which a Gaussian is fitted.
-    """
-
-    samples: Array
-    weights: Array
-    minimum: int
+    samples: Array  # (rows, n): Standard-normal samples
+    weights: Array  # (n,): Weights of the samples
+    minimum: int  # Fewest (effective) samples in view from which a Gaussian is fitted
 
 
 @compiled

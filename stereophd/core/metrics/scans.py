@@ -29,29 +29,14 @@ DISTANCE_FIELDS = (
 
 @dataclass(frozen=True)
 class PointSets:
-    """One set of points for each of k scans, stored one after the other.
+    """One set of points for each of k scans, stored one after the other."""
 
-    Attributes
-    ----------
-    start : (k + 1,) array
-        The points of scan i are the rows ``start[i]:start[i + 1]``.
-    position : (n, 3) array
-        In the world, length unit.
-    velocity : (n, 3) array
-        In the world, length unit per second; NaN where unknown.
-    label : (n,) array
-        Identity of the object or track.
-    covariance : (n, 3, 3) array or None
-        Covariance of the position.
-    confirmed : (n,) bool array or None
-        Whether each estimate is confirmed rather than tentative; None where that is not known.
-    """
-
-    start: Integers
-    position: Array
-    velocity: Array
-    label: Integers
-    covariance: Array | None = None
+    start: Integers  # The points of scan i are the rows ``start[i]:start[i + 1]``
+    position: Array  # (n, 3) array: In the world, length unit
+    velocity: Array  # (n, 3) array: In the world, length unit per second; NaN where unknown
+    label: Integers  # (n,) array: Identity of the object or track
+    covariance: Array | None = None  # (n, 3, 3) array or None: Covariance of the position
+    # (n,) bool array or None: Whether each estimate is confirmed rather than tentative; None where that is not known.
     confirmed: NDArray[np.bool_] | None = None
 
     @property
@@ -87,28 +72,22 @@ class PointSets:
 
 @dataclass(frozen=True)
 class ScanScores:
-    """Metrics of each scan, arrays (k,), and the matched pairs, arrays (q,) in order of scan.
+    """Metrics of each scan, arrays (k,), and the matched pairs, arrays (q,) in order of scan."""
 
-    Attributes
-    ----------
-    ospa, ospa_localisation, ospa_cardinality : (k,) arrays
-        OSPA distance and its parts, in the unit of the base distance.
-    gospa, gospa_localisation, gospa_missed, gospa_false : (k,) arrays
-        GOSPA distance (alpha = 2) and its parts.
-    n_matched : (k,) array
-        Pairs nearer than the cutoff.
-    pair_scan, pair_estimate, pair_truth : (q,) arrays
-        Those pairs: the scan, and the rows of the estimate and of the true point.
-    """
-
+    # `ospa`, `ospa_localisation`, `ospa_cardinality`: (k,) arrays: OSPA distance and its parts, in the unit of the
+    # base distance.
     ospa: Array
     ospa_localisation: Array
     ospa_cardinality: Array
+    # `gospa`, `gospa_localisation`, `gospa_missed`, `gospa_false`: (k,) arrays: GOSPA distance (alpha = 2) and its
+    # parts.
     gospa: Array
     gospa_localisation: Array
     gospa_missed: Array
     gospa_false: Array
-    n_matched: Integers
+    n_matched: Integers  # (k,) array: Pairs nearer than the cutoff
+    # `pair_scan`, `pair_estimate`, `pair_truth`: (q,) arrays: Those pairs: the scan, and the rows of the estimate and
+    # of the true point.
     pair_scan: Integers
     pair_estimate: Integers
     pair_truth: Integers

@@ -35,22 +35,14 @@ PAIRS_AT_ONCE = 65_536
 
 @dataclass(frozen=True)
 class PairErrors:
-    """Errors of the matched pairs, in the order of `ScanScores.pair_scan`.
+    """Errors of the matched pairs, in the order of `ScanScores.pair_scan`."""
 
-    Attributes
-    ----------
-    position, velocity : (q, 3) arrays
-        Estimate minus truth in the world; NaN where a velocity is unknown.
-    whitened : (q, 3) array
-        Position errors in standard deviations (see `whitened`); NaN without a usable covariance.
-    switched : (q,) bool array
-        The true object was matched to another track the last time.
-    """
-
+    # `position`, `velocity`: (q, 3) arrays: Estimate minus truth in the world; NaN where a velocity is unknown.
     position: Array
     velocity: Array
+    # (q, 3) array: Position errors in standard deviations (see `whitened`); NaN without a usable covariance.
     whitened: Array
-    switched: NDArray[np.bool_]
+    switched: NDArray[np.bool_]  # (q,) bool array: The true object was matched to another track the last time
 
     @property
     def nees(self) -> Array:

@@ -62,17 +62,10 @@ class Transition(NamedTuple):
 
 
 class Motion(ABC):
-    """A motion model; a frozen dataclass.
+    """A motion model; a frozen dataclass."""
 
-    Attributes
-    ----------
-    state_size : int
-        6, or 3 for objects that have no velocity.
-    max_speed : float or None
-        Physical limit on the speed, length/s, for those who draw samples; `transition` is linear and ignores it.
-    """
-
-    state_size: ClassVar[int] = 6
+    state_size: ClassVar[int] = 6  # 6, or 3 for objects that have no velocity
+    # Physical limit on the speed, length/s, for those who draw samples; `transition` is linear and ignores it.
     max_speed: float | None = None
 
     @property

@@ -22,25 +22,14 @@ SMALL_ANGLE = 1e-3
 
 @dataclass(frozen=True)
 class BodyPoses:
-    """Poses of a body at some times, and how they change.
+    """Poses of a body at some times, and how they change."""
 
-    Attributes
-    ----------
-    times_s : (n,)
-        True times.
-    centers, velocities : (n, 3)
-        Of the origin of its axes, world frame, length and length/s.
-    rotations : (n, 3, 3)
-        Of the sway: applied after the mean rotation `Body.rotation`.
-    turning : (n, 3)
-        Angular velocities, world frame, rad/s.
-    """
-
-    times_s: Array
+    times_s: Array  # (n,): True times
+    # `centers`, `velocities`: (n, 3): Of the origin of its axes, world frame, length and length/s.
     centers: Array
-    rotations: Array
+    rotations: Array  # (n, 3, 3): Of the sway: applied after the mean rotation `Body.rotation`
     velocities: Array
-    turning: Array
+    turning: Array  # (n, 3): Angular velocities, world frame, rad/s
 
 
 @dataclass(frozen=True)

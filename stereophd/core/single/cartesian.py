@@ -37,12 +37,7 @@ FARTHEST = 10.0
 
 @dataclass(frozen=True)
 class CartesianEstimator(SingleEstimator[GaussianState]):
-    """The filters; see `SingleEstimator` for `rig`, `motion` and `prior`.
-
-    Attributes
-    ----------
-    settings : CartesianSettings
-    """
+    """The filters; see `SingleEstimator` for `rig`, `motion` and `prior`."""
 
     rig: Rig
     motion: Motion

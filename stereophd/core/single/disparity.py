@@ -44,19 +44,12 @@ RECTIFIED_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class DisparityEstimator(SingleEstimator[GaussianState]):
-    """Algorithm 2: any cameras, the state in the disparity space of the camera that saw the object last.
-
-    Attributes
-    ----------
-    rig, motion, prior : Rig, Motion, InitialPrior
-    sets : SampleSets
-        Samples of the moves, and with them the method.
-    """
+    """Algorithm 2: any cameras, the state in the disparity space of the camera that saw the object last."""
 
     rig: Rig
     motion: Motion
     prior: InitialPrior
-    sets: SampleSets
+    sets: SampleSets  # Samples of the moves, and with them the method
 
     def init(self) -> GaussianState:
         """Return the state before the first detection."""
@@ -126,23 +119,19 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
     optical axis. The map between their disparity spaces, projective in general, is then affine, and the detections of
     all cameras are linear in the same state (eq. 4). Intrinsic parameters may differ. A static object needs no samples.
 
-    Attributes
-    ----------
-    rig, motion, prior, sets
-        The same as in `DisparityEstimator`.
-    matrices, offsets : arrays (c, 3, 3), (c, 3)
-        From the first camera's disparity space to each camera's: ``y_i = matrix y + offset``.
-
     Raises
     ------
     ValueError
         If the cameras are not rectified, or move.
     """
 
+    # `rig`, `motion`, `prior`, `sets`: The same as in `DisparityEstimator`.
     rig: Rig
     motion: Motion
     prior: InitialPrior
     sets: SampleSets
+    # `matrices`, `offsets`: arrays (c, 3, 3), (c, 3): From the first camera's disparity space to each camera's: ``y_i
+    # = matrix y + offset``.
     matrices: Array
     offsets: Array
 

@@ -20,19 +20,12 @@ UNSEEN = -1
 
 @dataclass(frozen=True)
 class GaussianState(SingleState):
-    """A Gaussian, in a space of the estimator's own.
+    """A Gaussian, in a space of the estimator's own."""
 
-    Attributes
-    ----------
-    mean, covariance : arrays (d,), (d, d)
-        Empty before the first detection.
-    camera : int
-        Camera (index in the rig) that the space belongs to, `UNSEEN` before the first detection.
-    """
-
+    # `mean`, `covariance`: arrays (d,), (d, d): Empty before the first detection.
     mean: Array
     covariance: Array
-    camera: int
+    camera: int  # Camera (index in the rig) that the space belongs to, `UNSEEN` before the first detection
 
 
 def unseen_state() -> GaussianState:

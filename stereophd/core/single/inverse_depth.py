@@ -37,15 +37,9 @@ from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update,
 
 @dataclass(frozen=True)
 class InverseDepthState(GaussianState):
-    """A Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz).
+    """A Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz)."""
 
-    Attributes
-    ----------
-    anchor : array (30,)
-        Packed space of the camera that saw the object first, as it was then.
-    """
-
-    anchor: Array
+    anchor: Array  # (30,): Packed space of the camera that saw the object first, as it was then
 
 
 @dataclass(frozen=True)

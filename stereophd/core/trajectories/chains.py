@@ -83,19 +83,10 @@ class WholeRun:
 
 @dataclass(frozen=True)
 class Chain:
-    """A track and its detections.
+    """A track and its detections."""
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        What its measurements are linearised about.
-    detections : dict
-        Event -> detection, by their numbers.
-    run : WholeRun
-    """
-
-    trajectory: Trajectory
-    detections: dict[int, int]
+    trajectory: Trajectory  # What its measurements are linearised about
+    detections: dict[int, int]  # Event -> detection, by their numbers
     run: WholeRun
 
     @cached_property

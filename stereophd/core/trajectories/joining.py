@@ -31,19 +31,12 @@ LARGEST = 4.0 * STITCH_DISTANCE
 
 @dataclass(frozen=True)
 class JointPairs:
-    """Pairs of tracks that may be one object.
+    """Pairs of tracks that may be one object."""
 
-    Attributes
-    ----------
-    before, after : arrays (k,) of int
-        Numbers of the trajectories.
-    probabilities : array (k,)
-        Probability that both are one object.
-    """
-
+    # `before`, `after`: arrays (k,) of int: Numbers of the trajectories.
     before: Integers
     after: Integers
-    probabilities: Array
+    probabilities: Array  # (k,): Probability that both are one object
 
 
 def join_probabilities(

@@ -42,19 +42,12 @@ NOTHING: tuple[Array, float] = (np.zeros(0), 1.0)
 
 @dataclass(frozen=True)
 class Extended:
-    """A track continued back.
-
-    Attributes
-    ----------
-    trajectory : Trajectory
-    detected : tuple of int
-        Numbers of the events, among those added, with a detection that is probably the object's.
-    shares : tuple of array
-        For each of these events, the probability of each of its detections to be the object's.
-    """
+    """A track continued back."""
 
     trajectory: Trajectory
+    # Numbers of the events, among those added, with a detection that is probably the object's.
     detected: tuple[int, ...] = ()
+    # For each of these events, the probability of each of its detections to be the object's.
     shares: tuple[Array, ...] = ()
 
 

@@ -56,17 +56,10 @@ Detections = Mapping[int, int]
 
 @dataclass(frozen=True)
 class Reassociated:
-    """A track after its detections were chosen anew.
+    """A track after its detections were chosen anew."""
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Smoothed again if any of its detections changed, and otherwise the one given.
-    changed : dict
-        Event -> (detection before, detection after), None for none, of every event that changed.
-    """
-
-    trajectory: Trajectory
+    trajectory: Trajectory  # Smoothed again if any of its detections changed, and otherwise the one given
+    # Event -> (detection before, detection after), None for none, of every event that changed.
     changed: dict[int, tuple[int | None, int | None]] = field(default_factory=dict)
 
 

@@ -31,54 +31,32 @@ class OutOfViewError(ValueError):
 
 @dataclass(frozen=True)
 class MoveCase:
-    """A Gaussian to carry over.
-
-    Attributes
-    ----------
-    home, destination : DisparitySpace
-    mean, covariance : arrays (6,), (6, 6)
-        In the home space.
-    dt : float
-        Interval, s.
-    motion : Motion
-    in_view : bool
-        Whether samples out of the destination's view are left out (V-B), or all in front of it count. A few points
-        cannot show which part of a Gaussian is in view, so methods of low order use samples there.
-    """
+    """A Gaussian to carry over."""
 
     home: DisparitySpace
     destination: DisparitySpace
+    # `mean`, `covariance`: arrays (6,), (6, 6): In the home space.
     mean: Array
     covariance: Array
-    dt: float
+    dt: float  # Interval, s
     motion: Motion
+    # Whether samples out of the destination's view are left out (V-B), or all in front of it count. A few points
+    # cannot show which part of a Gaussian is in view, so methods of low order use samples there.
     in_view: bool = True
 
 
 @dataclass(frozen=True)
 class MoveMoments:
-    """A Gaussian carried over by one method.
+    """A Gaussian carried over by one method."""
 
-    Attributes
-    ----------
-    method : str
-        A method of `stereophd.core.numerics.samples.Method`, or ``reference``.
-    samples : int
-        Samples used.
-    mean, covariance : arrays (6,), (6, 6)
-        Moments of the part in view of the destination's camera, in its disparity space.
-    fraction : float
-        Part in view.
-    divergence : float
-        Kullback-Leibler divergence of the reference from this Gaussian, nat; 0 of the reference.
-    """
-
-    method: str
-    samples: int
+    method: str  # A method of `stereophd.core.numerics.samples.Method`, or ``reference``
+    samples: int  # Samples used
+    # `mean`, `covariance`: arrays (6,), (6, 6): Moments of the part in view of the destination's camera, in its
+    # disparity space.
     mean: Array
     covariance: Array
-    fraction: float
-    divergence: float
+    fraction: float  # Part in view
+    divergence: float  # Kullback-Leibler divergence of the reference from this Gaussian, nat; 0 of the reference
 
 
 def gaussian_of_object(

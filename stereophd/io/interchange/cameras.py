@@ -25,28 +25,15 @@ SMALL_DEFECT = 1e-9
 
 @dataclass(frozen=True)
 class Parts:
-    """A camera as most programs describe it.
+    """A camera as most programs describe it."""
 
-    Attributes
-    ----------
-    matrix
-        Camera matrix (3, 3) without skew; pixel (0, 0) is the centre of the top-left pixel.
-    coefficients
-        Lens coefficients in OpenCV's order: 8 of the rational model, or 4 of a fisheye.
-    fisheye
-        Which of the two models they belong to.
-    rotation, center
-        ``x_camera = rotation @ (x_world - center)``, camera axes x right, y down, z forward.
-    size
-        Width and height, px.
-    """
-
-    matrix: Array
-    coefficients: Array
-    fisheye: bool
+    matrix: Array  # Camera matrix (3, 3) without skew; pixel (0, 0) is the centre of the top-left pixel
+    coefficients: Array  # Lens coefficients in OpenCV's order: 8 of the rational model, or 4 of a fisheye
+    fisheye: bool  # Which of the two models they belong to
+    # `rotation`, `center`: ``x_camera = rotation @ (x_world - center)``, camera axes x right, y down, z forward.
     rotation: Array
     center: Array
-    size: tuple[int, int]
+    size: tuple[int, int]  # Width and height, px
 
     @property
     def translation(self) -> Array:

@@ -57,22 +57,13 @@ class Rows:
 
 @dataclass(frozen=True)
 class Decoded:
-    """A piece of a log: its rows, and what only the checks need to know of them.
+    """A piece of a log: its rows, and what only the checks need to know of them."""
 
-    Attributes
-    ----------
-    rows
-        The rows; `camera` is -1 where it is not one of the configuration's.
-    nulls, half
-        Masks of the rows with a null in a required column, and of those with one of u_px, v_px null.
-    names
-        The camera column as read, for messages.
-    """
-
-    rows: Rows
+    rows: Rows  # The rows; `camera` is -1 where it is not one of the configuration's
+    # `nulls`, `half`: Masks of the rows with a null in a required column, and of those with one of u_px, v_px null.
     nulls: Booleans
     half: Booleans
-    names: pa.Array
+    names: pa.Array  # The camera column as read, for messages
 
 
 def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: Path | str = "log") -> Decoded:

@@ -36,24 +36,14 @@ ACCELERATION_LENGTH = 12
 
 @dataclass(frozen=True)
 class MeasuredScene:
-    """What the log shows of the objects.
+    """What the log shows of the objects."""
 
-    Attributes
-    ----------
-    depths : array (3,) or None
-        Quantiles of 5, 50 and 95 % of the depth before the cameras, length.
-    depth_samples : array (n,)
-        Depths that represent the distribution, length.
-    speed : array (2,) or None
-        Root mean square of one component, and 95 % quantile of the speed across the line of sight, length/s.
-    acceleration : float or None
-        Standard deviation of the mean acceleration over 1 s, one component, length/s^2.
-    """
-
-    depths: Array | None
-    depth_samples: Array
+    depths: Array | None  # (3,) or None: Quantiles of 5, 50 and 95 % of the depth before the cameras, length
+    depth_samples: Array  # (n,): Depths that represent the distribution, length
+    # (2,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
+    # length/s.
     speed: Array | None
-    acceleration: float | None
+    acceleration: float | None  # Standard deviation of the mean acceleration over 1 s, one component, length/s^2
 
 
 def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:

@@ -38,37 +38,18 @@ COVARIANCE_ROWS = 16_384
 
 @dataclass(frozen=True)
 class Tracks:
-    """Reported objects of a run, one row an estimate, in the order of the events.
+    """Reported objects of a run, one row an estimate, in the order of the events."""
 
-    Attributes
-    ----------
-    events : Events
-        Events of the run; without ``scans.parquet`` only those that reported an object.
-    all_events : bool
-        Whether events that reported nothing are among them.
-    position, velocity : (n, 3) arrays
-        In the world.
-    covariance : (n, 3, 3) array
-        Covariance of the position.
-    track_id : (n,) array
-        Identities, negative if the filter gives none.
-    confirmed : (n,) bool array
-        Whether each estimate is confirmed, rather than tentative.
-    metadata : dict or None
-        Provenance that the file carries.
-    length_unit : str or None
-        Unit that the file names.
-    """
-
-    events: Events
-    all_events: bool
+    events: Events  # Events of the run; without ``scans.parquet`` only those that reported an object
+    all_events: bool  # Whether events that reported nothing are among them
+    # `position`, `velocity`: (n, 3) arrays: In the world.
     position: Array
     velocity: Array
-    covariance: Array
-    track_id: Integers
-    confirmed: NDArray[np.bool_]
-    metadata: Mapping[str, Any] | None
-    length_unit: str | None
+    covariance: Array  # (n, 3, 3) array: Covariance of the position
+    track_id: Integers  # (n,) array: Identities, negative if the filter gives none
+    confirmed: NDArray[np.bool_]  # (n,) bool array: Whether each estimate is confirmed, rather than tentative
+    metadata: Mapping[str, Any] | None  # Provenance that the file carries
+    length_unit: str | None  # Unit that the file names
 
 
 def read_tracks(path: Path) -> Tracks:

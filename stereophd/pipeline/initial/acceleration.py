@@ -50,24 +50,12 @@ LOGGER = logging.getLogger("stereophd")
 
 @dataclass(frozen=True)
 class AccelerationEstimate:
-    """The acceleration that a log shows.
+    """The acceleration that a log shows."""
 
-    Attributes
-    ----------
-    value : float
-        `motion.acceleration_std`, length/s^2.
-    usual : float
-        The value of greatest likelihood over all events.
-    tried : dict
-        Log-likelihood of every value, less that of `usual`.
-    events : int
-        Events that the filter ran over for each value.
-    """
-
-    value: float
-    usual: float
-    tried: dict[float, float]
-    events: int
+    value: float  # `motion.acceleration_std`, length/s^2
+    usual: float  # The value of greatest likelihood over all events
+    tried: dict[float, float]  # Log-likelihood of every value, less that of `usual`
+    events: int  # Events that the filter ran over for each value
 
     def report(self) -> dict[str, Any]:
         """Return the entry of ``report.json``."""

@@ -25,20 +25,11 @@ def packed(values: NDArray[Any]) -> str:
 
 @dataclass(frozen=True)
 class Paths:
-    """Paths of objects or tracks, one after the other, each in order of time.
+    """Paths of objects or tracks, one after the other, each in order of time."""
 
-    Attributes
-    ----------
-    ids : array (k,) of int
-    starts : array (k + 1,) of int
-        First row of each, and the number of rows.
-    columns : mapping of str to array (n,)
-        With ``time_s, x, y, z``.
-    """
-
-    ids: Integers
-    starts: Integers
-    columns: Mapping[str, Array]
+    ids: Integers  # (k,) of int
+    starts: Integers  # First row of each, and the number of rows
+    columns: Mapping[str, Array]  # With ``time_s, x, y, z``
 
     @property
     def times(self) -> Array:

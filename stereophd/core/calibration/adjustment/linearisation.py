@@ -45,26 +45,15 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """What of a problem does not change from step to step.
-
-    Attributes
-    ----------
-    problem : Problem
-    members : tuple of arrays of int
-        Observations of each camera.
-    path, rates : Interpolation
-        Interpolation of positions and velocities at the times of the prior mean.
-    motion : MotionPrior
-    columns : array (c, q)
-        Places of the unknown values of each camera, filled up with -1.
-    """
+    """What of a problem does not change from step to step."""
 
     problem: Problem
-    members: tuple[Integers, ...]
+    members: tuple[Integers, ...]  # Observations of each camera
+    # `path`, `rates`: Interpolation of positions and velocities at the times of the prior mean.
     path: Interpolation
     rates: Interpolation
     motion: MotionPrior
-    columns: Integers
+    columns: Integers  # (c, q): Places of the unknown values of each camera, filled up with -1
 
     @staticmethod
     def of(problem: Problem) -> Linearisation:

@@ -76,23 +76,15 @@ LONGEST_MOVE_OF_NOISE = 3.0
 
 @dataclass(frozen=True)
 class MarginalOptimum:
-    """Maximum of the marginal posterior.
+    """Maximum of the marginal posterior."""
 
-    Attributes
-    ----------
-    adjustment : Adjustment
-        Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
-        by more than `LONGEST_LEFT` posterior standard deviations too early.
-    noise_factor : float
-        Noise of the motion, in units of the scene's scale, over what is stated.
-    believed : bool
-        Whether that is within `LONGEST_MOVE_OF_NOISE` prior standard deviations of 1. Objects that move together, as
-        the corners of a board, count as independent; where their motion is smoother than stated as well, the
-        posterior is far too sure of itself.
-    """
-
+    # Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
+    # by more than `LONGEST_LEFT` posterior standard deviations too early.
     adjustment: Adjustment
-    noise_factor: float
+    noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
+    # Whether that is within `LONGEST_MOVE_OF_NOISE` prior standard deviations of 1. Objects that move together, as
+    # the corners of a board, count as independent; where their motion is smoother than stated as well, the posterior
+    # is far too sure of itself.
     believed: bool
 
 
@@ -150,12 +142,7 @@ class Point:
 
 @dataclass(frozen=True)
 class MarginalPosterior:
-    """The marginal posterior of a problem, as the head of this module says.
-
-    Attributes
-    ----------
-    linearisation : Linearisation
-    """
+    """The marginal posterior of a problem, as the head of this module says."""
 
     linearisation: Linearisation
 

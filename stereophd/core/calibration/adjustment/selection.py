@@ -33,21 +33,11 @@ LEAST_DETECTIONS, MOST_DETECTIONS = 8, 6000
 
 @dataclass(frozen=True)
 class Comparison:
-    """How well sets of unknowns predict.
+    """How well sets of unknowns predict."""
 
-    Attributes
-    ----------
-    sets : tuple of UnknownSet
-        The smallest first, all unknowns last.
-    losses : array (s, b)
-        Loss of the detections of each stretch under cameras that did not see it, by set.
-    chosen : int
-        Which set is taken.
-    """
-
-    sets: tuple[UnknownSet, ...]
-    losses: Array
-    chosen: int
+    sets: tuple[UnknownSet, ...]  # The smallest first, all unknowns last
+    losses: Array  # (s, b): Loss of the detections of each stretch under cameras that did not see it, by set
+    chosen: int  # Which set is taken
 
     @property
     def totals(self) -> Array:

@@ -90,19 +90,13 @@ def variance_components(residuals: Array, cells: Integers) -> tuple[float, float
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """Errors of the detections of each camera, px per coordinate.
+    """Errors of the detections of each camera, px per coordinate."""
 
-    Attributes
-    ----------
-    own, shared : arrays (c,)
-        Standard deviations of the independent error of each detection, and of the error that detections of a cell
-        share; NaN and 0 for cameras whose residuals show no shared error.
-    weights : array (n,)
-        What each detection counts, in measurements of the precision that its detector states; 1 for such cameras.
-    """
-
+    # `own`, `shared`: arrays (c,): Standard deviations of the independent error of each detection, and of the error
+    # that detections of a cell share; NaN and 0 for cameras whose residuals show no shared error.
     own: Array
     shared: Array
+    # (n,): What each detection counts, in measurements of the precision that its detector states; 1 for such cameras.
     weights: Array
 
 

@@ -36,28 +36,13 @@ LEAST_INFORMATION = 1e-200
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Outcome of `adjust`.
+    """Outcome of `adjust`."""
 
-    Attributes
-    ----------
-    values : array (m,)
-    states : array (k, 2, 3)
-        Knots.
-    covariance : array (m, m)
-        Covariance of the values, trajectories integrated out.
-    cost : float
-        Twice the negative logarithm of the posterior density, without its constant.
-    distances : array (n,)
-        Squared Mahalanobis distances of the detections.
-    iterations : int
-    converged : bool
-    """
-
-    values: Array
-    states: Array
-    covariance: Array
-    cost: float
-    distances: Array
+    values: Array  # (m,)
+    states: Array  # (k, 2, 3): Knots
+    covariance: Array  # (m, m): Covariance of the values, trajectories integrated out
+    cost: float  # Twice the negative logarithm of the posterior density, without its constant
+    distances: Array  # (n,): Squared Mahalanobis distances of the detections
     iterations: int
     converged: bool
 

@@ -27,27 +27,13 @@ LEAST_EXISTENCE = 0.6
 
 @dataclass(frozen=True)
 class TrackedDetections:
-    """Detections of the objects that a filter followed, sorted by track and time.
+    """Detections of the objects that a filter followed, sorted by track and time."""
 
-    Attributes
-    ----------
-    tracks : array (n,) of int
-        0 to the number of tracks less one.
-    detections : array (n,) of int
-        Index among all detections.
-    positions : array (n, 3)
-        Estimates of the filter, world.
-    variances : array (n,)
-        Trace of their covariance.
-    log_likelihood : float
-        Evidence of the run: sum over all events.
-    """
-
-    tracks: Integers
-    detections: Integers
-    positions: Array
-    variances: Array
-    log_likelihood: float
+    tracks: Integers  # (n,) of int: 0 to the number of tracks less one
+    detections: Integers  # (n,) of int: Index among all detections
+    positions: Array  # (n, 3): Estimates of the filter, world
+    variances: Array  # (n,): Trace of their covariance
+    log_likelihood: float  # Evidence of the run: sum over all events
 
     def __len__(self) -> int:
         return len(self.tracks)

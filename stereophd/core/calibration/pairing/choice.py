@@ -28,19 +28,11 @@ STEPS = 4
 
 @dataclass(frozen=True)
 class Pairing:
-    """Cameras and the pairs of tracks that meet under them.
+    """Cameras and the pairs of tracks that meet under them."""
 
-    Attributes
-    ----------
-    values : array (m,)
-    chosen : array (c,) of int
-        Indices of the pairs.
-    gain : float
-        Gain of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
-    """
-
-    values: Array
-    chosen: Integers
+    values: Array  # (m,)
+    chosen: Integers  # (c,) of int: Indices of the pairs
+    # Gain of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
     gain: float
 
 

@@ -40,16 +40,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class BlockPath:
-    """The first block at falling noise, then more and more events.
+    """The first block at falling noise, then more and more events."""
 
-    Attributes
-    ----------
-    evidence : LogEvidence
-        Evidence of the whole log.
-    settings : SequentialSettings
-    """
-
-    evidence: LogEvidence
+    evidence: LogEvidence  # Evidence of the whole log
     settings: SequentialSettings
 
     modes = None

@@ -75,21 +75,11 @@ class DensityPath(Protocol):
 
 @dataclass(frozen=True)
 class BridgeSampler:
-    """The sampler of one problem.
-
-    Attributes
-    ----------
-    path : DensityPath
-    resample_below : float
-        A tempering step keeps the effective sample size at this share of the particles.
-    moves : int
-        Metropolis-Hastings moves after each tempering step.
-    seed : SeedSequence
-    """
+    """The sampler of one problem."""
 
     path: DensityPath
-    resample_below: float
-    moves: int
+    resample_below: float  # A tempering step keeps the effective sample size at this share of the particles
+    moves: int  # Metropolis-Hastings moves after each tempering step
     seed: np.random.SeedSequence
 
     def init(self) -> BridgeState:

@@ -29,22 +29,13 @@ LEAST_PROBABILITY_OF_NEARNESS = 1e-8
 
 @dataclass(frozen=True)
 class ScaleMeasurement:
-    """What is known of the scale.
+    """What is known of the scale."""
 
-    Attributes
-    ----------
-    kind : {"baseline", "log_scale"}
-        The distance of two cameras, or the logarithm of s above.
-    value, std : float
-        Length and length, or pure numbers.
-    cameras : tuple of int
-        The two cameras of a baseline.
-    """
-
-    kind: str
+    kind: str  # The distance of two cameras, or the logarithm of s above
+    # `value`, `std`: Length and length, or pure numbers.
     value: float
     std: float
-    cameras: tuple[int, int] = (0, 0)
+    cameras: tuple[int, int] = (0, 0)  # The two cameras of a baseline
 
 
 def scale_is_free(parameters: ParameterSet) -> bool:

@@ -19,18 +19,10 @@ from stereophd.core.calibration.unknowns.quantities.base import MOVES
 
 @dataclass(frozen=True)
 class UnknownSet:
-    """Some of the unknowns; the others are held.
+    """Some of the unknowns; the others are held."""
 
-    Attributes
-    ----------
-    free : array (m,) of bool
-        Which values of the parameter set are free.
-    names : tuple of str
-        Components that are free, each once, in the order of the parameters.
-    """
-
-    free: Booleans
-    names: tuple[str, ...]
+    free: Booleans  # (m,) of bool: Which values of the parameter set are free
+    names: tuple[str, ...]  # Components that are free, each once, in the order of the parameters
 
     @staticmethod
     def of(parameters: ParameterSet, free: Booleans) -> UnknownSet:

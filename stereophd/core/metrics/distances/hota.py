@@ -25,25 +25,14 @@ ROUNDING = float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class Hota:
-    """HOTA and its parts at each of `THRESHOLDS`, (19,), between 0 and 1.
+    """HOTA and its parts at each of `THRESHOLDS`, (19,), between 0 and 1."""
 
-    Attributes
-    ----------
-    hota : (19,) array
-        Geometric mean of detection and association.
-    detection : (19,) array
-        Pairs over pairs, missed and false points together (DetA).
-    association : (19,) array
-        Mean over pairs of the share of scans at which their track and object are paired, of those at which either
-        exists (AssA).
-    localisation : (19,) array
-        Mean similarity of the pairs (LocA); 1 without pairs.
-    """
-
-    hota: Array
-    detection: Array
+    hota: Array  # (19,) array: Geometric mean of detection and association
+    detection: Array  # (19,) array: Pairs over pairs, missed and false points together (DetA)
+    # (19,) array: Mean over pairs of the share of scans at which their track and object are paired, of those at which
+    # either exists (AssA).
     association: Array
-    localisation: Array
+    localisation: Array  # (19,) array: Mean similarity of the pairs (LocA); 1 without pairs
 
 
 def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:

@@ -51,18 +51,10 @@ class Gospa:
 
 @dataclass(frozen=True)
 class Matching:
-    """Optimal assignments of k scans that all have m estimates and n true points.
+    """Optimal assignments of k scans that all have m estimates and n true points."""
 
-    Attributes
-    ----------
-    truth : (k, m) array
-        Index of the true point that each estimate is assigned to, -1 if none.
-    distance : (k, m) array
-        Base distance of that pair, infinite if none.
-    """
-
-    truth: Integers
-    distance: Array
+    truth: Integers  # (k, m) array: Index of the true point that each estimate is assigned to, -1 if none
+    distance: Array  # (k, m) array: Base distance of that pair, infinite if none
 
 
 def check_parameters(order: float, cutoff: float) -> None:

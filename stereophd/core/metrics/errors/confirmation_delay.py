@@ -35,21 +35,12 @@ def first_reports(track_id: Integers, time_s: Array) -> FirstReports:
 
 @dataclass(frozen=True)
 class Waits:
-    """Waiting times of true objects from their first scored scan on.
+    """Waiting times of true objects from their first scored scan on."""
 
-    Attributes
-    ----------
-    confirmed_s : (n,) array
-        Until a confirmed estimate is paired with the object, s; of the objects to which this happens.
-    reported_s : (n,) array
-        Until the track of that estimate is first reported, confirmed or tentative, s.
-    never : int
-        Number of the other objects.
-    """
-
+    # (n,) array: Until a confirmed estimate is paired with the object, s; of the objects to which this happens.
     confirmed_s: Array
-    reported_s: Array
-    never: int
+    reported_s: Array  # (n,) array: Until the track of that estimate is first reported, confirmed or tentative, s
+    never: int  # Number of the other objects
 
 
 def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports) -> Waits:

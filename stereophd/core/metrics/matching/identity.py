@@ -22,25 +22,14 @@ from stereophd.core.metrics.errors.consistency import UNLABELLED
 
 @dataclass(frozen=True)
 class TrackTable:
-    """Figures of each track, arrays (t,) in order of identity.
+    """Figures of each track, arrays (t,) in order of identity."""
 
-    Attributes
-    ----------
-    track_id : (t,) array
-        Identity.
-    n_estimates, n_matched : (t,) arrays
-        Number of its estimates, and of those that are matched to an object.
-    object_id : (t,) array
-        Its dominant object; without meaning where nothing is matched.
-    n_dominant : (t,) array
-        Number of its estimates that are matched to that object.
-    """
-
-    track_id: Integers
+    track_id: Integers  # (t,) array: Identity
+    # `n_estimates`, `n_matched`: (t,) arrays: Number of its estimates, and of those that are matched to an object.
     n_estimates: Integers
     n_matched: Integers
-    object_id: Integers
-    n_dominant: Integers
+    object_id: Integers  # (t,) array: Its dominant object; without meaning where nothing is matched
+    n_dominant: Integers  # (t,) array: Number of its estimates that are matched to that object
 
     @property
     def purity(self) -> Array:
@@ -50,27 +39,16 @@ class TrackTable:
 
 @dataclass(frozen=True)
 class ObjectTable:
-    """How each true object was followed, arrays (o,) in order of identity.
+    """How each true object was followed, arrays (o,) in order of identity."""
 
-    Attributes
-    ----------
-    object_id : (o,) array
-        Identity.
-    n_scans, n_matched : (o,) arrays
-        Number of scans at which it exists, and of those at which any estimate is matched to it.
-    track_id : (o,) array
-        Its dominant track; without meaning where no track is matched.
-    n_dominant : (o,) array
-        Number of scans at which that track is matched to it.
-    n_tracks : (o,) array
-        Number of tracks that are matched to it at some scan: its fragmentation, 1 if followed well.
-    """
-
-    object_id: Integers
+    object_id: Integers  # (o,) array: Identity
+    # `n_scans`, `n_matched`: (o,) arrays: Number of scans at which it exists, and of those at which any estimate is
+    # matched to it.
     n_scans: Integers
     n_matched: Integers
-    track_id: Integers
-    n_dominant: Integers
+    track_id: Integers  # (o,) array: Its dominant track; without meaning where no track is matched
+    n_dominant: Integers  # (o,) array: Number of scans at which that track is matched to it
+    # (o,) array: Number of tracks that are matched to it at some scan: its fragmentation, 1 if followed well.
     n_tracks: Integers
 
     @property

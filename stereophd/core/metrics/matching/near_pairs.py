@@ -14,22 +14,13 @@ from stereophd.core.metrics.scans import PointSets, base_distances, batches_of_o
 
 @dataclass(frozen=True)
 class NearPairs:
-    """Pairs (q,) of an estimate and a true point of one scan that are nearer than the cutoff, in order of estimate.
+    """Pairs (q,) of an estimate and a true point of one scan that are nearer than the cutoff, in order of estimate."""
 
-    Attributes
-    ----------
-    scan : (q,) array
-        Scan of the pair.
-    estimate, truth : (q,) arrays
-        Rows of the estimate and of the true point.
-    ratio : (q,) array
-        Base distance over the cutoff, in [0, 1).
-    """
-
-    scan: Integers
+    scan: Integers  # (q,) array: Scan of the pair
+    # `estimate`, `truth`: (q,) arrays: Rows of the estimate and of the true point.
     estimate: Integers
     truth: Integers
-    ratio: Array
+    ratio: Array  # (q,) array: Base distance over the cutoff, in [0, 1)
 
     def take(self, index: Integers | Booleans) -> NearPairs:
         """Return the chosen pairs."""
@@ -54,23 +45,16 @@ def near_pairs(estimates: PointSets, truth: PointSets, cutoff: float, *, mahalan
 
 @dataclass(frozen=True)
 class Couples:
-    """True objects and tracks that are near each other at some scan.
+    """True objects and tracks that are near each other at some scan."""
 
-    Attributes
-    ----------
-    object_of, track_of : (n,), (m,) arrays
-        Number, from zero, of the object of each true point and of the track of each estimate.
-    objects, tracks : (c,) arrays
-        Object and track of each couple.
-    number : (q,) array
-        Couple of each near pair.
-    """
-
+    # `object_of`, `track_of`: (n,), (m,) arrays: Number, from zero, of the object of each true point and of the track
+    # of each estimate.
     object_of: Integers
     track_of: Integers
+    # `objects`, `tracks`: (c,) arrays: Object and track of each couple.
     objects: Integers
     tracks: Integers
-    number: Integers
+    number: Integers  # (q,) array: Couple of each near pair
 
 
 def couples(estimates: PointSets, truth: PointSets, near: NearPairs) -> Couples:

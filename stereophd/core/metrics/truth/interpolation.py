@@ -19,24 +19,12 @@ DEFAULT_GAP_STEPS = 1.5
 
 @dataclass(frozen=True)
 class Truth:
-    """True objects: rows ordered by object and, within an object, by time.
+    """True objects: rows ordered by object and, within an object, by time."""
 
-    Attributes
-    ----------
-    time_s : (n,) array
-        True time; distinct within an object.
-    object_id : (n,) array
-        Identity.
-    position : (n, 3) array
-        In the world, length unit.
-    velocity : (n, 3) array or None
-        Length unit per second; None where only positions are known.
-    """
-
-    time_s: Array
-    object_id: Integers
-    position: Array
-    velocity: Array | None = None
+    time_s: Array  # (n,) array: True time; distinct within an object
+    object_id: Integers  # (n,) array: Identity
+    position: Array  # (n, 3) array: In the world, length unit
+    velocity: Array | None = None  # (n, 3) array or None: Length unit per second; None where only positions are known
 
     @property
     def object_start(self) -> Integers:
@@ -54,17 +42,11 @@ class Truth:
 
 @dataclass(frozen=True)
 class Events:
-    """The events of a run, in the order in which they were processed.
+    """The events of a run, in the order in which they were processed."""
 
-    Attributes
-    ----------
-    time_s : (k,) array
-        Time of each event, never decreasing.
-    row_start, row_end : (k,) arrays
-        The estimates reported after it are these rows of the tracks; equal when there are none.
-    """
-
-    time_s: Array
+    time_s: Array  # (k,) array: Time of each event, never decreasing
+    # `row_start`, `row_end`: (k,) arrays: The estimates reported after it are these rows of the tracks; equal when
+    # there are none.
     row_start: Integers
     row_end: Integers
 
@@ -75,21 +57,11 @@ class Events:
 
 @dataclass(frozen=True)
 class AlignedTruth:
-    """True objects at the times of k events.
+    """True objects at the times of k events."""
 
-    Attributes
-    ----------
-    points : PointSets
-        Their positions and velocities.
-    outside : (k,) bool array
-        The time is before the first or after the last row of the truth.
-    gap : (k,) bool array
-        An object that exists then has no rows near enough to interpolate its position.
-    """
-
-    points: PointSets
-    outside: Booleans
-    gap: Booleans
+    points: PointSets  # Their positions and velocities
+    outside: Booleans  # (k,) bool array: The time is before the first or after the last row of the truth
+    gap: Booleans  # (k,) bool array: An object that exists then has no rows near enough to interpolate its position
 
 
 def last_event_of_each_time(time_s: Array) -> Integers:

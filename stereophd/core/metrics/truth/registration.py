@@ -47,29 +47,17 @@ class Freedom:
 
 @dataclass(frozen=True)
 class Registration:
-    """A similarity of space and an affine map of time, from the tracks to the truth.
+    """A similarity of space and an affine map of time, from the tracks to the truth."""
 
-    Attributes
-    ----------
-    rotation : (3, 3) array
-    translation : (3,) array
-        Length.
-    scale : float
-    at_s : float
-        The time t_0, s.
-    shift_s, rate : float
-        What the truth's clock shows more at t_0, s; and its rate relative to the clock of the estimates.
-    estimates : int
-        How many estimates had a true object at their time.
-    """
-
-    rotation: Array
-    translation: Array
+    rotation: Array  # (3, 3) array
+    translation: Array  # (3,) array: Length
     scale: float
-    at_s: float
+    at_s: float  # The time t_0, s
+    # `shift_s`, `rate`: What the truth's clock shows more at t_0, s; and its rate relative to the clock of the
+    # estimates.
     shift_s: float
     rate: float
-    estimates: int
+    estimates: int  # How many estimates had a true object at their time
 
     def times(self, time_s: Array) -> Array:
         """True times (n,) of times of the tracks, s."""

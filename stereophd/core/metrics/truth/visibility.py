@@ -13,21 +13,12 @@ from stereophd.core.numerics.times import SAME_TIME_S
 
 @dataclass(frozen=True)
 class Sightings:
-    """Detections as far as visibility needs them.
+    """Detections as far as visibility needs them."""
 
-    Attributes
-    ----------
-    time_s : (n,) array
-        True time of each detection, in any order.
-    camera : (n,) array
-        Index of its camera.
-    object_id : (n,) array or None
-        The true object of each detection; None if the log has no such column: every detection then counts for every
-        object.
-    """
-
-    time_s: Array
-    camera: Integers
+    time_s: Array  # (n,) array: True time of each detection, in any order
+    camera: Integers  # (n,) array: Index of its camera
+    # (n,) array or None: The true object of each detection; None if the log has no such column: every detection then
+    # counts for every object.
     object_id: Integers | None = None
 
 

@@ -36,25 +36,14 @@ class Looks(NamedTuple):
 
 
 class PredictionNumbers(NamedTuple):
-    """Numbers of a prediction.
+    """Numbers of a prediction."""
 
-    Attributes
-    ----------
-    camera : int
-        Index of the camera of the event.
-    survival : float
-        Probability that an object survives since the last event.
-    elapsed, out_of_view_s : float
-        Time since the last event, s, and the time constant of `fade_out_of_view`.
-    shape_p_detect : float
-        Probability of detection for the shape of the missed part; 0 where it keeps its own.
-    """
-
-    camera: int
-    survival: float
+    camera: int  # Index of the camera of the event
+    survival: float  # Probability that an object survives since the last event
+    # `elapsed`, `out_of_view_s`: Time since the last event, s, and the time constant of `fade_out_of_view`.
     elapsed: float
     out_of_view_s: float
-    shape_p_detect: float
+    shape_p_detect: float  # Probability of detection for the shape of the missed part; 0 where it keeps its own
 
 
 @compiled

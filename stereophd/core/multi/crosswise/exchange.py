@@ -53,24 +53,13 @@ FEWEST = 2
 
 @dataclass(frozen=True)
 class CrosswiseTest:
-    """The test, and what it takes of a filter.
-
-    Attributes
-    ----------
-    rig : Rig
-    motion : Motion
-    samples : array (rows, s)
-        Samples of the moves.
-    birth : BirthPrior
-    threshold : float
-        Log-odds above which detections are exchanged.
-    """
+    """The test, and what it takes of a filter."""
 
     rig: Rig
     motion: Motion
-    samples: Array
+    samples: Array  # (rows, s): Samples of the moves
     birth: BirthPrior
-    threshold: float
+    threshold: float  # Log-odds above which detections are exchanged
 
     @cached_property
     def tolerances(self) -> list[float]:

@@ -128,25 +128,14 @@ def associate_tracks(
 
 
 class TrackClaims(NamedTuple):
-    """Pairs of a track and a detection: a track claims a detection as a whole, with all its alternatives.
+    """Pairs of a track and a detection: a track claims a detection as a whole, with all its alternatives."""
 
-    Attributes
-    ----------
-    owners, wanted : arrays (n,) of int
-        Track and detection of each pair, in order of both.
-    sums : array (n,)
-        Sum over the alternatives.
-    order : array (c,) of int
-        Places of the alternatives among all pairs of a component and a detection.
-    pair : array (c,) of int
-        Pair of each of them.
-    """
-
+    # `owners`, `wanted`: arrays (n,) of int: Track and detection of each pair, in order of both.
     owners: Integers
     wanted: Integers
-    sums: Array
-    order: Integers
-    pair: Integers
+    sums: Array  # (n,): Sum over the alternatives
+    order: Integers  # (c,) of int: Places of the alternatives among all pairs of a component and a detection
+    pair: Integers  # (c,) of int: Pair of each of them
 
 
 @compiled

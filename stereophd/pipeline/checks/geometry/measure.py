@@ -37,22 +37,12 @@ MOST_PAIRS = 300
 
 @dataclass(frozen=True)
 class Geometry:
-    """How often the rays of each pair of cameras meet.
-
-    Attributes
-    ----------
-    samples : list of CameraSample
-    pairs : tuple of Candidates
-    given : tuple of Meeting
-        How well rays meet for every pair, with the cameras as stated.
-    expected : tuple of float
-        Excess that the configuration promises, pair by pair.
-    """
+    """How often the rays of each pair of cameras meet."""
 
     samples: list[CameraSample]
     pairs: tuple[Candidates, ...]
-    given: tuple[Meeting, ...]
-    expected: tuple[float, ...]
+    given: tuple[Meeting, ...]  # How well rays meet for every pair, with the cameras as stated
+    expected: tuple[float, ...]  # Excess that the configuration promises, pair by pair
 
     @property
     def views(self) -> list[Reading]:

@@ -33,26 +33,13 @@ LEAST_LENGTH = 6
 
 @dataclass(frozen=True)
 class CameraSample:
-    """Frames of one camera.
-
-    Attributes
-    ----------
-    camera : Camera
-    times : array (f,)
-        True times of the frames (by the clock of the configuration), s, rising.
-    frames : array (f,) of int
-        Frame numbers.
-    first : array (f + 1,) of int
-        The detections of frame k are those from ``first[k]`` to ``first[k + 1]``.
-    pixels : array (n, 2)
-        Distorted pixels.
-    """
+    """Frames of one camera."""
 
     camera: Camera
-    times: Array
-    frames: Integers
-    first: Integers
-    pixels: Array
+    times: Array  # (f,): True times of the frames (by the clock of the configuration), s, rising
+    frames: Integers  # (f,) of int: Frame numbers
+    first: Integers  # The detections of frame k are those from ``first[k]`` to ``first[k + 1]``
+    pixels: Array  # (n, 2): Distorted pixels
 
     @property
     def detections_per_frame(self) -> float:

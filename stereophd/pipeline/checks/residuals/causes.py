@@ -26,24 +26,12 @@ STEP_S, STEP_ANGLE, STEP_K1 = 1e-3, 1e-6, 1e-5
 
 @dataclass(frozen=True)
 class CauseFit:
-    """How much of the distances of a pair of cameras a cause explains.
+    """How much of the distances of a pair of cameras a cause explains."""
 
-    Attributes
-    ----------
-    value : float
-        The number of a cause that has one: s, or k1.
-    error : float
-        Its standard error, from the spread between pairs of tracks.
-    explained : float
-        Share of the squared distances.
-    effect : float
-        Root mean square of what is explained, standard deviations of a detection.
-    """
-
-    value: float
-    error: float
-    explained: float
-    effect: float
+    value: float  # The number of a cause that has one: s, or k1
+    error: float  # Its standard error, from the spread between pairs of tracks
+    explained: float  # Share of the squared distances
+    effect: float  # Root mean square of what is explained, standard deviations of a detection
 
     @property
     def is_decisive(self) -> bool:
@@ -57,14 +45,10 @@ class CauseFit:
 
 @dataclass(frozen=True)
 class PairFits:
-    """How much each cause explains of the distances of a pair of cameras.
+    """How much each cause explains of the distances of a pair of cameras."""
 
-    Attributes
-    ----------
-    clock, lens_a, lens_b, pose : CauseFit
-        An offset of B's clock; the first radial coefficient of A and of B; turns and shifts of B.
-    """
-
+    # `clock`, `lens_a`, `lens_b`, `pose`: An offset of B's clock; the first radial coefficient of A and of B; turns
+    # and shifts of B.
     clock: CauseFit
     lens_a: CauseFit
     lens_b: CauseFit

@@ -22,29 +22,17 @@ FARTHEST, LEAST_COMMON, LEAST_SHARE = 6.0, 8, 0.5
 
 @dataclass(frozen=True)
 class Partners:
-    """Detections of two cameras that belong to the same object.
+    """Detections of two cameras that belong to the same object."""
 
-    Attributes
-    ----------
-    a, b : int
-        The cameras.
-    pixels_a, pixels_b : array (n, 2)
-        At the same times, those of B between its frames.
-    velocity_b : array (n, 2)
-        Image velocity of B's detections, px/s.
-    distance : array (n,)
-        Signed distance of the rays, standard deviations.
-    tracks : array (n,) of int
-        Number of the pair of one-camera tracks.
-    """
-
+    # `a`, `b`: The cameras.
     a: int
     b: int
+    # `pixels_a`, `pixels_b`: (n, 2): At the same times, those of B between its frames.
     pixels_a: Array
     pixels_b: Array
-    velocity_b: Array
-    distance: Array
-    tracks: Integers
+    velocity_b: Array  # (n, 2): Image velocity of B's detections, px/s
+    distance: Array  # (n,): Signed distance of the rays, standard deviations
+    tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
 
     @property
     def track_count(self) -> int:
