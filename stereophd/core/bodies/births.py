@@ -1,8 +1,8 @@
 """New bodies, each from one box, with the height of objects and the ground for what a box does not measure.
 
 Objects that no camera has detected yet are uniform over the image: at depths whose logarithm is uniform, or on the
-ground. The state that explains a box best under that prior is found by Gauss-Newton steps, and its evidence by Laplace's
-method (C. M. Bishop, "Pattern Recognition and Machine Learning", 2006, section 4.4).
+ground. The state that explains a box best under that prior is found by Gauss-Newton steps, and its evidence by the
+method of Laplace (C. M. Bishop, "Pattern Recognition and Machine Learning", 2006, section 4.4).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr
+from scipy.special import ndtr
 
 from stereophd.core.arrays import Array
 from stereophd.core.bodies.boxes import EXTENT_RANGE, Boxes, box_variances

@@ -2,8 +2,8 @@
 
 A box is (u, top, bottom, width) in undistorted pixels. Its noise is in proportion to the height of the body's image:
 detectors place the sides of a large box with larger errors. A side at the border of the image is where the image ends,
-not where the body does, and is left out: of the two others across, or the one above or below, the measurement keeps what
-is left. False boxes are uniform over the image in their middle, and in the logarithm of their height and width.
+not where the body does, and is left out: the measurement keeps the other sides. False boxes are uniform over the image
+in their middle, and in the logarithm of their height and width.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def boxes_of(event: Event, camera: Camera) -> Boxes:
     camera : Camera
         Its camera.
     """
-    assert event.pixels is not None and event.sizes is not None
+    assert event.pixels is not None
+    assert event.sizes is not None
     pixels, sizes = event.pixels, event.sizes
     half = sizes / 2.0
     left, right = pixels[:, 0] - half[:, 0], pixels[:, 0] + half[:, 0]

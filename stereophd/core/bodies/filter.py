@@ -106,9 +106,7 @@ class BodyFilter:
         elapsed = 0.0 if state.time_s is None else max(time_s - state.time_s, 0.0)
         if not len(hypotheses.weights) or elapsed == 0.0:
             return replace(state, time_s=time_s)
-        means, covariances = predict_bodies(
-            hypotheses.means, hypotheses.covariances, elapsed, self.motion, self.shape
-        )
+        means, covariances = predict_bodies(hypotheses.means, hypotheses.covariances, elapsed, self.motion, self.shape)
         weights = hypotheses.weights * self.settings.survival_per_s**elapsed
         weights = np.where(self._is_in_reach(means, time_s), weights, weights * self._fading(elapsed))
         return replace(state, hypotheses=Hypotheses(hypotheses.owners, weights, means, covariances), time_s=time_s)
@@ -132,9 +130,7 @@ class BodyFilter:
         places = states[:, POSITION]
         return seen & ((places + reach >= limits[:, 0]) & (places - reach <= limits[:, 1])).all(axis=1)
 
-    def _update(
-        self, state: BodyState, event: Event, camera: Camera, elapsed: float
-    ) -> tuple[BodyState, Info]:
+    def _update(self, state: BodyState, event: Event, camera: Camera, elapsed: float) -> tuple[BodyState, Info]:
         """Update with the boxes of an event (Williams 2015, section IV), then reduction."""
         hypotheses, n_tracks = state.hypotheses, len(state.labels)
         owners, weights = hypotheses.owners, hypotheses.weights
@@ -174,7 +170,9 @@ class BodyFilter:
 
         labels = np.concatenate([state.labels, state.next_label + np.arange(len(boxes))])
         info = self._info(state.labels, labels, tracks, columns, taken, missing * (existence > 0), newborn_weights)
-        joined = self._joined(hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights), n_tracks)
+        joined = self._joined(
+            hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights), n_tracks
+        )
         reduced, kept = reduce_hypotheses(joined, len(labels), self.settings, self.shape.direction)
         more = np.zeros(len(boxes), dtype=np.bool_)
         identities = np.concatenate([state.track_ids, np.full(len(boxes), -1)])
@@ -206,9 +204,7 @@ class BodyFilter:
         factor = 1.0 - self.shape.hidden_loss * hidden**self.shape.hidden_power
         return np.asarray(probability * factor[hypotheses.owners])
 
-    def _pairs(
-        self, hypotheses: Hypotheses, projected: Array, slopes: Array, boxes: Boxes, camera: Camera
-    ) -> Pairs:
+    def _pairs(self, hypotheses: Hypotheses, projected: Array, slopes: Array, boxes: Boxes, camera: Camera) -> Pairs:
         """Return the hypotheses and boxes that the gates let pass."""
         parts = np.asarray(camera.detector.box_noise)
         carried = hypotheses.covariances @ slopes.swapaxes(1, 2)
@@ -238,14 +234,10 @@ class BodyFilter:
         projections = selections @ slopes[rows]
         return Pairs(rows[near], columns[near], log_odds[near], gains[near], residuals[near], projections[near])
 
-    def _newborns(
-        self, boxes: Boxes, free: Booleans, camera: Camera, rate: float
-    ) -> tuple[Newborns, Array]:
+    def _newborns(self, boxes: Boxes, free: Booleans, camera: Camera, rate: float) -> tuple[Newborns, Array]:
         """Return the bodies that the boxes may have given birth to, and their odds against clutter (m,)."""
         size, chosen = len(boxes), np.flatnonzero(free & (rate > 0.0))
-        out = Newborns(
-            np.zeros((size, STATE_SIZE)), np.tile(np.eye(STATE_SIZE), (size, 1, 1)), np.full(size, -np.inf)
-        )
+        out = Newborns(np.zeros((size, STATE_SIZE)), np.tile(np.eye(STATE_SIZE), (size, 1, 1)), np.full(size, -np.inf))
         if len(chosen):
             found = newborn_bodies(
                 boxes.take(chosen), camera, self.shape, self.settings.birth.velocity_std, self.rig.region
@@ -256,7 +248,12 @@ class BodyFilter:
         return out, odds
 
     def _joined(
-        self, hypotheses: Hypotheses, pairs: Pairs, newborns: Newborns, weights: tuple[Array, Array, Array], n_tracks: int
+        self,
+        hypotheses: Hypotheses,
+        pairs: Pairs,
+        newborns: Newborns,
+        weights: tuple[Array, Array, Array],
+        n_tracks: int,
     ) -> Hypotheses:
         """Return the hypotheses after an event: missed, updated by a box each, and newborn."""
         means = hypotheses.means[pairs.rows] + np.einsum("kij,kj->ki", pairs.gains, pairs.residuals)
@@ -274,7 +271,13 @@ class BodyFilter:
 
     @staticmethod
     def _info(
-        known: Integers, labels: Integers, tracks: Integers, columns: Integers, taken: Array, missed: Array, newborn: Array
+        known: Integers,
+        labels: Integers,
+        tracks: Integers,
+        columns: Integers,
+        taken: Array,
+        missed: Array,
+        newborn: Array,
     ) -> Info:
         """Return which labels an event detected, and which boxes they claim; see `multi.association.attribution`."""
         new = np.arange(len(newborn))
