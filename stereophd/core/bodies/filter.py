@@ -22,7 +22,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.births import Newborns, half_extents, newborn_bodies, shares_left
-from stereophd.core.bodies.boxes import Boxes, box_variances, boxes_of, share_in_image
+from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.hypotheses import Hypotheses, reduce_hypotheses
 from stereophd.core.bodies.occlusion import hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, outline_boxes
@@ -41,8 +41,6 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 GATE, GATE_SQUARED = 5.0, 36.0
 # Detections whose best track outweighs clutter by more than these odds give birth to nothing.
 CLEARLY_CLAIMED = 1e6
-# A body of whose box less than this share is in the image is detected the more rarely the less there is.
-WHOLE_SHARE = 0.5
 
 
 @dataclass(frozen=True)
