@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
-from stereophd.config.base import Model, OneOf, Range3
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.settings import Length, PositiveLength, parameter
 from stereophd.core.single.settings import SingleSettings
+from stereophd.validated import Model, OneOf, Range3
 
 
 class DisparityConfig(Model):

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.documents import load_yaml, read_bytes
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart

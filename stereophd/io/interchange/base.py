@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 
 Value = TypeVar("Value")
 

@@ -12,7 +12,7 @@ import pytest
 
 from stereophd.commands.export import export
 from stereophd.errors import InputError
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.tables.schemas import TRACKS

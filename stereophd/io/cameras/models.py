@@ -8,8 +8,6 @@ from typing import Annotated, Any, Literal
 from annotated_types import Interval
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from stereophd.config.base import Model, OneOf, Units
-from stereophd.config.poses import PoseConfig
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.lenses import lens_models
@@ -25,6 +23,8 @@ from stereophd.core.settings import (
     Time,
     parameter,
 )
+from stereophd.io.cameras.poses import PoseConfig
+from stereophd.validated import Model, OneOf, Units
 
 ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
 Sigma = Annotated[float, Interval(ge=SMALLEST_SIGMA_PX, le=LARGEST_SIGMA_PX), FINITE]
