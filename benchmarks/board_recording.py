@@ -27,18 +27,16 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import yaml
-from numpy.typing import NDArray
 
 from stereophd.commands.calibrate import calibrate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_cameras, load_config
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.cameras import write_cameras
 from stereophd.pipeline.calibration.unknowns import with_quantities
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "configs" / "board_calibration.yaml"

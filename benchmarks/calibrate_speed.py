@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling import sequential
 from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -46,8 +47,6 @@ from stereophd.core.numerics.linear_algebra import cholesky
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.pipeline.calibration.filters import phd_filter
 from stereophd.pipeline.calibration.inputs import read_problem
-
-Array = NDArray[np.float64]
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
 TARGET_TIMES_FLOOR = 4.0

@@ -28,7 +28,6 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import numpy as np
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate import evaluate
@@ -36,6 +35,7 @@ from stereophd.commands.evaluate_cameras import evaluate_calibration, read_poste
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_cameras, load_config
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.weights import weighted_mean_covariance
@@ -49,8 +49,6 @@ SUCCESS = 5.0
 SAME_RANGE = 0.1
 # Angle from the reference camera within which an estimate is of an object, rad.
 SAME_DIRECTION = 0.01
-
-Array = NDArray[np.float64]
 
 
 def overrides(options: argparse.Namespace) -> list[str]:

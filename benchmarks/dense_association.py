@@ -18,12 +18,9 @@ import common  # noqa: F401  (first: sets the number of threads)
 
 # isort: split
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.association import belief, exact_association
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 NEIGHBOURS = (1.0, 3.0, 10.0, 30.0, 100.0)
 EVENTS = 3

@@ -31,14 +31,13 @@ from numpy.typing import NDArray
 
 from stereophd.commands.calibrate import calibrate
 from stereophd.config.loading import load_cameras, load_config
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.core.metrics.truth.registration import Freedom, Registration, register
 from stereophd.io.cameras import write_cameras
 from stereophd.pipeline.calibration.unknowns import with_quantities
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "configs" / "drone_own_clocks.yaml"

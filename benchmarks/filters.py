@@ -4,8 +4,8 @@
     python benchmarks/filters.py --authors DIR
 
 Every scene is a variation of configs/paper/multi_object.yaml, simulated with seeds of its own; all filters see the
-same logs. Prints a Markdown table (docs/results/filters.md holds one): means over runs with the half-width of their 95 %
-intervals, a median, and the number of failures. Everything runs in memory, as `stereophd experiment` does.
+same logs. Prints a Markdown table (docs/results/filters.md holds one): means over runs with the half-width of their
+95 % intervals, a median, and the number of failures. Everything runs in memory, as `stereophd experiment` does.
 With --authors the logs are those in the folders of DIR (cameras.yaml, detections.parquet, truth.parquet, in cm), one
 run each.
 """
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
+from stereophd.core.arrays import Array
 from stereophd.core.metrics.errors.confirmation_delay import Waits
 from stereophd.core.metrics.matching.clear_mot import match_within
 from stereophd.core.metrics.scans import PointSets, score_scans
@@ -39,8 +40,6 @@ from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import EventStream, frames_in_order
 from stereophd.pipeline.tracking.run import reported_records
-
-Array = NDArray[np.float64]
 
 CONFIG = Path(__file__).parents[1] / "configs" / "paper" / "multi_object.yaml"
 DETECTORS = [f"cameras.{name}.detector" for name in ("left", "right")]

@@ -32,15 +32,13 @@ from common import read_events  # first: sets the number of threads
 # isort: split
 import numpy as np
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.pipeline.build import build_filter
-
-Array = NDArray[np.float64]
 
 TARGET_MS_PER_EVENT = 15.0
 TARGET_OBJECTS = 200

@@ -15,8 +15,8 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.disparity.space import DisparitySpace
@@ -26,7 +26,6 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.samples import SampleSets, draw_sample_sets
 
-Array = NDArray[np.float64]
 BINS = [0.0, 1e-3, 3e-3, 0.01, 0.03, 0.1, np.inf]
 REFERENCE = 2**17
 MOTION = ConstantVelocity([0.01] * 3, 6.0)

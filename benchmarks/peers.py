@@ -23,19 +23,17 @@ from common import PAPER_CONFIG, read_events  # first: sets the number of thread
 
 # isort: split
 import numpy as np
-from numpy.typing import NDArray
 from peers_stonesoup import Knowledge, Scan, run_gnn, run_phd
 
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.metrics.distances.ospa import ospa
 from stereophd.core.metrics.truth.interpolation import align_truth
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.evaluation.inputs import read_truth
-
-Array = NDArray[np.float64]
 
 TARGET_MS_PER_SECOND = 0.5
 ORDER, CUTOFF = 2.0, 20.0

@@ -15,7 +15,6 @@ from datetime import datetime, timedelta
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from stonesoup.base import Property
 from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
@@ -36,7 +35,7 @@ from stonesoup.types.update import GaussianStateUpdate
 from stonesoup.updater.kalman import ExtendedKalmanUpdater
 from stonesoup.updater.pointprocess import PHDUpdater
 
-Array = NDArray[np.float64]
+from stereophd.core.arrays import Array
 
 START = datetime(2026, 1, 1)
 POSITION, VELOCITY = [0, 2, 4], [1, 3, 5]

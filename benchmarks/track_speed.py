@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW
@@ -46,8 +47,6 @@ from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.pipeline.build import build_filter
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

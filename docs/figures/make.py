@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.space import DisparitySpace
@@ -27,8 +28,6 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.samples import Method, draw_sample_sets
-
-Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).resolve().parent
 # Okabe and Ito's colours, which most colour-blind readers can distinguish.

@@ -16,15 +16,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import detection_information, inverse_information, to_disparity
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-
-Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).resolve().parent
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"

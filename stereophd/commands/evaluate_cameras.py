@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import SUFFIXES
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
@@ -32,7 +32,6 @@ from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, rai
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 
 LOGGER = logging.getLogger("stereophd")
 

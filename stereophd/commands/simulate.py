@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
-from stereophd.core.simulation.timing import FloatArray
 from stereophd.errors import InputError
 from stereophd.io.cameras import write_cameras
 from stereophd.io.logs.writing import LogWriter
@@ -175,7 +175,7 @@ def _write_truth(path: Path, scene: Scene, metadata: dict[bytes, bytes]) -> None
     names = ("x", "y", "z", "vx", "vy", "vz")
     with TableWriter(path, TRUTH, metadata) as writer:
         for times_s, identifiers, states in truth_rows(scene):
-            columns: dict[str, FloatArray] = {name: states[:, index] for index, name in enumerate(names)}
+            columns: dict[str, Array] = {name: states[:, index] for index, name in enumerate(names)}
             writer.append({"time_s": times_s, "object_id": identifiers, **columns})
 
 

@@ -27,21 +27,11 @@ class Model(BaseModel):
 
 @dataclass(frozen=True)
 class OneOf:
-    """Annotation of a section that exists in several kinds: the settings of one of them, chosen by a word.
+    """Annotation of a section that exists in several kinds: the settings of one of them, chosen by a word."""
 
-    Attributes
-    ----------
-    members : callable
-        Returns the settings of every kind by its word: a registry of `core`.
-    key : str
-        The field that holds the word.
-    default : str, optional
-        The word of a section that names none; without it the word is required.
-    """
-
-    members: Callable[[], Mapping[str, Any]]
-    key: str
-    default: str | None = None
+    members: Callable[[], Mapping[str, Any]]  # Returns the settings of every kind by its word: a registry of `core`
+    key: str  # The field that holds the word
+    default: str | None = None  # The word of a section that names none; without it the word is required
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """Validate as the union of the kinds (called by pydantic)."""

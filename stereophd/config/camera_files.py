@@ -15,21 +15,12 @@ LOGGER = logging.getLogger("stereophd")
 
 @dataclass(frozen=True)
 class CameraTree:
-    """The cameras of a file in the native form.
+    """The cameras of a file in the native form."""
 
-    Attributes
-    ----------
-    tree
-        The content of the file. A complete file has the keys ``units`` and ``cameras``.
-    has_unit
-        Whether the file (or its format) states the unit of length; if not, the unit of the configuration is assumed.
-    sha256
-        Hash of the bytes that were read.
-    """
-
-    tree: Tree
+    tree: Tree  # The content of the file. A complete file has the keys ``units`` and ``cameras``.
+    # Whether the file (or its format) states the unit of length; if not, the unit of the configuration is assumed.
     has_unit: bool
-    sha256: str
+    sha256: str  # Hash of the bytes that were read
 
 
 def read_camera_tree(path: Path) -> CameraTree:

@@ -16,11 +16,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS, marker_of
-
-Array = NDArray[np.float64]
 
 # Half-width of a 90 % band in standard deviations.
 NINETY = 1.645
@@ -32,33 +31,21 @@ MOST_PAIRS = 6
 
 @dataclass(frozen=True)
 class CalibrationPictures:
-    """What is drawn.
+    """What is drawn."""
 
-    Attributes
-    ----------
-    names, units : tuple of str
-        Names and units of the parameters; the unit is ``length`` or ``rad``.
-    length_unit : str
-    prior_std : array (m,)
-    times : array (t,)
-        s.
-    means, stds : arrays (t, m)
-        Posterior given the log up to each time.
-    particles, weights : arrays (k, m), (k,)
-    residual_times, residual_cameras, residuals : arrays (n,)
-        Reprojection residuals in sigmas; may be empty.
-    cameras : tuple of str
-    """
-
+    # `names`, `units`: Names and units of the parameters; the unit is ``length`` or ``rad``.
     names: tuple[str, ...]
     units: tuple[str, ...]
     length_unit: str
-    prior_std: Array
-    times: Array
+    prior_std: Array  # (m,)
+    times: Array  # (t,): s
+    # `means`, `stds`: arrays (t, m): Posterior given the log up to each time.
     means: Array
     stds: Array
+    # `particles`, `weights`: arrays (k, m), (k,)
     particles: Array
     weights: Array
+    # `residual_times`, `residual_cameras`, `residuals`: arrays (n,): Reprojection residuals in sigmas; may be empty.
     residual_times: Array
     residual_cameras: NDArray[np.int64]
     residuals: Array

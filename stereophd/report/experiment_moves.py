@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from stereophd.experiments.engine.base import Array
+from stereophd.core.arrays import Array
 from stereophd.report.style import INK, TRACK_COLOURS, legend_right
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from stereophd.experiments.engine.base import Array
+from stereophd.core.arrays import Array
 from stereophd.report.experiment_moves import draw_moves
 from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right
 from stereophd.wording import counted

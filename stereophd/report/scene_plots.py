@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import in_window
 from stereophd.report.style import (
@@ -54,7 +54,7 @@ def draw_views(pictures: Pictures) -> dict[str, Figure]:
 
 
 def _draw_view(
-    pictures: Pictures, view: SceneView, title: str, rows: Any, cameras: Sequence[Camera], scene: FloatArray
+    pictures: Pictures, view: SceneView, title: str, rows: Any, cameras: Sequence[Camera], scene: Array
 ) -> Figure:
     figure, axes = view_axes(view, scene, title, bracketed(unit_text(pictures)))
     draw_camera_views(axes, cameras, pictures.truth.position[rows], view)
@@ -64,7 +64,7 @@ def _draw_view(
     return figure
 
 
-def view_axes(view: SceneView, scene: FloatArray, title: str, unit: str) -> tuple[Figure, Axes]:
+def view_axes(view: SceneView, scene: Array, title: str, unit: str) -> tuple[Figure, Axes]:
     """Return a figure with axes for a view of a scene (n, 3), to scale; `unit` follows the names of the axes."""
     across, along = limits(view.project(scene))
     width, height = across[1] - across[0], along[1] - along[0]
@@ -83,7 +83,7 @@ def view_axes(view: SceneView, scene: FloatArray, title: str, unit: str) -> tupl
     return figure, axes
 
 
-def draw_camera_views(axes: Axes, cameras: Sequence[Camera], points: FloatArray, view: SceneView) -> None:
+def draw_camera_views(axes: Axes, cameras: Sequence[Camera], points: Array, view: SceneView) -> None:
     """Draw cameras and what they see, past the farthest of the points (n, 3); the axes keep their limits."""
     across, along = axes.get_xlim(), axes.get_ylim()
     axes.autoscale(False)
@@ -101,7 +101,7 @@ def _draw_field_of_view(axes: Axes, camera: Camera, depth: float, view: SceneVie
 
 def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: SceneView, near: float) -> None:
     """Draw the centres; cameras that are drawn in the same place share one line of names."""
-    places: list[tuple[FloatArray, list[str]]] = []
+    places: list[tuple[Array, list[str]]] = []
     for camera in cameras:
         center = view.project(camera.pose.center[None])[0]
         names = next((names for place, names in places if np.hypot(*(place - center)) < near), None)
@@ -164,7 +164,7 @@ def _draw_estimates(
     axes.plot([], [], marker="o", markersize=4, color=TRACK_COLOURS[0], linestyle="none", label=name)
 
 
-def _mark_false(axes: Axes, points: FloatArray, labels: IntArray, false_tracks: frozenset[int]) -> None:
+def _mark_false(axes: Axes, points: Array, labels: Integers, false_tracks: frozenset[int]) -> None:
     """Cross out some estimates of each false track."""
     false = np.flatnonzero(np.isin(labels, np.array(sorted(false_tracks), dtype=np.int64)))
     if len(false):
@@ -172,7 +172,7 @@ def _mark_false(axes: Axes, points: FloatArray, labels: IntArray, false_tracks: 
         axes.plot(*points[false].T, "x", color=WRONG, markersize=7, zorder=5, label="false tracks")
 
 
-def _ranks(labels: IntArray) -> IntArray:
+def _ranks(labels: Integers) -> Integers:
     """Number the labels in order of size, so that neighbouring tracks differ in colour."""
     return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 

@@ -60,37 +60,20 @@ def dash_of(number: int) -> Any:
 
 @dataclass(frozen=True)
 class Pictures:
-    """What is drawn.
+    """What is drawn."""
 
-    Attributes
-    ----------
-    columns : mapping
-        Columns of ``per_scan.parquet``, arrays over the scored scans.
-    order, cutoff, base
-        Parameters of OSPA.
-    truth : Truth
-        All rows of the truth; those at scored times are drawn.
-    max_gap_s : float
-        Longest interval over which a true path is drawn as a line.
-    estimates : PointSets
-        Estimates of the scored scans.
-    cameras : sequence of Camera
-        May be empty.
-    length_unit : str or None
-        For the labels.
-    false_tracks, missed_objects : frozenset of int
-        Tracks most of whose estimates match no object, and objects that no track matches most of the time.
-    """
-
-    columns: Mapping[str, Any]
+    columns: Mapping[str, Any]  # Columns of ``per_scan.parquet``, arrays over the scored scans
+    # `order`, `cutoff`, `base`: Parameters of OSPA.
     order: float
     cutoff: float
     base: str
-    truth: Truth
-    max_gap_s: float
-    estimates: PointSets
-    cameras: Sequence[Camera]
-    length_unit: str | None
+    truth: Truth  # All rows of the truth; those at scored times are drawn
+    max_gap_s: float  # Longest interval over which a true path is drawn as a line
+    estimates: PointSets  # Estimates of the scored scans
+    cameras: Sequence[Camera]  # May be empty
+    length_unit: str | None  # For the labels
+    # `false_tracks`, `missed_objects`: Tracks most of whose estimates match no object, and objects that no track
+    # matches most of the time.
     false_tracks: frozenset[int] = frozenset()
     missed_objects: frozenset[int] = frozenset()
 

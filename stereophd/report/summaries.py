@@ -27,21 +27,12 @@ CHECKS = "Checks"
 
 @dataclass(frozen=True)
 class SummaryTable:
-    """A table of texts.
-
-    Attributes
-    ----------
-    title : str
-    header : tuple of str
-    rows : tuple of tuple of str
-    notes : tuple of str
-        Lines below the table.
-    """
+    """A table of texts."""
 
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # Lines below the table
 
 
 def number(value: float | None, digits: int = 3) -> str:

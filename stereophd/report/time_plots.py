@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.arrays import Array, Integers
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, Pictures, bracketed, legend_right, unit_text
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def draw_ospa(pictures: Pictures) -> Figure:
     return figure
 
 
-def _set_scale(axes: Axes, values: FloatArray) -> None:
+def _set_scale(axes: Axes, values: Array) -> None:
     """Choose a logarithmic scale where spikes would hide the rest, which then begins below most of the values."""
     positive = values[values > 0.0]
     if len(positive) < LEAST_FOR_LOG or positive.max() < SPIKE * np.median(positive):
@@ -110,38 +110,26 @@ def _time_axes(rows: int) -> tuple[Figure, Sequence[Axes]]:
 
 @dataclass(frozen=True)
 class _Bins:
-    """Neighbouring scans that are drawn as one point; a short run has one point per scan.
+    """Neighbouring scans that are drawn as one point; a short run has one point per scan."""
 
-    Attributes
-    ----------
-    start : (b,) array
-        First scan of each bin.
-    count : (b,) array
-        Its number of scans.
-    gap : (g,) array
-        Bins before which nothing was scored for a while: lines break there.
-    time_s : (b + g,) array
-        Mean times, NaN at the breaks.
-    """
+    start: Integers  # (b,) array: First scan of each bin
+    count: Integers  # (b,) array: Its number of scans
+    gap: Integers  # (g,) array: Bins before which nothing was scored for a while: lines break there
+    time_s: Array  # Mean times, NaN at the breaks
 
-    start: IntArray
-    count: IntArray
-    gap: IntArray
-    time_s: FloatArray
-
-    def mean(self, values: NDArray[Any]) -> FloatArray:
+    def mean(self, values: NDArray[Any]) -> Array:
         """Return the mean of each bin, as it is drawn over `time_s`."""
         return self._broken(np.add.reduceat(values, self.start) / self.count)
 
-    def least(self, values: NDArray[Any]) -> FloatArray:
+    def least(self, values: NDArray[Any]) -> Array:
         """Return the least value of each bin."""
         return self._broken(np.minimum.reduceat(values, self.start))
 
-    def most(self, values: NDArray[Any]) -> FloatArray:
+    def most(self, values: NDArray[Any]) -> Array:
         """Return the greatest value of each bin."""
         return self._broken(np.maximum.reduceat(values, self.start))
 
-    def _broken(self, values: NDArray[Any]) -> FloatArray:
+    def _broken(self, values: NDArray[Any]) -> Array:
         return np.insert(values.astype(np.float64), self.gap, np.nan)
 
     @property
@@ -150,7 +138,7 @@ class _Bins:
         return {"marker": "."} if len(self.start) <= MOST_SCANS_MARKED else {}
 
 
-def _bins(time_s: FloatArray) -> _Bins:
+def _bins(time_s: Array) -> _Bins:
     scans = len(time_s)
     step = np.diff(time_s)
     gaps = np.flatnonzero(step > GAP_STEPS * np.median(step)) + 1 if scans > 1 else np.zeros(0, dtype=int)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.core.metrics.matching.assignment import FloatArray
+from stereophd.core.arrays import Array
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
@@ -21,21 +21,14 @@ MARGIN = 0.06
 
 @dataclass(frozen=True)
 class SceneView:
-    """A projection along a world axis.
+    """A projection along a world axis."""
 
-    Attributes
-    ----------
-    horizontal, vertical : int
-        World axes (0 x, 1 y, 2 z) drawn to the right and upwards.
-    inverted : bool
-        The vertical axis points down on the page.
-    """
-
+    # `horizontal`, `vertical`: World axes (0 x, 1 y, 2 z) drawn to the right and upwards.
     horizontal: int
     vertical: int
-    inverted: bool = False
+    inverted: bool = False  # The vertical axis points down on the page
 
-    def project(self, points: FloatArray) -> FloatArray:
+    def project(self, points: Array) -> Array:
         """Return the drawn coordinates (n, 2) of world points (n, 3)."""
         return points[:, [self.horizontal, self.vertical]]
 
@@ -57,7 +50,7 @@ def down_axis(cameras: Sequence[Camera]) -> tuple[int, bool]:
     return axis, bool(down[axis] > 0)
 
 
-def views(cameras: Sequence[Camera], points: FloatArray) -> dict[str, SceneView]:
+def views(cameras: Sequence[Camera], points: Array) -> dict[str, SceneView]:
     """Return the ``top`` and ``side`` views of a scene whose points (n, 3) are known.
 
     From above nothing is mirrored; from the side the longer horizontal axis is drawn.
@@ -73,7 +66,7 @@ def views(cameras: Sequence[Camera], points: FloatArray) -> dict[str, SceneView]
     return {"top": SceneView(first, second), "side": SceneView(longer, vertical, inverted=is_down)}
 
 
-def limits(points: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+def limits(points: Array) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of a view that shows all points (n, 2) with a margin, not too long and thin."""
     if len(points) == 0:
         return (-1.0, 1.0), (-1.0, 1.0)
@@ -85,7 +78,7 @@ def limits(points: FloatArray) -> tuple[tuple[float, float], tuple[float, float]
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def field_of_view(camera: Camera, depth: float, view: SceneView) -> FloatArray:
+def field_of_view(camera: Camera, depth: float, view: SceneView) -> Array:
     """Return the outline (n, 2) of what a camera sees up to a depth, as drawn in a view."""
     u = np.array([-0.5, camera.width / 2 - 0.5, camera.width - 0.5])
     v = np.array([-0.5, camera.height / 2 - 0.5, camera.height - 0.5])
@@ -95,7 +88,7 @@ def field_of_view(camera: Camera, depth: float, view: SceneView) -> FloatArray:
     return convex_hull(view.project(corners))
 
 
-def viewing_depth(camera: Camera, points: FloatArray) -> float:
+def viewing_depth(camera: Camera, points: Array) -> float:
     """Return a depth to draw a camera's view to: well past the farthest of the points (n, 3) before it, or 0.
 
     The axes cut the view; its far end inside the picture would look like a limit of range.
@@ -104,14 +97,14 @@ def viewing_depth(camera: Camera, points: FloatArray) -> float:
     return VIEW_MARGIN * float(max(depth.max(initial=0.0), 0.0))
 
 
-def convex_hull(points: FloatArray) -> FloatArray:
+def convex_hull(points: Array) -> Array:
     """Return the corners of the convex hull of points (n, 2), counter-clockwise (monotone chain)."""
     ordered = np.unique(points, axis=0)
     if len(ordered) < 3:
         return ordered
 
-    def chain(row: FloatArray) -> list[FloatArray]:
-        hull: list[FloatArray] = []
+    def chain(row: Array) -> list[Array]:
+        hull: list[Array] = []
         for point in row:
             while len(hull) > 1 and _turn(hull[-2], hull[-1], point) <= 0:
                 hull.pop()
@@ -121,5 +114,5 @@ def convex_hull(points: FloatArray) -> FloatArray:
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
-def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+def _turn(a: Array, b: Array, c: Array) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

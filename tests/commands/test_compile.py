@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.cli.app import run
 from stereophd.commands import compile
-from stereophd.core.numerics.compilation import preparation
+from stereophd.core.multi import preparation
 from stereophd.pipeline.workers import compile_ahead
 
 

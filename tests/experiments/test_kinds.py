@@ -14,8 +14,9 @@ from stereophd.commands.experiment import experiment
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config, variant
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Series
+from stereophd.experiments.engine.base import Series
 from stereophd.experiments.kinds import calibration, localisation, move, multi_object, static_scene, tracking
 
 from .conftest import Load

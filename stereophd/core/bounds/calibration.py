@@ -9,8 +9,8 @@ that is expected with probability p_detect counts by that part; so the bound is 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import SQUARED, Observations, Problem
 from stereophd.core.calibration.adjustment.solver import posterior_covariance
@@ -19,9 +19,6 @@ from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.motion.base import Motion
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def calibration_bound(

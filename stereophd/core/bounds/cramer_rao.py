@@ -24,13 +24,11 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole, projective
-
-Array = NDArray[np.float64]
 
 # An information matrix of worse condition leaves a direction undetermined: the bound is infinite.
 WORST_CONDITION = 1e15

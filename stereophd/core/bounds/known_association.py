@@ -18,13 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
-
-Array = NDArray[np.float64]
 
 # Steps until none would lower the cost of its object by this much, relative to one plus itself.
 TOLERANCE = 1e-9
@@ -34,26 +33,13 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e12
 
 @dataclass(frozen=True)
 class AssociatedDetections:
-    """Detections of objects, in order of time.
+    """Detections of objects, in order of time."""
 
-    Attributes
-    ----------
-    row : array (m,) of int
-        The object, as a row of the results.
-    time_s : array (m,)
-    projection : array (m, 3, 4)
-        World to undistorted pixels, of the camera at that time.
-    points : array (m, 2)
-        Undistorted pixels.
-    whitening : array (m, 2, 2)
-        W with W^T W the inverse of the noise covariance.
-    """
-
-    row: NDArray[np.int64]
-    time_s: Array
-    projection: Array
-    points: Array
-    whitening: Array
+    row: NDArray[np.int64]  # (m,) of int: The object, as a row of the results
+    time_s: Array  # (m,)
+    projection: Array  # (m, 3, 4): World to undistorted pixels, of the camera at that time
+    points: Array  # (m, 2): Undistorted pixels
+    whitening: Array  # (m, 2, 2): W with W^T W the inverse of the noise covariance
 
     def until(self, time_s: float) -> AssociatedDetections:
         """Return the detections up to a time."""

@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.known_association import AssociatedDetections
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.projection import projective
 from stereophd.core.multi.filter_settings.common import BirthPrior
-
-Array = NDArray[np.float64]
 
 
 def static_point_information(

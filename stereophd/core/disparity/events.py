@@ -9,11 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.rolling import readings, travels, turned_to_frame
 from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
 
 # Packed spaces of moving cameras that are kept.
 MOST_KEPT = 4096
@@ -21,47 +20,26 @@ MOST_KEPT = 4096
 
 @dataclass(frozen=True)
 class Event:
-    """The detections of one camera at one time, undistorted.
+    """The detections of one camera at one time, undistorted."""
 
-    Attributes
-    ----------
-    time_s : float
-        Time, s.
-    camera : int
-        Index of the camera in the rig.
-    points : array (m, 2)
-        Undistorted pixels, ordered by u, so that results do not depend on the order in the log. Of a rolling shutter
-        that turns: in the axes of the camera at `time_s` (`stereophd.core.disparity.rolling`).
-    covariances : array (m, 2, 2)
-        Noise of the undistorted pixels, px^2.
-    areas : array (m,)
-        Area of an undistorted pixel per distorted pixel: turns densities over the undistorted plane
-        into densities over the image, where clutter and births are uniform.
-    delays : array (m,), optional
-        Time of each detection after `time_s`, s, of a rolling shutter; None: all are of that time.
-    frame : int
-        Number of the frame that the camera gave it; -1 where no number is known.
-    not_invertible : int
-        Detections of the frame that were left out, because the lens model cannot be inverted there.
-    own_noise : bool
-        Whether each detection states its own noise, which replaces the detector's.
-    pixels : array (m, 2), optional
-        The detections as in the log, distorted.
-    travels : array (m, 3), optional
-        Displacement of the camera's centre in the world from `time_s` until each detection was made, of a rolling
-        shutter that moves; None: it stands still meanwhile.
-    """
-
-    time_s: float
-    camera: int
+    time_s: float  # Time, s
+    camera: int  # Index of the camera in the rig
+    # (m, 2): Undistorted pixels, ordered by u, so that results do not depend on the order in the log. Of a rolling
+    # shutter that turns: in the axes of the camera at `time_s` (`stereophd.core.disparity.rolling`).
     points: Array
-    covariances: Array
+    covariances: Array  # (m, 2, 2): Noise of the undistorted pixels, px^2
+    # (m,): Area of an undistorted pixel per distorted pixel: turns densities over the undistorted plane into
+    # densities over the image, where clutter and births are uniform.
     areas: Array
+    # (m,), optional: Time of each detection after `time_s`, s, of a rolling shutter; None: all are of that time.
     delays: Array | None = None
-    frame: int = -1
+    frame: int = -1  # Number of the frame that the camera gave it; -1 where no number is known
+    # Detections of the frame that were left out, because the lens model cannot be inverted there.
     not_invertible: int = 0
-    own_noise: bool = False
-    pixels: Array | None = None
+    own_noise: bool = False  # Whether each detection states its own noise, which replaces the detector's
+    pixels: Array | None = None  # (m, 2), optional: The detections as in the log, distorted
+    # (m, 3), optional: Displacement of the camera's centre in the world from `time_s` until each detection was made,
+    # of a rolling shutter that moves; None: it stands still meanwhile.
     travels: Array | None = None
 
     def readings(self, space: Array) -> Array | None:
@@ -74,30 +52,15 @@ class Event:
 
 @dataclass(frozen=True)
 class Rig:
-    """The cameras, each with its disparity space.
+    """The cameras, each with its disparity space."""
 
-    Attributes
-    ----------
-    cameras : tuple of Camera
-        In the order of the configuration.
-    baseline : float
-        Baseline of the abstract rectified companions, length.
-    rectification : {"horizontal", "vertical"}
-        Rectification of the companions.
-    packed : array (c, 30)
-        Packed spaces at time 0; valid at any time if no camera moves.
-    moving : bool
-        Whether any camera moves.
-    region : array (8,), optional
-        Where objects can be: x, y, z from and to in the world, nearest and farthest depth before the
-        camera that saw them last.
-    """
-
-    cameras: tuple[Camera, ...]
-    baseline: float
-    rectification: Literal["horizontal", "vertical"]
-    packed: Array
-    moving: bool
+    cameras: tuple[Camera, ...]  # In the order of the configuration
+    baseline: float  # Baseline of the abstract rectified companions, length
+    rectification: Literal["horizontal", "vertical"]  # Rectification of the companions
+    packed: Array  # (c, 30): Packed spaces at time 0; valid at any time if no camera moves
+    moving: bool  # Whether any camera moves
+    # (8,), optional: Where objects can be: x, y, z from and to in the world, nearest and farthest depth before the
+    # camera that saw them last.
     region: Array | None = None
     _kept: dict[tuple[int, float], Array] = field(default_factory=dict, init=False, compare=False, repr=False)
 

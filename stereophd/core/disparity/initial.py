@@ -14,13 +14,11 @@ near, fast objects and make far ones fly; the paper's experiments use one, so it
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import BASELINE, VERTICAL
 from stereophd.core.geometry.layout import CX, CY, FX, FY
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
 
 
 @compiled

@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.linear_move import linear_components
 from stereophd.core.disparity.moved import Moved, room_for_moved
 from stereophd.core.disparity.rule_move import rule_components
@@ -24,8 +25,6 @@ from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets, cubature_points
-
-Array = NDArray[np.float64]
 
 # A Gaussian refitted from fewer samples than this is rank-deficient or soon overconfident.
 FEWEST_SAMPLES = 24

@@ -7,39 +7,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
 
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
 
 
 class Moved(NamedTuple):
-    """Components carried into the disparity space of one camera at one time.
+    """Components carried into the disparity space of one camera at one time."""
 
-    Attributes
-    ----------
-    means, covariances : arrays (n, d), (n, d, d)
-        The part in view, in the destination's space; only where `status` is not `OUT_OF_VIEW`.
-    fraction : array (n,)
-        Part of the component that is in view, 0 to 1.
-    status : array (n,) of int
-        `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`.
-    missed_means, missed_covariances : arrays (n, d), (n, d, d)
-        The part that was not detected, in the space and at the time of origin. Filled only where `status` is
-        `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1: the missed part of a component wholly in view has the
-        shape of the whole.
-    inside : array (n,)
-        Part of the component inside the region; what lies outside is left out of all of the above.
-    """
-
+    # `means`, `covariances`: arrays (n, d), (n, d, d): The part in view, in the destination's space; only where
+    # `status` is not `OUT_OF_VIEW`.
     means: Array
     covariances: Array
-    fraction: Array
-    status: NDArray[np.int64]
+    fraction: Array  # (n,): Part of the component that is in view, 0 to 1
+    status: NDArray[np.int64]  # (n,) of int: `OUT_OF_VIEW`, `PARTLY_IN_VIEW` or `IN_VIEW`
+    # `missed_means`, `missed_covariances`: arrays (n, d), (n, d, d): The part that was not detected, in the space and
+    # at the time of origin. Filled only where `status` is `PARTLY_IN_VIEW`, or `OUT_OF_VIEW` with `inside` below 1:
+    # the missed part of a component wholly in view has the shape of the whole.
     missed_means: Array
     missed_covariances: Array
-    inside: Array
+    inside: Array  # (n,): Part of the component inside the region; what lies outside is left out of all of the above
 
 
 def room_for_moved(count: int, size: int) -> Moved:

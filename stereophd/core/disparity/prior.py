@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import BASELINE, VERTICAL
 from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.settings import PositiveLength, PositivePixels, parameter, settings
-
-Array = NDArray[np.float64]
 
 # Distance in standard deviations of disparity at which a depth range ends.
 DEPTH_RANGE_SIGMAS = 2.0

@@ -15,14 +15,12 @@ for a detection, of which z is known, linear in the disparity d. An object moves
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import BASELINE, VERTICAL
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.layout import CX, CY, FX, FY, ROTATION
 from stereophd.core.geometry.pose import Pose
-
-Array = NDArray[np.float64]
 
 # Columns of the readings of detections: delay, and change of u and of v with the disparity.
 READING_COLUMNS = 3

@@ -20,14 +20,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, Moved
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition, squared_distance
 from stereophd.core.numerics.moments import weighted_moments
-
-Array = NDArray[np.float64]
 
 # A point of the rule represents no share of the Gaussian, so none may be outside the region.
 NO_SLACK = 1.0

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
@@ -20,29 +21,16 @@ from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
 from stereophd.core.numerics.sorting import copy_gaussian
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 # A component whose disparity is known to better than this fraction has no tail to look for.
 WIDE_DISPARITY = 0.05
 
 
 class Look(NamedTuple):
-    """Samples to look at components with.
+    """Samples to look at components with."""
 
-    Attributes
-    ----------
-    samples : array (rows, n)
-        Standard-normal samples.
-    weights : array (n,)
-        Weights of the samples.
-    minimum : int
-        Fewest (effective) samples in view from which a Gaussian is fitted.
-    """
-
-    samples: Array
-    weights: Array
-    minimum: int
+    samples: Array  # (rows, n): Standard-normal samples
+    weights: Array  # (n,): Weights of the samples
+    minimum: int  # Fewest (effective) samples in view from which a Gaussian is fitted
 
 
 @compiled

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.layout import PACKED_SIZE as CAMERA_SIZE
 from stereophd.core.geometry.projection import projective
-
-Array = NDArray[np.float64]
 
 # Layout of a packed space: Camera.packed() first, then these two.
 BASELINE = CAMERA_SIZE

@@ -20,16 +20,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import BASELINE, VERTICAL
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE, LENS_NONE, ROTATION, WIDTH
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-
 
 # A component of which this share is inside the region counts as inside.
 REGION_SLACK = 0.8

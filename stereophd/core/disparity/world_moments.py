@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.trips import disparity_scale, motion_noise
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # In the world a Gaussian in disparity has no moments (1 / d). Samples further away than this factor times the depth of
 # the mean disparity are left out.

@@ -6,15 +6,14 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-Time = TypeVar("Time", float, FloatArray)
+Time = TypeVar("Time", float, Array)
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -36,7 +35,7 @@ class Detector:
         If a value is out of its range.
     """
 
-    sigma: FloatArray
+    sigma: Array
     p_detect: float
     clutter_per_frame: float
 
@@ -149,7 +148,7 @@ class Camera:
             return self
         return replace(self, pose=self.pose.at(time_s))
 
-    def row_delays(self, rows: FloatArray) -> FloatArray | None:
+    def row_delays(self, rows: Array) -> Array | None:
         """Return when rows (n,) of the distorted image are read, s after the frame's time; None without readout."""
         return None if self.readout_s == 0.0 else self.readout_s / self.height * rows
 
@@ -159,18 +158,18 @@ class Camera:
         return min(self.readout_s, 0.0), max(self.readout_s, 0.0)
 
     @property
-    def intrinsic_matrix(self) -> FloatArray:
+    def intrinsic_matrix(self) -> Array:
         """Intrinsic matrix K (3, 3), px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
-    def projection_matrix(self) -> FloatArray:
+    def projection_matrix(self) -> Array:
         """Projection matrix K R [I | -c] (3, 4) from the world to homogeneous undistorted pixels."""
         rotation = self.pose.rotation
         extrinsic = np.column_stack([rotation, -rotation @ self.pose.center])
         return np.asarray(self.intrinsic_matrix @ extrinsic, dtype=np.float64)
 
-    def project(self, x_world: ArrayLike) -> FloatArray:
+    def project(self, x_world: ArrayLike) -> Array:
         """Project world positions into the image.
 
         Parameters
@@ -192,7 +191,7 @@ class Camera:
             xy = self.lens.distort(np.where(seen[:, None], xy, np.nan))[0]
         return self._to_pixels(xy)
 
-    def project_at(self, x_world: ArrayLike, times: FloatArray) -> FloatArray:
+    def project_at(self, x_world: ArrayLike, times: Array) -> Array:
         """Project world positions (n, 3) at true times (n,), s, each with the pose of its own time; see `project`."""
         if self.pose.is_static:
             return self.project(x_world)
@@ -200,7 +199,7 @@ class Camera:
         seen = np.einsum("nij,nj->ni", motions.rotations, np.asarray(x_world, dtype=np.float64) - motions.centers)
         return replace(self, pose=Pose(np.eye(3), np.zeros(3))).project(seen)
 
-    def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> FloatArray:
+    def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> Array:
         """Return the world positions of distorted pixels at given depths.
 
         Parameters
@@ -217,7 +216,7 @@ class Camera:
         """
         return self.pose.to_world(self.rays(pixels) * np.asarray(depth, dtype=np.float64)[:, None])
 
-    def rays(self, pixels: ArrayLike) -> FloatArray:
+    def rays(self, pixels: ArrayLike) -> Array:
         """Return the rays (n, 3) of distorted pixels (n, 2) in the camera's frame, with depth 1.
 
         A row has NaN where a pixel cannot be undistorted.
@@ -225,7 +224,7 @@ class Camera:
         xy, _ = self.lens.undistort(self._to_normalised(pixels))
         return np.column_stack([xy, np.ones(len(xy))])
 
-    def in_view(self, x_world: ArrayLike) -> BoolArray:
+    def in_view(self, x_world: ArrayLike) -> Booleans:
         """Return which world positions (n, 3) the camera sees, as bool (n,).
 
         Seen is what lies in front of the camera, within the lens's `max_radius`, and whose distorted
@@ -233,13 +232,13 @@ class Camera:
         """
         return self.contains(self.project(x_world))
 
-    def contains(self, pixels: ArrayLike) -> BoolArray:
+    def contains(self, pixels: ArrayLike) -> Booleans:
         """Return which distorted pixels (n, 2) are inside the image, as bool (n,); False for NaN."""
         uv = np.asarray(pixels, dtype=np.float64)
         inside = (uv >= -0.5) & (uv <= np.array([self.width, self.height]) - 0.5)
         return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
-    def undistort_pixels(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def undistort_pixels(self, pixels: ArrayLike) -> tuple[Array, Array]:
         """Undistort pixels, with the Jacobian that carries their noise along.
 
         Parameters
@@ -257,7 +256,7 @@ class Camera:
         xy, jacobian = self.lens.undistort(self._to_normalised(pixels))
         return self._to_pixels(xy), self._jacobian_in_pixels(jacobian)
 
-    def distort_pixels(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def distort_pixels(self, pixels: ArrayLike) -> tuple[Array, Array]:
         """Distort pixels of the pinhole camera, the inverse of `undistort_pixels`.
 
         Parameters
@@ -275,7 +274,7 @@ class Camera:
         xy_d, jacobian = self.lens.distort(self._to_normalised(pixels))
         return self._to_pixels(xy_d), self._jacobian_in_pixels(jacobian)
 
-    def packed(self) -> FloatArray:
+    def packed(self) -> Array:
         """Return the camera as (28,) numbers for compiled kernels, in the layout of `geometry.layout`."""
         result = np.empty(layout.PACKED_SIZE)
         result[layout.FX : layout.CENTER] = self.fx, self.fy, self.cx, self.cy, self.width, self.height
@@ -286,13 +285,13 @@ class Camera:
         result[layout.MAX_RADIUS] = self.lens.max_radius
         return result
 
-    def _to_normalised(self, pixels: ArrayLike) -> FloatArray:
+    def _to_normalised(self, pixels: ArrayLike) -> Array:
         uv = np.asarray(pixels, dtype=np.float64)
         return np.asarray((uv - [self.cx, self.cy]) / [self.fx, self.fy], dtype=np.float64)
 
-    def _to_pixels(self, xy: FloatArray) -> FloatArray:
+    def _to_pixels(self, xy: Array) -> Array:
         return np.asarray(xy * [self.fx, self.fy] + [self.cx, self.cy], dtype=np.float64)
 
-    def _jacobian_in_pixels(self, jacobian: FloatArray) -> FloatArray:
+    def _jacobian_in_pixels(self, jacobian: Array) -> Array:
         focal = np.array([self.fx, self.fy])
         return np.asarray(jacobian * (focal[:, None] / focal), dtype=np.float64)

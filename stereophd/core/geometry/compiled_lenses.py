@@ -18,8 +18,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.layout import (
     CENTER,
     CX,
@@ -64,7 +64,6 @@ __all__ = [
     "undistort_points",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # An inverse beyond this radius is 89.99999 degrees off the axis: as good as not invertible.
 LARGEST_RADIUS = 1e8
@@ -82,7 +81,7 @@ _brown_conrady = compiled(brown_conrady.scale)
 
 
 @compiled
-def _scale(code: int, c: FloatArray, start: int, s: float) -> tuple[float, float]:
+def _scale(code: int, c: Array, start: int, s: float) -> tuple[float, float]:
     """Return g = r_d / r and dg/ds at the squared radius s, with the coefficients at c[start : start + 8]."""
     if code == LENS_FISHEYE:
         return _fisheye(c, start, s)
@@ -90,7 +89,7 @@ def _scale(code: int, c: FloatArray, start: int, s: float) -> tuple[float, float
 
 
 @compiled
-def _tangential(code: int, c: FloatArray, start: int) -> tuple[float, float]:
+def _tangential(code: int, c: Array, start: int) -> tuple[float, float]:
     """Return p1 and p2 (zero for the fisheye model, which keeps k3 and k4 in their places)."""
     if code == LENS_FISHEYE:
         return 0.0, 0.0
@@ -98,7 +97,7 @@ def _tangential(code: int, c: FloatArray, start: int) -> tuple[float, float]:
 
 
 @compiled
-def _distort(code: int, c: FloatArray, start: int, x: float, y: float) -> tuple[float, float]:
+def _distort(code: int, c: Array, start: int, x: float, y: float) -> tuple[float, float]:
     """Distort a point, with the coefficients at c[start : start + 8] (no slice, hence no reference count)."""
     if code == LENS_NONE:
         return x, y
@@ -111,7 +110,7 @@ def _distort(code: int, c: FloatArray, start: int, x: float, y: float) -> tuple[
 
 
 @compiled
-def distort_point(code: int, coefficients: FloatArray, x: float, y: float) -> tuple[float, float]:
+def distort_point(code: int, coefficients: Array, x: float, y: float) -> tuple[float, float]:
     """Distort one normalised point.
 
     Parameters
@@ -133,7 +132,7 @@ def distort_point(code: int, coefficients: FloatArray, x: float, y: float) -> tu
 
 @compiled
 def distort_point_jacobian(
-    code: int, coefficients: FloatArray, x: float, y: float
+    code: int, coefficients: Array, x: float, y: float
 ) -> tuple[float, float, float, float, float, float]:
     """Distort one normalised point, with the Jacobian.
 
@@ -160,7 +159,7 @@ def distort_point_jacobian(
 
 
 @compiled
-def _undistort_radius(code: int, c: FloatArray, max_radius: float, r_d: float) -> float:
+def _undistort_radius(code: int, c: Array, max_radius: float, r_d: float) -> float:
     """Invert r -> r_d on [0, max_radius] by Newton's iteration kept inside a bracket; NaN beyond it."""
     if not r_d > 0.0:
         return 0.0 if r_d == 0.0 else math.nan
@@ -190,7 +189,7 @@ def _undistort_radius(code: int, c: FloatArray, max_radius: float, r_d: float) -
 
 
 @compiled
-def _undistort_newton(code: int, c: FloatArray, x_d: float, y_d: float, x: float, y: float) -> tuple[float, float]:
+def _undistort_newton(code: int, c: Array, x_d: float, y_d: float, x: float, y: float) -> tuple[float, float]:
     """Refine an undistorted point by Newton's iteration in the plane, halving steps that do not help."""
     for _ in range(MAX_ITERATIONS):
         a, b, j00, j01, j10, j11 = distort_point_jacobian(code, c, x, y)
@@ -217,9 +216,7 @@ def _undistort_newton(code: int, c: FloatArray, x_d: float, y_d: float, x: float
 
 
 @compiled
-def undistort_point(
-    code: int, coefficients: FloatArray, max_radius: float, x_d: float, y_d: float
-) -> tuple[float, float]:
+def undistort_point(code: int, coefficients: Array, max_radius: float, x_d: float, y_d: float) -> tuple[float, float]:
     """Undistort one normalised point.
 
     Parameters
@@ -262,7 +259,7 @@ def undistort_point(
 
 
 @compiled
-def pixel_in_view(camera: FloatArray, u: float, v: float) -> bool:
+def pixel_in_view(camera: Array, u: float, v: float) -> bool:
     """Whether a point in front of the camera is seen, given its undistorted pixel.
 
     Parameters
@@ -293,7 +290,7 @@ def pixel_in_view(camera: FloatArray, u: float, v: float) -> bool:
 
 
 @compiled
-def distort_points(code: int, coefficients: FloatArray, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+def distort_points(code: int, coefficients: Array, xy: Array) -> tuple[Array, Array]:
     """Distort points (n, 2); returns the distorted points (n, 2) and the Jacobians (n, 2, 2)."""
     n = xy.shape[0]
     result = np.empty((n, 2))
@@ -307,9 +304,7 @@ def distort_points(code: int, coefficients: FloatArray, xy: FloatArray) -> tuple
 
 
 @compiled
-def undistort_points(
-    code: int, coefficients: FloatArray, max_radius: float, xy_d: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def undistort_points(code: int, coefficients: Array, max_radius: float, xy_d: Array) -> tuple[Array, Array]:
     """Undistort points (n, 2); returns the points (n, 2) and the Jacobians d xy / d xy_d (n, 2, 2)."""
     n = xy_d.shape[0]
     result = np.empty((n, 2))

@@ -8,11 +8,10 @@ from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.lenses import lens_models
-
-FloatArray = NDArray[np.float64]
 
 CODES: Final[dict[str, int]] = {name: model.code for name, model in lens_models().items()}
 PARAMETERS: Final[dict[str, tuple[str, ...]]] = {name: model.coefficients for name, model in lens_models().items()}
@@ -65,7 +64,7 @@ class Lens:
         return CODES[self.model]
 
     @property
-    def coefficients(self) -> FloatArray:
+    def coefficients(self) -> Array:
         """Coefficients (8,): k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1, k2, k3, k4, 0, 0, 0, 0."""
         names = PARAMETERS[self.model]
         result = np.zeros(SLOTS)
@@ -81,7 +80,7 @@ class Lens:
         """
         return _max_radius(self.model, tuple(self.coefficients.tolist()))
 
-    def distort(self, xy: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def distort(self, xy: ArrayLike) -> tuple[Array, Array]:
         """Distort normalised points.
 
         Parameters
@@ -104,7 +103,7 @@ class Lens:
 
         return distort_points(self.code, self.coefficients, points)
 
-    def undistort(self, xy_d: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    def undistort(self, xy_d: ArrayLike) -> tuple[Array, Array]:
         """Undistort normalised points, by Newton's iteration to rounding.
 
         Parameters
@@ -133,7 +132,7 @@ def _max_radius(model: str, coefficients: tuple[float, ...]) -> float:
     return lens_models()[model].max_radius(np.array(coefficients))
 
 
-def _points(values: ArrayLike) -> FloatArray:
+def _points(values: ArrayLike) -> Array:
     """Return contiguous, writable float64 points (n, 2): one compiled specialisation for all callers."""
     points = np.require(values, dtype=np.float64, requirements=["C", "W"])
     if points.ndim != 2 or points.shape[1] != 2:
@@ -141,5 +140,5 @@ def _points(values: ArrayLike) -> FloatArray:
     return points
 
 
-def _identities(n: int) -> FloatArray:
+def _identities(n: int) -> Array:
     return np.broadcast_to(np.eye(2), (n, 2, 2)).copy()

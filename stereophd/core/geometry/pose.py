@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.rotations import rotations
 from stereophd.core.geometry.trajectory import Motions, MountedPath
-
-FloatArray = NDArray[np.float64]
 
 # A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
 LARGEST_ROTATION_DEFECT = 1e-4
@@ -19,7 +18,7 @@ LARGEST_ROTATION_DEFECT = 1e-4
 ROTATION_ROUNDING = 1e-12
 
 
-def rotation_from_vector(vector: ArrayLike) -> FloatArray:
+def rotation_from_vector(vector: ArrayLike) -> Array:
     """Return the rotation matrix of an axis times an angle (Rodrigues' formula).
 
     Parameters
@@ -44,7 +43,7 @@ def rotation_from_vector(vector: ArrayLike) -> FloatArray:
     return np.asarray(np.eye(3) + first * cross + second * cross @ cross, dtype=np.float64)
 
 
-def rotation_to_vector(rotation: ArrayLike) -> FloatArray:
+def rotation_to_vector(rotation: ArrayLike) -> Array:
     """Return the axis times the angle of a rotation matrix, the inverse of `rotation_from_vector`.
 
     Parameters
@@ -82,7 +81,7 @@ def rotation_to_vector(rotation: ArrayLike) -> FloatArray:
     return np.asarray(q[1:] * (2.0 * math.atan2(sine, float(q[0])) / sine), dtype=np.float64)
 
 
-def _frozen(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
+def _frozen(values: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     """Return a read-only float64 copy of the given shape, all of it finite."""
     array = np.array(values, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
@@ -91,7 +90,7 @@ def _frozen(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
     return array
 
 
-def _nearest_rotation(rotation: FloatArray) -> FloatArray:
+def _nearest_rotation(rotation: Array) -> Array:
     """Return the matrix itself if it is a rotation to rounding, else the nearest rotation to it."""
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if defect > LARGEST_ROTATION_DEFECT or np.linalg.det(rotation) < 0.0:
@@ -102,7 +101,7 @@ def _nearest_rotation(rotation: FloatArray) -> FloatArray:
     if defect <= ROTATION_ROUNDING:
         return rotation
     left, _, right = np.linalg.svd(rotation)
-    nearest: FloatArray = left @ right
+    nearest: Array = left @ right
     nearest.setflags(write=False)
     return nearest
 
@@ -138,10 +137,10 @@ class Pose:
         If a shape is wrong, a value is not finite, or the matrix is not a rotation.
     """
 
-    rotation: FloatArray
-    center: FloatArray
-    velocity: FloatArray
-    rotation_rate: FloatArray
+    rotation: Array
+    center: Array
+    velocity: Array
+    rotation_rate: Array
     time_s: float
     path: MountedPath | None
 
@@ -211,7 +210,7 @@ class Pose:
             time_s=time_s,
         )
 
-    def motions(self, times: FloatArray) -> Motions:
+    def motions(self, times: Array) -> Motions:
         """Return rotations, centres and their rates at times (n,), s, as `at` has them one by one."""
         if self.path is not None:
             return self.path.at(times)
@@ -222,12 +221,12 @@ class Pose:
         rates = (np.broadcast_to(one, (len(times), 3)) for one in (self.velocity, self.rotation_rate))
         return Motions(turns, self.center + elapsed * self.velocity, *rates)
 
-    def to_camera(self, x_world: ArrayLike) -> FloatArray:
+    def to_camera(self, x_world: ArrayLike) -> Array:
         """Map world positions (n, 3) to camera axes (n, 3), length, at the pose's own time."""
         x = np.asarray(x_world, dtype=np.float64)
         return np.asarray((x - self.center) @ self.rotation.T, dtype=np.float64)
 
-    def to_world(self, x_camera: ArrayLike) -> FloatArray:
+    def to_world(self, x_camera: ArrayLike) -> Array:
         """Map positions in camera axes (n, 3) to the world (n, 3), length, at the pose's own time."""
         x = np.asarray(x_camera, dtype=np.float64)
         return np.asarray(x @ self.rotation + self.center, dtype=np.float64)

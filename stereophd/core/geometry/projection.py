@@ -8,12 +8,11 @@ distorted pixel: through the lens, and by the pose, the motion of object and cam
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from stereophd.core.arrays import Array
 
 
-def pinhole(points: FloatArray, focal: FloatArray) -> tuple[FloatArray, FloatArray]:
+def pinhole(points: Array, focal: Array) -> tuple[Array, Array]:
     """Project points in a camera's axes onto the plane at depth 1, with the derivative of their pixels.
 
     Defined behind the camera too; infinite or NaN at depth 0.
@@ -41,7 +40,7 @@ def pinhole(points: FloatArray, focal: FloatArray) -> tuple[FloatArray, FloatArr
     return slopes, by_point
 
 
-def projective(matrix: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def projective(matrix: Array, points: Array) -> tuple[Array, Array]:
     """Map points by a projective matrix, with the derivative.
 
     With the rows P and p of the matrix the image is ``y = P (x, 1) / s``, ``s = p (x, 1)``, and its derivative

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stereophd.core.arrays import Array
 
 
 def cross_matrices(vectors: Array) -> Array:

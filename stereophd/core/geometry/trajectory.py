@@ -11,16 +11,15 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.rotations import (
     quaternion_matrices,
     quaternion_products,
     quaternion_vectors,
     rotations,
 )
-
-Array = NDArray[np.float64]
 
 # A quaternion whose norm differs more than this from 1 is refused rather than normalised.
 LARGEST_NORM_DEFECT = 1e-3

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
-
-Array = NDArray[np.float64]
 
 # Eigenvalues of correlations below this are rounding.
 LEAST_EIGENVALUE = 1e-12
@@ -22,30 +21,16 @@ LEAST_EIGENVALUE = 1e-12
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of k cameras, all but the reference.
+    """Errors of k cameras, all but the reference."""
 
-    Attributes
-    ----------
-    rotation : array (k,)
-        Angle between estimated and true rotation, rad.
-    direction : array (k,)
-        Angle between estimated and true direction from the reference, rad; NaN of a camera at the reference.
-    scale_ratio : array (k,)
-        Estimated over true distance from the reference.
-    center : array (k,)
-        Distance of estimated and true centre, length.
-    center_after_scale : array (k,)
-        The same after all centres were scaled about the reference by the common factor that fits best.
-    common_scale : float
-        Estimated scale of the whole scene over the true one: the inverse of that factor.
-    """
-
-    rotation: Array
+    rotation: Array  # (k,): Angle between estimated and true rotation, rad
+    # (k,): Angle between estimated and true direction from the reference, rad; NaN of a camera at the reference.
     direction: Array
-    scale_ratio: Array
-    center: Array
+    scale_ratio: Array  # (k,): Estimated over true distance from the reference
+    center: Array  # (k,): Distance of estimated and true centre, length
+    # (k,): The same after all centres were scaled about the reference by the common factor that fits best.
     center_after_scale: Array
-    common_scale: float
+    common_scale: float  # Estimated scale of the whole scene over the true one: the inverse of that factor
 
 
 def pose_errors(estimated: Sequence[Pose], true: Sequence[Pose], reference: int) -> PoseErrors:

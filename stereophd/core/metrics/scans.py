@@ -8,13 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.distances.ospa import Matching, gospa_of_matching, match, ospa_of_matching
-from stereophd.core.metrics.matching.assignment import (
-    FloatArray,
-    IntArray,
-    euclidean_distances,
-    mahalanobis_distances,
-)
+from stereophd.core.metrics.matching.assignment import euclidean_distances, mahalanobis_distances
 
 # Distances held at once: bounds the memory of a batch to a few megabytes and keeps it in cache.
 BATCH_ENTRIES = 100_000
@@ -33,29 +29,14 @@ DISTANCE_FIELDS = (
 
 @dataclass(frozen=True)
 class PointSets:
-    """One set of points for each of k scans, stored one after the other.
+    """One set of points for each of k scans, stored one after the other."""
 
-    Attributes
-    ----------
-    start : (k + 1,) array
-        The points of scan i are the rows ``start[i]:start[i + 1]``.
-    position : (n, 3) array
-        In the world, length unit.
-    velocity : (n, 3) array
-        In the world, length unit per second; NaN where unknown.
-    label : (n,) array
-        Identity of the object or track.
-    covariance : (n, 3, 3) array or None
-        Covariance of the position.
-    confirmed : (n,) bool array or None
-        Whether each estimate is confirmed rather than tentative; None where that is not known.
-    """
-
-    start: IntArray
-    position: FloatArray
-    velocity: FloatArray
-    label: IntArray
-    covariance: FloatArray | None = None
+    start: Integers  # The points of scan i are the rows ``start[i]:start[i + 1]``
+    position: Array  # (n, 3) array: In the world, length unit
+    velocity: Array  # (n, 3) array: In the world, length unit per second; NaN where unknown
+    label: Integers  # (n,) array: Identity of the object or track
+    covariance: Array | None = None  # (n, 3, 3) array or None: Covariance of the position
+    # (n,) bool array or None: Whether each estimate is confirmed rather than tentative; None where that is not known.
     confirmed: NDArray[np.bool_] | None = None
 
     @property
@@ -64,12 +45,12 @@ class PointSets:
         return len(self.start) - 1
 
     @property
-    def counts(self) -> IntArray:
+    def counts(self) -> Integers:
         """Number of points of each scan, (k,)."""
         return np.diff(self.start)
 
     @property
-    def scan(self) -> IntArray:
+    def scan(self) -> Integers:
         """Scan of each point, (n,)."""
         return np.repeat(np.arange(self.scans, dtype=np.int64), self.counts)
 
@@ -83,7 +64,7 @@ class PointSets:
         start = np.concatenate([[0], np.cumsum(self.counts[keep], dtype=np.int64)])
         return self._rows(start, np.flatnonzero(np.repeat(keep, self.counts)))
 
-    def _rows(self, start: IntArray, rows: IntArray) -> PointSets:
+    def _rows(self, start: Integers, rows: Integers) -> PointSets:
         covariance = None if self.covariance is None else self.covariance[rows]
         confirmed = None if self.confirmed is None else self.confirmed[rows]
         return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance, confirmed)
@@ -91,31 +72,25 @@ class PointSets:
 
 @dataclass(frozen=True)
 class ScanScores:
-    """Metrics of each scan, arrays (k,), and the matched pairs, arrays (q,) in order of scan.
+    """Metrics of each scan, arrays (k,), and the matched pairs, arrays (q,) in order of scan."""
 
-    Attributes
-    ----------
-    ospa, ospa_localisation, ospa_cardinality : (k,) arrays
-        OSPA distance and its parts, in the unit of the base distance.
-    gospa, gospa_localisation, gospa_missed, gospa_false : (k,) arrays
-        GOSPA distance (alpha = 2) and its parts.
-    n_matched : (k,) array
-        Pairs nearer than the cutoff.
-    pair_scan, pair_estimate, pair_truth : (q,) arrays
-        Those pairs: the scan, and the rows of the estimate and of the true point.
-    """
-
-    ospa: FloatArray
-    ospa_localisation: FloatArray
-    ospa_cardinality: FloatArray
-    gospa: FloatArray
-    gospa_localisation: FloatArray
-    gospa_missed: FloatArray
-    gospa_false: FloatArray
-    n_matched: IntArray
-    pair_scan: IntArray
-    pair_estimate: IntArray
-    pair_truth: IntArray
+    # `ospa`, `ospa_localisation`, `ospa_cardinality`: (k,) arrays: OSPA distance and its parts, in the unit of the
+    # base distance.
+    ospa: Array
+    ospa_localisation: Array
+    ospa_cardinality: Array
+    # `gospa`, `gospa_localisation`, `gospa_missed`, `gospa_false`: (k,) arrays: GOSPA distance (alpha = 2) and its
+    # parts.
+    gospa: Array
+    gospa_localisation: Array
+    gospa_missed: Array
+    gospa_false: Array
+    n_matched: Integers  # (k,) array: Pairs nearer than the cutoff
+    # `pair_scan`, `pair_estimate`, `pair_truth`: (q,) arrays: Those pairs: the scan, and the rows of the estimate and
+    # of the true point.
+    pair_scan: Integers
+    pair_estimate: Integers
+    pair_truth: Integers
 
 
 def score_scans(
@@ -153,7 +128,7 @@ def score_scans(
         raise ValueError("expected covariances for the Mahalanobis distance")
     values = np.zeros((len(DISTANCE_FIELDS), estimates.scans))
     n_matched = np.zeros(estimates.scans, dtype=np.int64)
-    pairs: list[tuple[IntArray, IntArray, IntArray]] = []
+    pairs: list[tuple[Integers, Integers, Integers]] = []
     for scans, m, n in batches_of_one_size(estimates.counts, truth.counts):
         rows = estimates.start[scans][:, None] + np.arange(m)
         columns = truth.start[scans][:, None] + np.arange(n)
@@ -168,7 +143,7 @@ def score_scans(
     return ScanScores(**distances, n_matched=n_matched, pair_scan=scan, pair_estimate=estimate, pair_truth=true_point)
 
 
-def batches_of_one_size(n_estimates: IntArray, n_truth: IntArray) -> Iterator[tuple[IntArray, int, int]]:
+def batches_of_one_size(n_estimates: Integers, n_truth: Integers) -> Iterator[tuple[Integers, int, int]]:
     """Group scans by their numbers of estimates and true points.
 
     Parameters
@@ -194,8 +169,8 @@ def batches_of_one_size(n_estimates: IntArray, n_truth: IntArray) -> Iterator[tu
 
 
 def base_distances(
-    estimates: PointSets, truth: PointSets, rows: IntArray, columns: IntArray, mahalanobis: bool
-) -> FloatArray:
+    estimates: PointSets, truth: PointSets, rows: Integers, columns: Integers, mahalanobis: bool
+) -> Array:
     """Return the base distances (k, m, n) between the points of a batch, given by their rows (k, m) and (k, n)."""
     x, y = estimates.position[rows], truth.position[columns]
     if mahalanobis and estimates.covariance is not None:
@@ -203,7 +178,7 @@ def base_distances(
     return euclidean_distances(x, y)
 
 
-def _distances_of(matching: Matching, n_truth: int, order: float, cutoff: float) -> FloatArray:
+def _distances_of(matching: Matching, n_truth: int, order: float, cutoff: float) -> Array:
     """Return the distances and parts of a batch, (7, k), in the order of `DISTANCE_FIELDS`."""
     ospa = ospa_of_matching(matching, n_truth, order, cutoff)
     gospa = gospa_of_matching(matching, n_truth, order, cutoff)
@@ -220,7 +195,7 @@ def _distances_of(matching: Matching, n_truth: int, order: float, cutoff: float)
     )
 
 
-def _in_scan_order(pairs: list[tuple[IntArray, IntArray, IntArray]]) -> tuple[IntArray, IntArray, IntArray]:
+def _in_scan_order(pairs: list[tuple[Integers, Integers, Integers]]) -> tuple[Integers, Integers, Integers]:
     """Join the pairs of all batches; rows of estimates are in scan order, so they give the order."""
     if not pairs:
         empty = np.zeros(0, dtype=np.int64)

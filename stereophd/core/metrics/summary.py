@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.metrics.distances.hota import hota
 from stereophd.core.metrics.distances.ospa import Ospa
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
@@ -22,7 +23,6 @@ from stereophd.core.metrics.errors.rmse import (
 )
 from stereophd.core.metrics.identities.figures import has_identities, identity_figures
 from stereophd.core.metrics.identities.idf1 import identity_score
-from stereophd.core.metrics.matching.assignment import FloatArray
 from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.matching.near_pairs import NearPairs
 from stereophd.core.metrics.scans import PointSets, ScanScores
@@ -35,25 +35,17 @@ PAIRS_AT_ONCE = 65_536
 
 @dataclass(frozen=True)
 class PairErrors:
-    """Errors of the matched pairs, in the order of `ScanScores.pair_scan`.
+    """Errors of the matched pairs, in the order of `ScanScores.pair_scan`."""
 
-    Attributes
-    ----------
-    position, velocity : (q, 3) arrays
-        Estimate minus truth in the world; NaN where a velocity is unknown.
-    whitened : (q, 3) array
-        Position errors in standard deviations (see `whitened`); NaN without a usable covariance.
-    switched : (q,) bool array
-        The true object was matched to another track the last time.
-    """
-
-    position: FloatArray
-    velocity: FloatArray
-    whitened: FloatArray
-    switched: NDArray[np.bool_]
+    # `position`, `velocity`: (q, 3) arrays: Estimate minus truth in the world; NaN where a velocity is unknown.
+    position: Array
+    velocity: Array
+    # (q, 3) array: Position errors in standard deviations (see `whitened`); NaN without a usable covariance.
+    whitened: Array
+    switched: NDArray[np.bool_]  # (q,) bool array: The true object was matched to another track the last time
 
     @property
-    def nees(self) -> FloatArray:
+    def nees(self) -> Array:
         """Normalised error squared (q,) of the position."""
         return np.asarray((self.whitened**2).sum(axis=1))
 
@@ -86,7 +78,7 @@ def track_ospa(
 
 
 def per_scan_columns(
-    time_s: FloatArray, estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
+    time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of ``per_scan.parquet``, arrays (k,); NaN where a scan has no matched pair."""
     scans, group = len(time_s), scores.pair_scan

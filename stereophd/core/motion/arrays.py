@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from stereophd.core.arrays import Array
 
 
 class MotionArrays(NamedTuple):
@@ -18,27 +15,18 @@ class MotionArrays(NamedTuple):
 
         p + reach v + drift_p + position_noise (with_velocity W + alone A),
         keep v + drift_v + velocity_noise W.
-
-    Attributes
-    ----------
-    reach, keep : arrays (n,)
-        Displacement for each unit of velocity, s, and the part of the velocity that remains.
-    position_noise, velocity_noise, with_velocity, alone : arrays (n,)
-        Factor of the noise. Where `with_velocity` and `alone` are equal for several objects, their samples share one
-        mixture of W and A.
-    drift : array (n, 6)
-        In the axes of the world.
-    noise_std : array (3,)
-    max_speed : float
-        Limit of the speed before the move, length/s; infinity for none.
     """
 
+    # `reach`, `keep`: arrays (n,): Displacement for each unit of velocity, s, and the part of the velocity that
+    # remains.
     reach: Array
     keep: Array
+    # `position_noise`, `velocity_noise`, `with_velocity`, `alone`: arrays (n,): Factor of the noise. Where
+    # `with_velocity` and `alone` are equal for several objects, their samples share one mixture of W and A.
     position_noise: Array
     velocity_noise: Array
     with_velocity: Array
     alone: Array
-    drift: Array
-    noise_std: Array
-    max_speed: float
+    drift: Array  # (n, 6): In the axes of the world
+    noise_std: Array  # (3,)
+    max_speed: float  # Limit of the speed before the move, length/s; infinity for none

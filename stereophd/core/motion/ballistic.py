@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Flow
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
 from stereophd.core.settings import PositiveLength, Vector3, parameter, settings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,10 @@ from abc import ABC, abstractmethod
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.arrays import MotionArrays
-
-Array = NDArray[np.float64]
 
 
 class Flow(NamedTuple):
@@ -63,17 +62,10 @@ class Transition(NamedTuple):
 
 
 class Motion(ABC):
-    """A motion model; a frozen dataclass.
+    """A motion model; a frozen dataclass."""
 
-    Attributes
-    ----------
-    state_size : int
-        6, or 3 for objects that have no velocity.
-    max_speed : float or None
-        Physical limit on the speed, length/s, for those who draw samples; `transition` is linear and ignores it.
-    """
-
-    state_size: ClassVar[int] = 6
+    state_size: ClassVar[int] = 6  # 6, or 3 for objects that have no velocity
+    # Physical limit on the speed, length/s, for those who draw samples; `transition` is linear and ignores it.
     max_speed: float | None = None
 
     @property

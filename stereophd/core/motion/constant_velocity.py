@@ -13,14 +13,13 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Flow, Motion, Noise, NoiseFactor, accelerations, check_speed
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
 from stereophd.core.settings import PositiveLength, parameter, settings
-
-Array = NDArray[np.float64]
 
 # The factor of [[1 / 3, 1 / 2], [1 / 2, 1]].
 POSITION_WITH_VELOCITY = 0.5

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.base import Flow, Motion, Noise, accelerations, check_speed
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
 from stereophd.core.settings import PositiveDuration, PositiveLength, parameter, settings
-
-Array = NDArray[np.float64]
 
 # Backward over more time constants the uncertainty leaves the range of numbers.
 MOST_TIME_CONSTANTS = 50.0

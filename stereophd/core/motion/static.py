@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.base import Flow, Motion, Noise
 from stereophd.core.motion.settings import PerAxis
 from stereophd.core.settings import Length, PositiveLength, parameter, settings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import Moved
@@ -31,10 +31,6 @@ from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-
 # Upper bound on the memory of one component, its moved forms and its updated forms, bytes.
 _COMPONENT_BYTES = 4096
 
@@ -46,31 +42,16 @@ def most_components(stated: int | None) -> int:
 
 @dataclass(frozen=True)
 class FilterState:
-    """State after an event.
+    """State after an event."""
 
-    Attributes
-    ----------
-    mixture : GaussianMixture
-        The intensity (PHD), or the tracks and the intensity of undetected objects (PMB).
-    time_s : float or None
-        Time of the last event, None before the first.
-    n_events : int
-        Events so far: picks the sample set.
-    next_label, next_track : int
-        First unused label and identity.
-    undetected : Undetected, optional
-        Objects that no camera has detected yet; None before the first event.
-    history : History, optional
-        Detections of the last events, of a filter that looks back.
-    """
-
-    mixture: GaussianMixture
-    time_s: float | None
-    n_events: int
+    mixture: GaussianMixture  # The intensity (PHD), or the tracks and the intensity of undetected objects (PMB)
+    time_s: float | None  # Time of the last event, None before the first
+    n_events: int  # Events so far: picks the sample set
+    # `next_label`, `next_track`: First unused label and identity.
     next_label: int
     next_track: int
-    undetected: Undetected | None = None
-    history: History | None = None
+    undetected: Undetected | None = None  # Objects that no camera has detected yet; None before the first event
+    history: History | None = None  # Detections of the last events, of a filter that looks back
 
     @property
     def labels(self) -> Integers:
@@ -95,27 +76,14 @@ class Prediction:
 
 @dataclass(frozen=True)
 class DisparityFilter(ABC):
-    """A multi-object filter on disparity space.
-
-    Attributes
-    ----------
-    rig : Rig
-    motion : Motion
-    sets : SampleSets
-        Shared by all components of a step.
-    settings : FilterSettings
-    threads : int
-        Threads of the sample trips; results do not depend on it.
-    claims : bool
-        Whether `Info.claims` is filled in.
-    """
+    """A multi-object filter on disparity space."""
 
     rig: Rig
     motion: Motion
-    sets: SampleSets
+    sets: SampleSets  # Shared by all components of a step
     settings: FilterSettings
-    threads: int = 1
-    claims: bool = False
+    threads: int = 1  # Threads of the sample trips; results do not depend on it
+    claims: bool = False  # Whether `Info.claims` is filled in
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.filter_settings.common import Hysteresis
@@ -20,36 +21,20 @@ from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 
 @dataclass(frozen=True)
 class Selection:
-    """Outcome of `select_objects`: the mixture, and one row for each object that has a position.
+    """Outcome of `select_objects`: the mixture, and one row for each object that has a position."""
 
-    Attributes
-    ----------
-    mixture : GaussianMixture
-        With new labels and identities.
-    confirmed : int
-        Number of rows of confirmed objects, which come first; the others are tentative. Both in order of identity.
-    index : array (k,) of int
-        Components that are reported.
-    existence : array (k,)
-        Weight or probability of existence of each object.
-    means, covariances : arrays (k, 6), (k, 6, 6)
-        In the world.
-    next_label, next_track : int
-        First unused label and identity.
-    """
-
-    mixture: GaussianMixture
+    mixture: GaussianMixture  # With new labels and identities
+    # Number of rows of confirmed objects, which come first; the others are tentative. Both in order of identity.
     confirmed: int
-    index: Integers
-    existence: Array
+    index: Integers  # (k,) of int: Components that are reported
+    existence: Array  # (k,): Weight or probability of existence of each object
+    # `means`, `covariances`: arrays (k, 6), (k, 6, 6): In the world.
     means: Array
     covariances: Array
+    # `next_label`, `next_track`: First unused label and identity.
     next_label: int
     next_track: int
 

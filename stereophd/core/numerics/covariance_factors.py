@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from stereophd.core.arrays import Array
 
 # Parts of its own variances that are added to a covariance without a factor, until it has one.
 SHARES = tuple(10.0**power for power in range(-15, -1))

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
 
 # A covariance has full rank if it still factorises with its diagonal lowered by this fraction: a bound on single pivots
 # is not enough, because after a small pivot the rounding of the next one can exceed it.

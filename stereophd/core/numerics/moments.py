@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.compilation.compiled import compiled, compiled_fast
-
-Array = NDArray[np.float64]
 
 
 @compiled

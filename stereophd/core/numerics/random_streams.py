@@ -24,19 +24,10 @@ FIRST_KEY = 2**31
 
 @dataclass(frozen=True)
 class Purpose:
-    """A purpose of random numbers.
+    """A purpose of random numbers."""
 
-    Attributes
-    ----------
-    path : tuple of int
-        Keys from the seed of the configuration.
-    commands : tuple of str
-        Commands that draw from this stream.
-    what : str
-    """
-
-    path: tuple[int, ...]
-    commands: tuple[str, ...]
+    path: tuple[int, ...]  # Keys from the seed of the configuration
+    commands: tuple[str, ...]  # Commands that draw from this stream
     what: str
 
     def seed(self, seed: int) -> np.random.SeedSequence:
@@ -46,17 +37,9 @@ class Purpose:
 
 @dataclass(frozen=True)
 class RunPurpose:
-    """A purpose of random numbers within one run.
+    """A purpose of random numbers within one run."""
 
-    Attributes
-    ----------
-    path : tuple of int
-        Keys after the number of the run.
-    commands : tuple of str
-    what : str
-    """
-
-    path: tuple[int, ...]
+    path: tuple[int, ...]  # Keys after the number of the run
     commands: tuple[str, ...]
     what: str
 

@@ -11,12 +11,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.sobol import normal_quantiles, sobol_points
 from stereophd.core.settings import Positive, parameter, settings
 
-Array = NDArray[np.float64]
 Method = Literal["adaptive", "qmc", "particle", "unscented", "linear"]
 
 # Non-linearity (`stereophd.core.disparity.rule_move`) up to which a component is moved by the low-order rule.
@@ -67,29 +66,17 @@ RESERVE_WIDTH = 2.0
 
 @dataclass(frozen=True)
 class SampleSets:
-    """Standard-normal sample sets, one per event in rotation.
+    """Standard-normal sample sets, one per event in rotation."""
 
-    Attributes
-    ----------
-    method : {"qmc", "particle", "adaptive", "unscented", "linear"}
-        How Gaussians are carried over (see `stereophd.core.disparity.moments`).
-    sets : array (s, rows, n)
-        Sample sets; `turn` picks one. For ``unscented`` and ``linear`` they serve the components that
-        lie across the border of the image, which no low-order rule describes.
-    reserve : array (rows, m)
-        A larger set whose third coordinate (the disparity, given the pixel) is twice as wide, for important components
-        of which a normal set finds only a corner in view.
-    reserve_weights : array (m,)
-        Importance weights of the reserve.
-    max_nonlinearity : float
-        For ``adaptive``: components above this measure are moved by samples.
-    """
-
-    method: Method
+    method: Method  # How Gaussians are carried over (see `stereophd.core.disparity.moments`)
+    # (s, rows, n): Sample sets; `turn` picks one. For ``unscented`` and ``linear`` they serve the components that lie
+    # across the border of the image, which no low-order rule describes.
     sets: Array
+    # (rows, m): A larger set whose third coordinate (the disparity, given the pixel) is twice as wide, for important
+    # components of which a normal set finds only a corner in view.
     reserve: Array
-    reserve_weights: Array
-    max_nonlinearity: float = MAX_NONLINEARITY
+    reserve_weights: Array  # (m,): Importance weights of the reserve
+    max_nonlinearity: float = MAX_NONLINEARITY  # For ``adaptive``: components above this measure are moved by samples
 
     def turn(self, index: int) -> Array:
         """Return the set (rows, n) of event number `index`."""

@@ -16,7 +16,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-Integers = NDArray[np.int64]
+from stereophd.core.arrays import Integers
 
 # Degree and coefficients of the primitive polynomial, and initial directions, of dimensions 2 to 12.
 POLYNOMIALS = (

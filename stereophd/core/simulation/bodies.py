@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.rotations import cross_matrices, rotations
 from stereophd.core.motion.base import Motion
-from stereophd.core.simulation.timing import FloatArray
 
 # Harmonics of each coordinate.
 HARMONICS = 4
@@ -22,25 +22,14 @@ SMALL_ANGLE = 1e-3
 
 @dataclass(frozen=True)
 class BodyPoses:
-    """Poses of a body at some times, and how they change.
+    """Poses of a body at some times, and how they change."""
 
-    Attributes
-    ----------
-    times_s : (n,)
-        True times.
-    centers, velocities : (n, 3)
-        Of the origin of its axes, world frame, length and length/s.
-    rotations : (n, 3, 3)
-        Of the sway: applied after the mean rotation `Body.rotation`.
-    turning : (n, 3)
-        Angular velocities, world frame, rad/s.
-    """
-
-    times_s: FloatArray
-    centers: FloatArray
-    rotations: FloatArray
-    velocities: FloatArray
-    turning: FloatArray
+    times_s: Array  # (n,): True times
+    # `centers`, `velocities`: (n, 3): Of the origin of its axes, world frame, length and length/s.
+    centers: Array
+    rotations: Array  # (n, 3, 3): Of the sway: applied after the mean rotation `Body.rotation`
+    velocities: Array
+    turning: Array  # (n, 3): Angular velocities, world frame, rad/s
 
 
 @dataclass(frozen=True)
@@ -63,22 +52,22 @@ class Body:
         Frequencies and phases of the harmonics, rad/s and rad.
     """
 
-    points: FloatArray
-    center: FloatArray
-    rotation: FloatArray
+    points: Array
+    center: Array
+    rotation: Array
     start_s: float
-    amplitudes: FloatArray
-    frequencies: FloatArray
-    phases: FloatArray
+    amplitudes: Array
+    frequencies: Array
+    phases: Array
     # Poses of the last call of `poses`: all points of a body are asked for the same times, one after the other.
     _latest: list[BodyPoses] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @staticmethod
     def drawn(
-        points: FloatArray,
-        center: FloatArray,
-        rotation: FloatArray,
-        std: FloatArray,
+        points: Array,
+        center: Array,
+        rotation: Array,
+        std: Array,
         period_s: tuple[float, float],
         start_s: float,
         generator: np.random.Generator,
@@ -102,13 +91,13 @@ class Body:
         amplitudes = np.broadcast_to(std * np.sqrt(2.0 / HARMONICS), shape)
         return Body(points, center, rotation, start_s, amplitudes, 2.0 * np.pi / periods, phases)
 
-    def states(self, point: int, times_s: FloatArray) -> FloatArray:
+    def states(self, point: int, times_s: Array) -> Array:
         """Return position and velocity (n, 6), world frame, of one point at true times (n,)."""
         poses = self.poses(times_s)
         arm = poses.rotations @ (self.rotation @ self.points[point])
         return np.concatenate([poses.centers + arm, poses.velocities + np.cross(poses.turning, arm)], axis=1)
 
-    def poses(self, times_s: FloatArray) -> BodyPoses:
+    def poses(self, times_s: Array) -> BodyPoses:
         """Return the poses at true times (n,); those of the last call are not computed again."""
         if self._latest and np.array_equal(self._latest[0].times_s, times_s):
             return self._latest[0]
@@ -121,7 +110,7 @@ class Body:
         return found
 
 
-def _angular_velocities(vectors: FloatArray, rates: FloatArray) -> FloatArray:
+def _angular_velocities(vectors: Array, rates: Array) -> Array:
     """Angular velocities (n, 3), rad/s, of rotation vectors (n, 3), rad, that change at rates (n, 3), rad/s.
 
     The left Jacobian of the rotation group (J. Sola et al., "A micro Lie theory", 2018, eq. 145).
@@ -160,6 +149,6 @@ class BodyPoint:
         """Return what gives its states: itself, because no motion model moves it."""
         return self
 
-    def states(self, times_s: FloatArray) -> FloatArray:
+    def states(self, times_s: Array) -> Array:
         """Return position and velocity (n, 6), world frame, at true times (n,)."""
         return self.body.states(self.point, times_s)

@@ -9,10 +9,11 @@ from heapq import merge
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
-from stereophd.core.simulation.objects import BoolArray, SceneObject, StateWindow, state_windows
-from stereophd.core.simulation.timing import FloatArray, IntArray, TimeGrid, instants
+from stereophd.core.simulation.objects import SceneObject, StateWindow, state_windows
+from stereophd.core.simulation.timing import TimeGrid, instants
 
 # Label of a false detection.
 CLUTTER_ID = -1
@@ -67,7 +68,7 @@ class SimulatedFrame:
     log_time_s: float
     camera: int
     frame: int
-    pixels: FloatArray
+    pixels: Array
     object_id: NDArray[np.int64]
 
 
@@ -107,8 +108,8 @@ def _camera_frames(scene: Scene, index: int, seed: np.random.SeedSequence) -> It
 
 
 def _detect(
-    camera: Camera, window: StateWindow, times_s: FloatArray, generator: np.random.Generator
-) -> tuple[IntArray, FloatArray, IntArray]:
+    camera: Camera, window: StateWindow, times_s: Array, generator: np.random.Generator
+) -> tuple[Integers, Array, Integers]:
     """Return frame index (k,), pixels (k, 2) and object (k,) of the true detections in a window."""
     columns = np.searchsorted(window.times_s, times_s)
     states = window.states[:, columns].transpose(1, 0, 2)  # (frames, objects, 6)
@@ -130,7 +131,7 @@ def _detect(
     return frame[kept], pixels[kept], window.object_id[row[kept]]
 
 
-def _row_delays(camera: Camera, points: FloatArray, velocities: FloatArray, times_s: FloatArray) -> FloatArray:
+def _row_delays(camera: Camera, points: Array, velocities: Array, times_s: Array) -> Array:
     """Return when a rolling shutter reads moving points (n, 3), s after the times (n,) of their frames.
 
     The points are where the objects are at the times of the frames. The delay t solves t = readout v(x + t dx/dt) /
@@ -153,7 +154,7 @@ def _row_delays(camera: Camera, points: FloatArray, velocities: FloatArray, time
     return np.where(change > READOUT_TOLERANCE_S, np.nan, delays)
 
 
-def _project_in_view(camera: Camera, points: FloatArray, times_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _project_in_view(camera: Camera, points: Array, times_s: Array) -> tuple[Array, Booleans]:
     """Return distorted pixels (n, 2) of points (n, 3) at their true times (n,), and which are in view."""
     if camera.pose.is_static:
         return np.asarray(camera.project(points)), np.asarray(camera.in_view(points), dtype=np.bool_)
@@ -165,14 +166,14 @@ def _project_in_view(camera: Camera, points: FloatArray, times_s: FloatArray) ->
     return pixels, in_view
 
 
-def _inside_image(camera: Camera, pixels: FloatArray) -> BoolArray:
+def _inside_image(camera: Camera, pixels: Array) -> Booleans:
     # Pixel (0, 0) is the centre of the top-left pixel, so the image reaches half a pixel beyond it.
     upper = np.array([camera.width, camera.height]) - 0.5
     with np.errstate(invalid="ignore"):
         return np.asarray(((pixels >= -0.5) & (pixels <= upper)).all(axis=1), dtype=np.bool_)
 
 
-def _clutter(camera: Camera, frames: int, generator: np.random.Generator) -> tuple[IntArray, FloatArray, IntArray]:
+def _clutter(camera: Camera, frames: int, generator: np.random.Generator) -> tuple[Integers, Array, Integers]:
     """Return frame index (k,), pixels (k, 2) and label (k,) of Poisson clutter, uniform over the image."""
     counts = generator.poisson(camera.detector.clutter_per_frame, frames)
     total = int(counts.sum())
@@ -180,7 +181,7 @@ def _clutter(camera: Camera, frames: int, generator: np.random.Generator) -> tup
     return np.repeat(np.arange(frames), counts), pixels, np.full(total, CLUTTER_ID, dtype=np.int64)
 
 
-def truth_rows(scene: Scene) -> Iterator[tuple[FloatArray, IntArray, FloatArray]]:
+def truth_rows(scene: Scene) -> Iterator[tuple[Array, Integers, Array]]:
     """Yield times (n,), object labels (n,) and states (n, 6) of the truth, window by window.
 
     Rows are in order of true time, then of label; an object has a row at every instant of its life.

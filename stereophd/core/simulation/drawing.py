@@ -8,10 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
-from stereophd.core.simulation.objects import BoolArray, MovingObject, Path
-from stereophd.core.simulation.timing import FloatArray, TimeGrid, instants
+from stereophd.core.simulation.objects import MovingObject, Path
+from stereophd.core.simulation.timing import TimeGrid, instants
 from stereophd.errors import InputError
 
 # Candidates for one object: drawn a batch at a time, given up after this many batches.
@@ -42,15 +43,15 @@ class Drawing:
     """
 
     count: int
-    low: FloatArray
-    high: FloatArray
+    low: Array
+    high: Array
     velocity_std: float
     stay_in_view: Literal["all", "any", "none"] = "all"
     births_per_s: float = 0.0
     mean_lifetime_s: float | None = None
 
 
-def in_view_at(camera: Camera, points: FloatArray, times_s: FloatArray) -> BoolArray:
+def in_view_at(camera: Camera, points: Array, times_s: Array) -> Booleans:
     """Return whether a camera sees points (n, 3), world frame, each at its own true time (n,)."""
     if camera.pose.is_static:
         return np.asarray(camera.in_view(points), dtype=np.bool_)
@@ -133,7 +134,7 @@ def _range(drawing: Drawing, axis: int) -> str:
     return f"[{drawing.low[axis]:g}, {drawing.high[axis]:g}]"
 
 
-def _combine(stay_in_view: str, seen: BoolArray) -> BoolArray:
+def _combine(stay_in_view: str, seen: Booleans) -> Booleans:
     """Return whether points (n,) seen by cameras (c, n) are in view as asked."""
     if stay_in_view == "none":
         return np.ones(seen.shape[1], dtype=np.bool_)
@@ -144,11 +145,11 @@ def _stays_in_view_coarsely(
     stay_in_view: str,
     cameras: Sequence[Camera],
     motion: Motion,
-    positions: FloatArray,
-    velocities: FloatArray,
+    positions: Array,
+    velocities: Array,
     first_s: float,
     last_s: float,
-) -> BoolArray:
+) -> Booleans:
     """Return which paths without noise (n,) are in view at a few instants: cheap, and most fail here."""
     # The last instant stays clear of the end, which no frame reaches.
     times_s = first_s + (last_s - first_s) * np.arange(COARSE_INSTANTS) / COARSE_INSTANTS

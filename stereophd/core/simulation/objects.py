@@ -9,11 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.base import Motion
-from stereophd.core.simulation.timing import FloatArray, TimeGrid
+from stereophd.core.simulation.timing import TimeGrid
 from stereophd.core.simulation.walk import walk
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,8 @@ class MovingObject:
     object_id: int
     birth_s: float
     death_s: float
-    position: FloatArray
-    velocity: FloatArray
+    position: Array
+    velocity: Array
     noise_seed: int
 
     def path(self, motion: Motion) -> Path:
@@ -47,7 +46,7 @@ class MovingObject:
 class SomePath(Protocol):
     """What gives the states of an object at ascending instants."""
 
-    def states(self, times_s: FloatArray) -> FloatArray:
+    def states(self, times_s: Array) -> Array:
         """Return position and velocity (n, 6), world frame, at ascending true times (n,) of its life."""
         ...
 
@@ -93,7 +92,7 @@ class Path:
         self._state = np.concatenate([moving_object.position, moving_object.velocity])
         self._generator = np.random.default_rng(moving_object.noise_seed)
 
-    def states(self, times_s: FloatArray) -> FloatArray:
+    def states(self, times_s: Array) -> Array:
         """Return position and velocity (n, 6), world frame, at ascending true times (n,) of its life.
 
         Times must not lie before those of the call before.
@@ -132,9 +131,9 @@ class StateWindow:
 
     lower_s: float
     upper_s: float
-    times_s: FloatArray
+    times_s: Array
     object_id: NDArray[np.int64]
-    states: FloatArray
+    states: Array
 
 
 def state_windows(objects: Sequence[SceneObject], grid: TimeGrid, motion: Motion) -> Iterator[StateWindow]:

@@ -6,12 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.times import TIME_DECIMALS
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 # Instants handled at once: large enough for array operations to dominate, small enough for the cache.
 INSTANTS_PER_WINDOW = 4096
@@ -42,7 +39,7 @@ class Schedule:
         object.__setattr__(self, "start_s", round(self.start_s, TIME_DECIMALS))
         object.__setattr__(self, "end_s", round(self.end_s, TIME_DECIMALS))
 
-    def window(self, lower_s: float, upper_s: float) -> tuple[IntArray, FloatArray]:
+    def window(self, lower_s: float, upper_s: float) -> tuple[Integers, Array]:
         """Return the frame numbers (n,), counted from 0, and true times (n,) in ``[lower_s, upper_s)``."""
         index, time_s = self._instants(max(lower_s, self.start_s), min(upper_s, self.end_s))
         return index - self._first_index(), time_s
@@ -57,7 +54,7 @@ class Schedule:
             return 0
         return int(self._instants(self.start_s, self.start_s + 2.0 / self.rate_hz)[0][0])
 
-    def _instants(self, lower_s: float, upper_s: float) -> tuple[IntArray, FloatArray]:
+    def _instants(self, lower_s: float, upper_s: float) -> tuple[Integers, Array]:
         first_s = self.start_s + self.phase_s
         # One index more on either side: the rounded times decide which instants are inside.
         low = max(0, int(np.floor((lower_s - first_s) * self.rate_hz)) - 1)
@@ -109,11 +106,11 @@ class TimeGrid:
         """Return the number of frames that all cameras take."""
         return sum(schedule.count() for schedule in self.frames)
 
-    def times(self, lower_s: float, upper_s: float) -> FloatArray:
+    def times(self, lower_s: float, upper_s: float) -> Array:
         """Return the distinct instants (n,) of a window, ascending, true time."""
         return _distinct_times(self._schedules(), lower_s, upper_s)
 
-    def truth_times(self, lower_s: float, upper_s: float) -> FloatArray:
+    def truth_times(self, lower_s: float, upper_s: float) -> Array:
         """Return the instants (n,) of a window at which the truth is written, ascending, true time."""
         schedules = self.frames if self.truth is None else (self.truth,)
         return _distinct_times(schedules, lower_s, upper_s)
@@ -122,12 +119,12 @@ class TimeGrid:
         return self.frames if self.truth is None else (*self.frames, self.truth)
 
 
-def _distinct_times(schedules: Sequence[Schedule], lower_s: float, upper_s: float) -> FloatArray:
+def _distinct_times(schedules: Sequence[Schedule], lower_s: float, upper_s: float) -> Array:
     times = [schedule.window(lower_s, upper_s)[1] for schedule in schedules]
     return np.unique(np.concatenate(times))
 
 
-def instants(times_s: FloatArray) -> Iterator[tuple[float, IntArray]]:
+def instants(times_s: Array) -> Iterator[tuple[float, Integers]]:
     """Yield each distinct time of an array (n,) with the indices at which it stands."""
     if times_s.size == 0:
         return

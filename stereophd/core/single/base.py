@@ -13,32 +13,20 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.base import Motion
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class SingleState:
-    """Fields of the states of all estimators.
+    """Fields of the states of all estimators."""
 
-    Attributes
-    ----------
-    time_s : float
-        Time of the estimate of `SingleEstimator.estimate`: that of the last event, or later.
-    home_s : float
-        Time of what is known of the object: that of the last detection.
-    n_events : int
-        Events so far.
-    """
-
-    time_s: float
-    home_s: float
-    n_events: int
+    time_s: float  # Time of the estimate of `SingleEstimator.estimate`: that of the last event, or later
+    home_s: float  # Time of what is known of the object: that of the last detection
+    n_events: int  # Events so far
 
 
 State = TypeVar("State", bound=SingleState)
@@ -48,51 +36,29 @@ State = TypeVar("State", bound=SingleState)
 class SingleEstimate:
     """Where the object is, in the world.
 
-    Attributes
-    ----------
-    mean : array (6,)
-        Mean of (x, y, z, vx, vy, vz), length and length/s; the velocity of a static object is 0.
-    map : array (6,)
-        The state of greatest density in the space that the estimator works in, mapped to the world.
-    covariance : array (6, 6)
-        Covariance about the mean.
-
     All are NaN where the object is at or beyond infinity.
     """
 
-    mean: Array
-    map: Array
-    covariance: Array
+    mean: Array  # (6,): Mean of (x, y, z, vx, vy, vz), length and length/s; the velocity of a static object is 0
+    map: Array  # (6,): The state of greatest density in the space that the estimator works in, mapped to the world
+    covariance: Array  # (6, 6): Covariance about the mean
 
 
 @dataclass(frozen=True)
 class SingleInfo:
-    """Diagnostics of an event.
+    """Diagnostics of an event."""
 
-    Attributes
-    ----------
-    log_likelihood : float
-        Logarithm of the density of the detection given all earlier ones, over distorted pixels: of the
-        first detection uniform over the image, of an event without one 0.
-    """
-
+    # Logarithm of the density of the detection given all earlier ones, over distorted pixels: of the first detection
+    # uniform over the image, of an event without one 0.
     log_likelihood: float
 
 
 class SingleEstimator(ABC, Generic[State]):
-    """An estimator of the state of one object.
-
-    Attributes
-    ----------
-    rig : Rig
-    motion : Motion
-    prior : InitialPrior
-        Depth and velocity of the object when it is first seen.
-    """
+    """An estimator of the state of one object."""
 
     rig: Rig
     motion: Motion
-    prior: InitialPrior
+    prior: InitialPrior  # Depth and velocity of the object when it is first seen
 
     @property
     def state_size(self) -> int:

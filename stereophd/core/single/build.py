@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.base import Motion
@@ -19,8 +19,6 @@ from stereophd.core.single.disparity import DisparityEstimator, RectifiedEstimat
 from stereophd.core.single.inverse_depth import InverseDepthEstimator
 from stereophd.core.single.particle import ParticleEstimator
 from stereophd.core.single.settings import CartesianSettings, DisparitySettings, EstimatorSettings, ParticleSettings
-
-Array = NDArray[np.float64]
 
 
 def build_estimator(

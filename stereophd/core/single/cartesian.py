@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
@@ -31,20 +31,13 @@ from stereophd.core.single.first_order import center, inverse_depth_prior, proje
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
 from stereophd.core.single.settings import CartesianSettings
 
-Array = NDArray[np.float64]
-
 # A sigma point beyond infinity has no place in the world: it is put this much further away than the mean.
 FARTHEST = 10.0
 
 
 @dataclass(frozen=True)
 class CartesianEstimator(SingleEstimator[GaussianState]):
-    """The filters; see `SingleEstimator` for `rig`, `motion` and `prior`.
-
-    Attributes
-    ----------
-    settings : CartesianSettings
-    """
+    """The filters; see `SingleEstimator` for `rig`, `motion` and `prior`."""
 
     rig: Rig
     motion: Motion

@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move, world_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW
@@ -33,8 +33,6 @@ from stereophd.core.single.base import (
 )
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, state_in_world, unseen_state
 
-Array = NDArray[np.float64]
-
 IMPORTANT = np.array([True])
 # H of eq. 4, by the size of the state.
 OBSERVATION = {size: np.eye(2, size) for size in (3, 6)}
@@ -46,19 +44,12 @@ RECTIFIED_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class DisparityEstimator(SingleEstimator[GaussianState]):
-    """Algorithm 2: any cameras, the state in the disparity space of the camera that saw the object last.
-
-    Attributes
-    ----------
-    rig, motion, prior : Rig, Motion, InitialPrior
-    sets : SampleSets
-        Samples of the moves, and with them the method.
-    """
+    """Algorithm 2: any cameras, the state in the disparity space of the camera that saw the object last."""
 
     rig: Rig
     motion: Motion
     prior: InitialPrior
-    sets: SampleSets
+    sets: SampleSets  # Samples of the moves, and with them the method
 
     def init(self) -> GaussianState:
         """Return the state before the first detection."""
@@ -128,23 +119,19 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
     optical axis. The map between their disparity spaces, projective in general, is then affine, and the detections of
     all cameras are linear in the same state (eq. 4). Intrinsic parameters may differ. A static object needs no samples.
 
-    Attributes
-    ----------
-    rig, motion, prior, sets
-        The same as in `DisparityEstimator`.
-    matrices, offsets : arrays (c, 3, 3), (c, 3)
-        From the first camera's disparity space to each camera's: ``y_i = matrix y + offset``.
-
     Raises
     ------
     ValueError
         If the cameras are not rectified, or move.
     """
 
+    # `rig`, `motion`, `prior`, `sets`: The same as in `DisparityEstimator`.
     rig: Rig
     motion: Motion
     prior: InitialPrior
     sets: SampleSets
+    # `matrices`, `offsets`: arrays (c, 3, 3), (c, 3): From the first camera's disparity space to each camera's: ``y_i
+    # = matrix y + offset``.
     matrices: Array
     offsets: Array
 

@@ -6,14 +6,12 @@ Cameras are packed (`stereophd.core.geometry.layout`), pixels undistorted.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.geometry.projection import pinhole
-
-Array = NDArray[np.float64]
 
 
 def rotation(camera: Array) -> Array:

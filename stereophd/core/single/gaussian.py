@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.single.base import SingleState
-
-Array = NDArray[np.float64]
 
 # Camera of a state that has seen no detection yet.
 UNSEEN = -1
@@ -22,19 +20,12 @@ UNSEEN = -1
 
 @dataclass(frozen=True)
 class GaussianState(SingleState):
-    """A Gaussian, in a space of the estimator's own.
+    """A Gaussian, in a space of the estimator's own."""
 
-    Attributes
-    ----------
-    mean, covariance : arrays (d,), (d, d)
-        Empty before the first detection.
-    camera : int
-        Camera (index in the rig) that the space belongs to, `UNSEEN` before the first detection.
-    """
-
+    # `mean`, `covariance`: arrays (d,), (d, d): Empty before the first detection.
     mean: Array
     covariance: Array
-    camera: int
+    camera: int  # Camera (index in the rig) that the space belongs to, `UNSEEN` before the first detection
 
 
 def unseen_state() -> GaussianState:

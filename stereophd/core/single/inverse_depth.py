@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
@@ -34,20 +34,12 @@ from stereophd.core.single.base import (
 from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class InverseDepthState(GaussianState):
-    """A Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz).
+    """A Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz)."""
 
-    Attributes
-    ----------
-    anchor : array (30,)
-        Packed space of the camera that saw the object first, as it was then.
-    """
-
-    anchor: Array
+    anchor: Array  # (30,): Packed space of the camera that saw the object first, as it was then
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
@@ -33,29 +34,17 @@ from stereophd.core.single.base import (
 from stereophd.core.single.gaussian import states_in_world
 from stereophd.core.single.settings import ParticleSettings
 
-Array = NDArray[np.float64]
-
 # A prior of disparity that has less than one sample in this many at positive values is refused.
 MOST_DRAWS = 1000
 
 
 @dataclass(frozen=True)
 class ParticleState(SingleState):
-    """Weighted particles.
+    """Weighted particles."""
 
-    Attributes
-    ----------
-    particles : array (d, n)
-        In the world, at the time of the last detection; empty before the first.
-    weights : array (n,)
-        Sum to 1.
-    log_weights : array (n,)
-        Their logarithms, to a constant; of weights kept as numbers not used.
-    """
-
-    particles: Array
-    weights: Array
-    log_weights: Array
+    particles: Array  # (d, n): In the world, at the time of the last detection; empty before the first
+    weights: Array  # (n,): Sum to 1
+    log_weights: Array  # (n,): Their logarithms, to a constant; of weights kept as numbers not used
 
 
 @compiled
@@ -129,21 +118,13 @@ def _moments(particles: Array, weights: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class ParticleEstimator(SingleEstimator[ParticleState]):
-    """The particle filter.
-
-    Attributes
-    ----------
-    rig, motion, prior : Rig, Motion, InitialPrior
-    settings : ParticleSettings
-    seed : int
-        Seed of all random numbers: those of an event are drawn from the seed and the number of the event.
-    """
+    """The particle filter."""
 
     rig: Rig
     motion: Motion
     prior: InitialPrior
     settings: ParticleSettings
-    seed: int
+    seed: int  # Seed of all random numbers: those of an event are drawn from the seed and the number of the event
 
     def init(self) -> ParticleState:
         """Return the state before the first detection."""

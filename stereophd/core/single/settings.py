@@ -17,18 +17,11 @@ Weights = Literal["logarithmic", "linear"]
 
 @dataclass(frozen=True)
 class DisparitySettings:
-    """Gaussian on disparity space: the paper's Algorithm 2, or Algorithm 1 if `rectified`.
+    """Gaussian on disparity space: the paper's Algorithm 2, or Algorithm 1 if `rectified`."""
 
-    Attributes
-    ----------
-    moments : MomentsSettings
-        How the Gaussian is carried from one disparity space to another.
-    rectified : bool
-        Algorithm 1: one disparity space for all cameras, which must be rectified.
-    """
-
+    # How the Gaussian is carried from one disparity space to another.
     moments: MomentsSettings = field(default_factory=MomentsSettings)
-    rectified: bool = False
+    rectified: bool = False  # Algorithm 1: one disparity space for all cameras, which must be rectified
 
 
 @settings

@@ -10,16 +10,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion, Transition
 from stereophd.core.trajectories.smoothing import Trajectory, smooth
-
-Array = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
 
 # Standard deviations of the prior: of the position in distances from the camera, of the velocity in the track's speeds.
 WIDE, FAST = 10.0, 3.0
@@ -86,19 +83,10 @@ class WholeRun:
 
 @dataclass(frozen=True)
 class Chain:
-    """A track and its detections.
+    """A track and its detections."""
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        What its measurements are linearised about.
-    detections : dict
-        Event -> detection, by their numbers.
-    run : WholeRun
-    """
-
-    trajectory: Trajectory
-    detections: dict[int, int]
+    trajectory: Trajectory  # What its measurements are linearised about
+    detections: dict[int, int]  # Event -> detection, by their numbers
     run: WholeRun
 
     @cached_property

@@ -21,9 +21,6 @@ from numpy.typing import NDArray
 from stereophd.core.trajectories.chains import Chain
 from stereophd.core.trajectories.smoothing import Trajectory
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 # Tracks further apart than this many standard deviations of a prediction over the window do not exchange their ends.
 NEAR = 6.0
 # Fewest events before and after a cut.

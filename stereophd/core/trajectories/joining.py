@@ -18,14 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.core.trajectories.stitching import STITCH_DISTANCE
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Events that are compared, spread over the overlap, and the largest squared distance that counts of one of them.
 MOST_EVENTS = 32
@@ -34,19 +31,12 @@ LARGEST = 4.0 * STITCH_DISTANCE
 
 @dataclass(frozen=True)
 class JointPairs:
-    """Pairs of tracks that may be one object.
+    """Pairs of tracks that may be one object."""
 
-    Attributes
-    ----------
-    before, after : arrays (k,) of int
-        Numbers of the trajectories.
-    probabilities : array (k,)
-        Probability that both are one object.
-    """
-
+    # `before`, `after`: arrays (k,) of int: Numbers of the trajectories.
     before: Integers
     after: Integers
-    probabilities: Array
+    probabilities: Array  # (k,): Probability that both are one object
 
 
 def join_probabilities(

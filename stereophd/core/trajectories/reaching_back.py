@@ -21,15 +21,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back
-
-Array = NDArray[np.float64]
 
 # Squared Mahalanobis distance (99 % of a chi-square with 2 degrees of freedom) of a detection that may be the first.
 GATE = 9.21
@@ -44,19 +42,12 @@ NOTHING: tuple[Array, float] = (np.zeros(0), 1.0)
 
 @dataclass(frozen=True)
 class Extended:
-    """A track continued back.
-
-    Attributes
-    ----------
-    trajectory : Trajectory
-    detected : tuple of int
-        Numbers of the events, among those added, with a detection that is probably the object's.
-    shares : tuple of array
-        For each of these events, the probability of each of its detections to be the object's.
-    """
+    """A track continued back."""
 
     trajectory: Trajectory
+    # Numbers of the events, among those added, with a detection that is probably the object's.
     detected: tuple[int, ...] = ()
+    # For each of these events, the probability of each of its detections to be the object's.
     shares: tuple[Array, ...] = ()
 
 

@@ -28,16 +28,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.chains import Chain, WholeRun
 from stereophd.core.trajectories.exchanged_ends import cuts, with_ends_exchanged
 from stereophd.core.trajectories.smoothing import Trajectory
-
-Array = NDArray[np.float64]
 
 # Squared Mahalanobis distance (99.9 % of a chi-square with 2 degrees of freedom) up to which a detection may be taken.
 GATE = 13.8
@@ -58,17 +56,10 @@ Detections = Mapping[int, int]
 
 @dataclass(frozen=True)
 class Reassociated:
-    """A track after its detections were chosen anew.
+    """A track after its detections were chosen anew."""
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Smoothed again if any of its detections changed, and otherwise the one given.
-    changed : dict
-        Event -> (detection before, detection after), None for none, of every event that changed.
-    """
-
-    trajectory: Trajectory
+    trajectory: Trajectory  # Smoothed again if any of its detections changed, and otherwise the one given
+    # Event -> (detection before, detection after), None for none, of every event that changed.
     changed: dict[int, tuple[int | None, int | None]] = field(default_factory=dict)
 
 

@@ -13,33 +13,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.base import Motion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States of one track at successive events.
-
-    Attributes
-    ----------
-    track_id : int
-    events : array (k,) of int
-        Numbers of the events, increasing.
-    times : array (k,)
-        Their times, s, not decreasing.
-    states, covariances : arrays (k, 6), (k, 6, 6)
-        World states (x, y, z, vx, vy, vz).
-    existence : array (k,)
-    """
+    """States of one track at successive events."""
 
     track_id: int
-    events: NDArray[np.int64]
-    times: Array
+    events: NDArray[np.int64]  # (k,) of int: Numbers of the events, increasing
+    times: Array  # (k,): Their times, s, not decreasing
+    # `states`, `covariances`: arrays (k, 6), (k, 6, 6): World states (x, y, z, vx, vy, vz).
     states: Array
     covariances: Array
-    existence: Array
+    existence: Array  # (k,)
 
 
 def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:

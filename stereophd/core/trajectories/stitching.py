@@ -7,11 +7,9 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.motion.base import Motion
 from stereophd.core.trajectories.smoothing import Trajectory
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Squared Mahalanobis distance (99 % of a chi-square with 6 degrees of freedom) up to which the end of one
 # track and the start of another may be one object.
@@ -54,7 +52,7 @@ def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float)
     }
 
 
-def _may_be_near(earlier: Trajectory, starts: Array, positions: Array, spreads: Array, motion: Motion) -> Flags:
+def _may_be_near(earlier: Trajectory, starts: Array, positions: Array, spreads: Array, motion: Motion) -> Booleans:
     """Return which starts (n,) a bound on each axis does not rule out: their distance can be below the limit."""
     if not len(starts):
         return np.zeros(0, dtype=np.bool_)

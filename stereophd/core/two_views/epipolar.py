@@ -16,15 +16,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.calibration.pairing.track_rays import Rays, rays_of
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import MOVES
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Step of the numerical derivative, in prior standard deviations.
 DERIVATIVE_STEP = 1e-4

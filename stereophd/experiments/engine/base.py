@@ -10,37 +10,23 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from stereophd.core.arrays import Array
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
     from stereophd.config.model import Config
 
-Array = NDArray[np.float64]
 Scenario = TypeVar("Scenario")
 
 
 @dataclass(frozen=True)
 class Series:
-    """Values of one quantity in one run.
+    """Values of one quantity in one run."""
 
-    Attributes
-    ----------
-    quantity : str
-        Its name. A quantity ``X_error`` also gives its root mean square over the runs, ``X_rmse``.
-    unit : str
-        Its unit, ``1`` for plain numbers.
-    values : array (k,)
-        NaN where it is not defined: left out of means.
-    times_s : array (k,) or None
-        Their times, s; None: one value that belongs to the whole run.
-    """
-
-    quantity: str
-    unit: str
-    values: Array
-    times_s: Array | None = None
+    quantity: str  # Its name. A quantity ``X_error`` also gives its root mean square over the runs, ``X_rmse``.
+    unit: str  # Its unit, ``1`` for plain numbers
+    values: Array  # (k,): NaN where it is not defined: left out of means
+    times_s: Array | None = None  # (k,) or None: Their times, s; None: one value that belongs to the whole run
 
     def __post_init__(self) -> None:
         count = 1 if self.times_s is None else len(self.times_s)
@@ -50,15 +36,9 @@ class Series:
 
 @dataclass(frozen=True)
 class Effort:
-    """Estimated size of the work of a method in a case, besides making the scenes; the order of magnitude.
+    """Estimated size of the work of a method in a case, besides making the scenes; the order of magnitude."""
 
-    Attributes
-    ----------
-    run_s, bounds_s : float
-        Processor time of a run, and of the bounds, s.
-    memory_bytes : float
-    """
-
+    # `run_s`, `bounds_s`: Processor time of a run, and of the bounds, s.
     run_s: float = 0.0
     bounds_s: float = 0.0
     memory_bytes: float = 0.0
@@ -66,25 +46,16 @@ class Effort:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of scenario.
+    """A kind of scenario."""
 
-    Attributes
-    ----------
-    run : callable (LoadedConfig, int) -> sequence of Series
-        One run, of this number, of the method and case that the configuration describes. Its random
-        numbers come from the seed and the number alone: methods see the same data. What is the method's
-        work, and not making the data or scoring, it does under `method_clock`.
-    bounds : callable (LoadedConfig) -> sequence of Series
-        Bounds on the mean (or the root mean square) of quantities, where they are known.
-    check : callable (LoadedConfig) -> None
-        Raises `InputError` where the configuration lacks what the kind needs.
-    effort : callable (LoadedConfig) -> Effort
-        The size of the work, estimated before it begins.
-    """
-
+    # callable (LoadedConfig, int) -> sequence of Series: One run, of this number, of the method and case that the
+    # configuration describes. Its random numbers come from the seed and the number alone: methods see the same data.
+    # What is the method's work, and not making the data or scoring, it does under `method_clock`.
     run: Callable[[LoadedConfig, int], Sequence[Series]]
+    # Bounds on the mean (or the root mean square) of quantities, where they are known.
     bounds: Callable[[LoadedConfig], Sequence[Series]]
-    check: Callable[[LoadedConfig], None]
+    check: Callable[[LoadedConfig], None]  # Raises `InputError` where the configuration lacks what the kind needs
+    # The size of the work, estimated before it begins.
     effort: Callable[[LoadedConfig], Effort] = lambda loaded: Effort()
 
 

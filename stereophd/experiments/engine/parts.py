@@ -19,9 +19,10 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import stereophd
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import run_number
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Series
+from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.tables import columns_of, pieces
 from stereophd.experiments.engine.work import BOUND_RUN, Chunk, RunOutcome
 from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write

@@ -45,22 +45,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Results:
-    """The results of an experiment.
-
-    Attributes
-    ----------
-    name : str
-    config : ExperimentConfig
-    cells : tuple of Cell
-        In the order of the methods and, within a method, of the cases.
-    timing : dict
-        As in ``timing.json``: it differs from call to call, and so is in no other file.
-    """
+    """The results of an experiment."""
 
     name: str
     config: ExperimentConfig
-    cells: tuple[Cell, ...]
-    timing: dict[str, Any]
+    cells: tuple[Cell, ...]  # In the order of the methods and, within a method, of the cases
+    timing: dict[str, Any]  # As in ``timing.json``: it differs from call to call, and so is in no other file
 
 
 def gather_results(

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtrit
 
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError, nearest
-from stereophd.experiments.engine.base import Array, Series
+from stereophd.experiments.engine.base import Series
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -28,22 +29,13 @@ Windows = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Summary:
-    """One quantity over the runs of one method in one case.
-
-    Attributes
-    ----------
-    quantity, unit : str
-    times_s : array (k,) or None
-    runs : array (k,) of int
-        Runs in which it is defined.
-    mean, std, ci_low, ci_high, bound : arrays (k,)
-        NaN where not defined. The mean of a quantity ``*_rmse*`` is the root mean square over the runs.
-    """
+    """One quantity over the runs of one method in one case."""
 
     quantity: str
     unit: str
-    times_s: Array | None
-    runs: np.ndarray[tuple[int], np.dtype[np.int64]]
+    times_s: Array | None  # (k,) or None
+    runs: np.ndarray[tuple[int], np.dtype[np.int64]]  # (k,) of int: Runs in which it is defined
+    # arrays (k,): NaN where not defined. The mean of a quantity ``*_rmse*`` is the root mean square over the runs.
     mean: Array
     std: Array
     ci_low: Array

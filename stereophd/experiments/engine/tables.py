@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.experiments.engine.base import Array, Series
+from stereophd.core.arrays import Array
+from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.summary import Summary
 from stereophd.io.tables.reading import read_table
 from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING

@@ -40,24 +40,13 @@ class Chunk:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """The outcome of one run: its series, or the error that ended it.
-
-    Attributes
-    ----------
-    run : int
-    series : tuple of Series
-    error : str or None
-    users : bool
-        Whether the error is one of the configuration: the run would fail again.
-    cpu_s : float
-        Processor time of the method, s.
-    """
+    """The outcome of one run: its series, or the error that ended it."""
 
     run: int
     series: tuple[Series, ...]
     error: str | None
-    users: bool
-    cpu_s: float
+    users: bool  # Whether the error is one of the configuration: the run would fail again
+    cpu_s: float  # Processor time of the method, s
 
 
 @dataclass(frozen=True)

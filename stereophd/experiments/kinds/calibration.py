@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereophd.config.experiment import CalibrationScenario
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.adjustment.recording import Recording
@@ -27,7 +28,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_ME
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter

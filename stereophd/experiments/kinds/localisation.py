@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereophd.config.experiment import LocalisationScenario
+from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
 from stereophd.errors import InputError, unknown_camera
-from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.single_object.runs import LocalisationProblem, localisation_bound, localisation_run
 from stereophd.experiments.single_object.series import (
     bounds_of,

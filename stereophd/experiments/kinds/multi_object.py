@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereophd.config.experiment import MultiObjectScenario
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.scans import PointSets, score_scans
@@ -21,7 +22,7 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.runs.sizes import SceneCounts, counts_of_scene
 from stereophd.pipeline.simulation import build_scene, scene_motion

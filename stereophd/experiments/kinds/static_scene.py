@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.config.experiment import StaticSceneScenario
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.known_association import AssociatedDetections, sight
 from stereophd.core.bounds.static_points import static_point_information
 from stereophd.core.disparity.space import DisparitySpace
@@ -24,7 +25,7 @@ from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
 from stereophd.experiments.kinds.multi_object import filter_seconds, filtered_points, scene_truth
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.runs.sizes import counts_of_scene

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
@@ -18,8 +18,6 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SETS_IN_TURN, Method, MomentsSettings
 from stereophd.core.single.build import sample_sets
 from stereophd.core.single.disparity import WIDE, widened
-
-Array = NDArray[np.float64]
 
 # Samples drawn at once.
 CLOUD = 200_000
@@ -33,54 +31,32 @@ class OutOfViewError(ValueError):
 
 @dataclass(frozen=True)
 class MoveCase:
-    """A Gaussian to carry over.
-
-    Attributes
-    ----------
-    home, destination : DisparitySpace
-    mean, covariance : arrays (6,), (6, 6)
-        In the home space.
-    dt : float
-        Interval, s.
-    motion : Motion
-    in_view : bool
-        Whether samples out of the destination's view are left out (V-B), or all in front of it count. A few points
-        cannot show which part of a Gaussian is in view, so methods of low order use samples there.
-    """
+    """A Gaussian to carry over."""
 
     home: DisparitySpace
     destination: DisparitySpace
+    # `mean`, `covariance`: arrays (6,), (6, 6): In the home space.
     mean: Array
     covariance: Array
-    dt: float
+    dt: float  # Interval, s
     motion: Motion
+    # Whether samples out of the destination's view are left out (V-B), or all in front of it count. A few points
+    # cannot show which part of a Gaussian is in view, so methods of low order use samples there.
     in_view: bool = True
 
 
 @dataclass(frozen=True)
 class MoveMoments:
-    """A Gaussian carried over by one method.
+    """A Gaussian carried over by one method."""
 
-    Attributes
-    ----------
-    method : str
-        A method of `stereophd.core.numerics.samples.Method`, or ``reference``.
-    samples : int
-        Samples used.
-    mean, covariance : arrays (6,), (6, 6)
-        Moments of the part in view of the destination's camera, in its disparity space.
-    fraction : float
-        Part in view.
-    divergence : float
-        Kullback-Leibler divergence of the reference from this Gaussian, nat; 0 of the reference.
-    """
-
-    method: str
-    samples: int
+    method: str  # A method of `stereophd.core.numerics.samples.Method`, or ``reference``
+    samples: int  # Samples used
+    # `mean`, `covariance`: arrays (6,), (6, 6): Moments of the part in view of the destination's camera, in its
+    # disparity space.
     mean: Array
     covariance: Array
-    fraction: float
-    divergence: float
+    fraction: float  # Part in view
+    divergence: float  # Kullback-Leibler divergence of the reference from this Gaussian, nat; 0 of the reference
 
 
 def gaussian_of_object(

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import (
     detection_information,
     localisation_bounds,
@@ -33,45 +34,26 @@ from stereophd.core.single.settings import EstimatorSettings
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.stream import EventStream
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class LocalisationProblem:
-    """A static object observed by one camera after another (paper VIII-A).
-
-    Attributes
-    ----------
-    rig : Rig
-    position : array (3,)
-        The object, in the world.
-    prior : InitialPrior
-        Prior of the disparity in the camera that sees the object first.
-    sequence : tuple of int
-        Camera (index in the rig) of each observation.
-    """
+    """A static object observed by one camera after another (paper VIII-A)."""
 
     rig: Rig
-    position: Array
-    prior: InitialPrior
-    sequence: tuple[int, ...]
+    position: Array  # (3,): The object, in the world
+    prior: InitialPrior  # Prior of the disparity in the camera that sees the object first
+    sequence: tuple[int, ...]  # Camera (index in the rig) of each observation
 
 
 @dataclass(frozen=True)
 class LocalisationRun:
-    """Errors (estimate minus truth) after each observation of a run, length.
+    """Errors (estimate minus truth) after each observation of a run, length."""
 
-    Attributes
-    ----------
-    map_errors, mean_errors : arrays (k, 3)
-        Errors of the estimate of greatest density, and of the mean; NaN where there is none.
-    covariances : array (k, 3, 3)
-        Covariances that the estimator states.
-    """
-
+    # `map_errors`, `mean_errors`: arrays (k, 3): Errors of the estimate of greatest density, and of the mean; NaN
+    # where there is none.
     map_errors: Array
     mean_errors: Array
-    covariances: Array
+    covariances: Array  # (k, 3, 3): Covariances that the estimator states
 
 
 def localisation_run(
@@ -121,49 +103,26 @@ def localisation_bound(scenario: LocalisationProblem, with_prior: bool) -> Array
 
 @dataclass(frozen=True)
 class TrackingProblem:
-    """A moving object observed by several cameras (paper VIII-B).
-
-    Attributes
-    ----------
-    rig : Rig
-    start : array (6,)
-        State at the first event, in the world.
-    motion : Motion
-        Motion of the object, and of the estimators' model.
-    prior : InitialPrior
-        Prior of disparity in the camera that sees the object first, and of velocity.
-    times : array (k,)
-        Times of the events, s, not decreasing.
-    cameras : array (k,) of int
-        Camera of each event.
-    """
+    """A moving object observed by several cameras (paper VIII-B)."""
 
     rig: Rig
-    start: Array
-    motion: Motion
-    prior: InitialPrior
-    times: Array
-    cameras: NDArray[np.int64]
+    start: Array  # (6,): State at the first event, in the world
+    motion: Motion  # Motion of the object, and of the estimators' model
+    prior: InitialPrior  # Prior of disparity in the camera that sees the object first, and of velocity
+    times: Array  # (k,): Times of the events, s, not decreasing
+    cameras: NDArray[np.int64]  # (k,) of int: Camera of each event
 
 
 @dataclass(frozen=True)
 class TrackingRun:
-    """Errors (estimate minus truth) of a run, after the last event of each distinct time.
+    """Errors (estimate minus truth) of a run, after the last event of each distinct time."""
 
-    Attributes
-    ----------
-    times : array (t,)
-        Distinct times, s.
-    map_errors, mean_errors : arrays (t, 6)
-        Position and velocity, length and length/s; NaN where there is no estimate.
-    covariances : array (t, 6, 6)
-        Covariances that the estimator states.
-    """
-
-    times: Array
+    times: Array  # (t,): Distinct times, s
+    # `map_errors`, `mean_errors`: arrays (t, 6): Position and velocity, length and length/s; NaN where there is no
+    # estimate.
     map_errors: Array
     mean_errors: Array
-    covariances: Array
+    covariances: Array  # (t, 6, 6): Covariances that the estimator states
 
 
 def tracking_run(

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.metrics.errors.consistency import nees
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Array, Effort, Series
+from stereophd.experiments.engine.base import Effort, Series
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

@@ -22,9 +22,10 @@ from typing import IO, Any, cast
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, put_together
 from stereophd.io.interchange.projection import Decomposed, decompose, is_left_handed
 from stereophd.io.interchange.text_tables import numbers, read_batches
@@ -39,11 +40,11 @@ class _Correction:
     """How detections of a camera are corrected: a lens of its own, or a skew."""
 
     lens: Lens | None
-    matrix: Floats
+    matrix: Array
     skew_slope: float
     skew_row: float
 
-    def apply(self, pixels: Floats) -> Floats:
+    def apply(self, pixels: Array) -> Array:
         result = pixels.copy()
         if self.lens is not None:
             focal, center = np.diag(self.matrix)[:2], self.matrix[:2, 2]
@@ -112,7 +113,7 @@ def _read_calibration(
             corrections[name] = correction
 
 
-def _entry(element: Any) -> tuple[str, Floats, tuple[int, int], dict[str, float]]:
+def _entry(element: Any) -> tuple[str, Array, tuple[int, int], dict[str, float]]:
     """Return name, projection, image size and lens of a camera."""
 
     def text(key: str) -> str:

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches, split_line
 from stereophd.io.interchange.toml_cameras import read_toml, toml_camera
 
@@ -126,7 +127,7 @@ def _rows(path: Path, options: ImportOptions, has_points: bool) -> Iterator[Piec
         values = {key: numbers(batch, name) for key, name in column.items()}
         for camera in np.unique(values["camera"]):
             mine = {key: value[values["camera"] == camera] for key, value in values.items()}
-            extra: dict[str, Floats] = {}
+            extra: dict[str, Array] = {}
             pixels = np.full((len(mine["frame"]), 2), np.nan)
             if has_points:
                 pixels = np.stack([mine["u"], mine["v"]], axis=1)

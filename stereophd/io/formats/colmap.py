@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.cameras import CameraConfig
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, put_together, take_apart, unit
-
-Floats = NDArray[np.float64]
 
 #: Number in binary files -> name, and the names of the parameters (f is both focal lengths).
 MODELS: Mapping[int, tuple[str, str]] = {
@@ -52,8 +50,8 @@ class _Intrinsics:
 class _Image:
     name: str
     camera: int
-    quaternion: Floats
-    translation: Floats
+    quaternion: Array
+    translation: Array
 
 
 def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
@@ -93,7 +91,7 @@ def _camera(name: str, intrinsics: _Intrinsics, image: _Image, options: ImportOp
     return put_together(name, parts, options, where)
 
 
-def _rotation(quaternion: Floats) -> Floats:
+def _rotation(quaternion: Array) -> Array:
     w, x, y, z = quaternion / np.linalg.norm(quaternion)
     return np.array(
         [
@@ -192,7 +190,7 @@ def write_cameras(cameras: Mapping[str, CameraConfig], length_unit: str, target:
     return [f"lengths are in {length_unit}: the format has no unit"]
 
 
-def _quaternion(rotation: Floats) -> Floats:
+def _quaternion(rotation: Array) -> Array:
     from stereophd.core.geometry.pose import rotation_to_vector
 
     vector = rotation_to_vector(rotation)

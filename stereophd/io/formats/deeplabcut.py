@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece, need_extra
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_extra
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.points import point_rows
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches
@@ -60,7 +61,7 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
             yield point_rows(camera, frames, flat.reshape(points.shape), scores, options.least_score)
 
 
-def _csv(path: Path) -> tuple[list[Column], Iterator[tuple[Floats, Floats]]]:
+def _csv(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
     lines = [line.split(",") for line in first_lines(path, 4)]
     heads = {words[0]: words[1:] for words in lines}
     if "bodyparts" not in heads or "coords" not in heads:
@@ -78,7 +79,7 @@ def _named(parts: Sequence[str], coordinates: Sequence[str], individuals: Sequen
     return list(zip(names, coordinates, strict=True))
 
 
-def _csv_rows(path: Path, count: int, skip: int) -> Iterator[tuple[Floats, Floats]]:
+def _csv_rows(path: Path, count: int, skip: int) -> Iterator[tuple[Array, Array]]:
     import pyarrow as pa
 
     names = ["frame", *(f"c{k}" for k in range(count))]
@@ -86,7 +87,7 @@ def _csv_rows(path: Path, count: int, skip: int) -> Iterator[tuple[Floats, Float
         yield numbers(batch, "frame"), np.stack([numbers(batch, name) for name in names[1:]], axis=1)
 
 
-def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Floats, Floats]]]:
+def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
     """Return the columns and rows of a table that pandas wrote (format ``table``, one block of numbers)."""
     try:
         import h5py

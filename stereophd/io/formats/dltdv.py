@@ -21,9 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, unit
 from stereophd.io.interchange.pixels import ORIGINS
 from stereophd.io.interchange.points import point_rows
@@ -45,8 +46,8 @@ class _Sources:
     """The files by what they are."""
 
     points: list[Path] = field(default_factory=list)
-    coefficients: Floats | None = None
-    profile: Floats | None = None
+    coefficients: Array | None = None
+    profile: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -58,18 +59,18 @@ class _View:
     shift: float
     from_bottom: bool
     lens: Lens | None = None
-    lens_matrix: Floats | None = None
+    lens_matrix: Array | None = None
     skew_slope: float = 0.0
     skew_row: float = 0.0
 
-    def flip(self) -> Floats:
+    def flip(self) -> Array:
         """Return the matrix (3, 3) from the source's homogeneous pixels to native ones."""
         flip = np.array([[1.0, 0.0, -self.shift], [0.0, 1.0, -self.shift], [0.0, 0.0, 1.0]])
         if self.from_bottom:
             flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, self.height - 1.0], [0.0, 0.0, 1.0]]) @ flip
         return flip
 
-    def native(self, pixels: Floats) -> Floats:
+    def native(self, pixels: Array) -> Array:
         """Return native pixels (..., 2): flipped, undistorted, without skew."""
         flip = self.flip()
         result = pixels * np.diag(flip)[:2] + flip[:2, 2]
@@ -117,7 +118,7 @@ def _classify(sources: Sequence[Path]) -> _Sources:
     return found
 
 
-def is_profile(table: Floats) -> bool:
+def is_profile(table: Array) -> bool:
     """Whether a table is a camera profile: 12 columns, of which the first counts the cameras."""
     return table.shape[1] == PROFILE_COLUMNS and bool((table[:, 0] == np.arange(1, len(table) + 1)).all())
 
@@ -152,7 +153,7 @@ def _views(found: _Sources, options: ImportOptions, recording: ForeignRecording,
     return views
 
 
-def _with_lens(view: _View, stated: Floats) -> _View:
+def _with_lens(view: _View, stated: Array) -> _View:
     """Add the lens of a row of a profile, which is stated in the source's pixels."""
     _, focal, _, _, cx, cy, aspect, k1, k2, p1, p2, k3 = stated
     flip = view.flip()
@@ -209,7 +210,7 @@ def _without_skew(view: _View, camera: Decomposed, has_points: bool, recording: 
     return _View(view.name, view.height, view.shift, view.from_bottom, view.lens, view.lens_matrix, slope, row)
 
 
-def _some_points(found: _Sources, views: Sequence[_View], projections: Sequence[Floats]) -> Floats | None:
+def _some_points(found: _Sources, views: Sequence[_View], projections: Sequence[Array]) -> Array | None:
     """Return some world points of the recording, in the world of the coefficients."""
     for path in found.points:
         for _, points in _batches(path, len(views)):
@@ -246,7 +247,7 @@ def _columns(path: Path, cameras: int) -> tuple[list[tuple[str, int]], list[str]
     return [(f"pt{k // cameras + 1}", k % cameras + 1) for k in range(columns // 2)], []
 
 
-def _batches(path: Path, cameras: int) -> Iterator[tuple[Floats, Floats]]:
+def _batches(path: Path, cameras: int) -> Iterator[tuple[Array, Array]]:
     """Yield frame numbers (n,) and the source's pixels (n, points, cameras, 2) in pieces."""
     pairs, words = _columns(path, cameras)
     names = list(dict.fromkeys(name for name, _ in pairs))
@@ -272,7 +273,7 @@ def _batches(path: Path, cameras: int) -> Iterator[tuple[Floats, Floats]]:
         start += len(batch)
 
 
-def _sparse(path: Path, points: int, cameras: int) -> tuple[Floats, Floats]:
+def _sparse(path: Path, points: int, cameras: int) -> tuple[Array, Array]:
     """Return the content of a sparse table: row, column, value; what is not there is not seen."""
     rows = int(first_lines(path, 2)[1].split()[0])
     values = np.full((rows, points * cameras * 2), np.nan)

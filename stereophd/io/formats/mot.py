@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import ExportOptions, Floats, ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.base import ExportOptions, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches, separator_of, split_line
 from stereophd.io.interchange.tracks import on_grid, trajectories
@@ -94,7 +95,7 @@ def _pieces(files: dict[str, Path], options: ImportOptions, recording: ForeignRe
 
 
 def _piece(
-    camera: str, row: dict[str, Floats], keep: Floats, options: ImportOptions, recording: ForeignRecording
+    camera: str, row: dict[str, Array], keep: Array, options: ImportOptions, recording: ForeignRecording
 ) -> Piece:
     # a box covers the pixels left ... left + width - 1, all counted from 1
     u = row["left"] + (row["width"] - 1.0) / 2

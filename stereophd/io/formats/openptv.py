@@ -19,13 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, put_together
-
-Floats = NDArray[np.float64]
 
 # Newton's steps of the inverse distortion, and the change at which it has converged, mm.
 STEPS, CONVERGED = 50, 1e-14
@@ -45,13 +43,13 @@ class _Control:
 class _Orientation:
     """Contents of an ``.ori`` and its ``.addpar``; lengths of the sensor in mm."""
 
-    center: Floats
-    rotation: Floats
-    principal: Floats
+    center: Array
+    rotation: Array
+    principal: Array
     distance: float
-    added: Floats
+    added: Array
 
-    def flat(self, distorted: Floats) -> Floats:
+    def flat(self, distorted: Array) -> Array:
         """Return undistorted sensor coordinates (n, 2) about the middle of the sensor."""
         if not self.added[:5].any() and self.added[5] == 1.0 and self.added[6] == 0.0:
             return distorted
@@ -68,7 +66,7 @@ class _Orientation:
                 break
         return result
 
-    def _distorted(self, flat: Floats) -> Floats:
+    def _distorted(self, flat: Array) -> Array:
         k1, k2, k3, p1, p2, scale, shear = self.added
         x, y = flat[:, 0], flat[:, 1]
         r = x * x + y * y
@@ -167,7 +165,7 @@ def _parts(orientation: _Orientation, control: _Control) -> Parts:
     return Parts(matrix, np.zeros(5), False, rotation, orientation.center, control.size)
 
 
-def _nearest(rotation: Floats) -> Floats:
+def _nearest(rotation: Array) -> Array:
     """Return the rotation nearest to a matrix that is written with seven digits."""
     left, _, right = np.linalg.svd(rotation)
     return np.asarray(left @ right, dtype=np.float64)
@@ -202,7 +200,7 @@ def _pieces(
             yield Piece(name, native, np.full(len(native), float(frame)))
 
 
-def _read_targets(path: Path) -> Floats:
+def _read_targets(path: Path) -> Array:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
         count = int(lines[0])

@@ -18,13 +18,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions
 from stereophd.io.interchange.spool import FRAME, TIME, Spool, U, V, extra_columns, read_rows, spool_pieces
 from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
 from stereophd.io.tables.writing import TableWriter
-
-Floats = NDArray[np.float64]
 
 # A camera's log may grow by this factor and number when missing frames are filled in; more is a wrong column.
 LARGEST_GROWTH, FEW_FRAMES = 1000, 1_000_000
@@ -121,7 +120,7 @@ class _Camera:
             raise InputError("`frames`: expected `fill`, which adds the frames without rows, found it turned off")
         self._stride = self._measure_stride() if spool.has_frames else 1
         self._count = 0
-        self._last: Floats | None = None
+        self._last: Array | None = None
 
     def _measure_stride(self) -> int:
         """Return the step of the frame numbers: the greatest that divides all differences; 1 of too few frames."""
@@ -135,9 +134,9 @@ class _Camera:
             count += len(frames)
         return stride if count >= LEAST_FRAMES_OF_A_STEP else 1
 
-    def pieces(self) -> Iterator[Floats]:
+    def pieces(self) -> Iterator[Array]:
         """Yield the camera's rows as the log has them: whole frames, timed, without gaps, in order."""
-        carry: Floats | None = None
+        carry: Array | None = None
         is_first = True
         for rows in read_rows(self._spool):
             if carry is not None:
@@ -151,7 +150,7 @@ class _Camera:
         assert carry is not None
         yield self._finished(carry, is_first, True)
 
-    def _finished(self, rows: Floats, is_first: bool, is_last: bool) -> Floats:
+    def _finished(self, rows: Array, is_first: bool, is_last: bool) -> Array:
         rows = self._timed(rows.copy())
         count = len(rows)
         rows = _without_duplicates(rows)
@@ -162,7 +161,7 @@ class _Camera:
         self._summarise(rows)
         return rows
 
-    def _timed(self, rows: Floats) -> Floats:
+    def _timed(self, rows: Array) -> Array:
         """Number the frames and give them times, each frame one."""
         if not self._spool.has_frames:
             starts = np.concatenate([[True], np.diff(rows[:, TIME]) != 0])
@@ -194,10 +193,10 @@ class _Camera:
             )
         return rows
 
-    def _by_rate(self, frames: Floats, rate: float) -> Floats:
+    def _by_rate(self, frames: Array, rate: float) -> Array:
         return (frames - self._first_frame) / rate + self._offset
 
-    def _filled(self, rows: Floats, is_first: bool, is_last: bool) -> Floats:
+    def _filled(self, rows: Array, is_first: bool, is_last: bool) -> Array:
         """Add a row for each frame that is missing after the last row before, between these, and at the ends."""
         known = rows if self._last is None else np.vstack([self._last, rows])
         frames, index = np.unique(known[:, FRAME], return_index=True)
@@ -224,7 +223,7 @@ class _Camera:
         merged = np.concatenate([rows, new])
         return merged[np.argsort(merged[:, FRAME], kind="stable")]
 
-    def _times_of(self, missing: Floats, frames: Floats, times: Floats) -> Floats:
+    def _times_of(self, missing: Array, frames: Array, times: Array) -> Array:
         """Return times of missing frames: by the rate, between neighbours, and beyond the ends by the mean period."""
         if self._rate is not None and self._is_timed_by_rate:
             return self._by_rate(missing, self._rate)
@@ -238,7 +237,7 @@ class _Camera:
         result = np.where(missing < frames[0], times[0] + (missing - frames[0]) * period, result)
         return np.where(missing > frames[-1], times[-1] + (missing - frames[-1]) * period, result)
 
-    def _summarise(self, rows: Floats) -> None:
+    def _summarise(self, rows: Array) -> None:
         summary = self._summary
         is_empty = np.isnan(rows[:, U])
         summary.frames += len(np.unique(rows[:, FRAME]))
@@ -254,7 +253,7 @@ class _Camera:
             summary.highest_px = np.maximum(summary.highest_px, high).tolist()
 
 
-def _without_duplicates(rows: Floats) -> Floats:
+def _without_duplicates(rows: Array) -> Array:
     """Remove detections at the pixels of another of their frame, and empty rows beside others. Keeps the order."""
     order = np.lexsort((np.arange(len(rows)), rows[:, V], rows[:, U], rows[:, FRAME]))
     ordered = rows[order]
@@ -266,9 +265,9 @@ def _without_duplicates(rows: Floats) -> Floats:
     return rows[keep]
 
 
-def _merged(streams: Sequence[Iterator[Floats]]) -> Iterator[tuple[NDArray[np.int64], Floats]]:
+def _merged(streams: Sequence[Iterator[Array]]) -> Iterator[tuple[NDArray[np.int64], Array]]:
     """Merge the pieces of all cameras by time, ties in their order; yields the camera of each row, and the rows."""
-    waiting: list[Floats | None] = [next(stream, None) for stream in streams]
+    waiting: list[Array | None] = [next(stream, None) for stream in streams]
     while any(rows is not None for rows in waiting):
         # what is no later than the end of every camera's piece is complete
         limit = min(float(rows[-1, TIME]) for rows in waiting if rows is not None)
@@ -285,7 +284,7 @@ def _merged(streams: Sequence[Iterator[Floats]]) -> Iterator[tuple[NDArray[np.in
         yield cameras[order], merged[order]
 
 
-def _columns(index: NDArray[np.int64], rows: Floats, names: Sequence[str], extra: Sequence[str]) -> dict[str, Any]:
+def _columns(index: NDArray[np.int64], rows: Array, names: Sequence[str], extra: Sequence[str]) -> dict[str, Any]:
     """Return rows as the columns of a log."""
     is_empty = np.isnan(rows[:, U])
     columns: dict[str, Any] = {

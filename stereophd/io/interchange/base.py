@@ -7,13 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from stereophd.config.cameras import CameraConfig
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 
-Floats = NDArray[np.float64]
 Value = TypeVar("Value")
 
 #: Optional columns of a log that a format may fill.
@@ -41,57 +38,31 @@ class PerCamera(Generic[Value]):
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Statements of the user about a foreign source; each format uses those that it needs.
+    """Statements of the user about a foreign source; each format uses those that it needs."""
 
-    Attributes
-    ----------
-    columns
-        Native column -> column of the source.
-    rates
-        Frames per second of each camera; times are then frame number over rate.
-    offsets
-        Seconds to add to the times of each camera.
-    frames
-        First and last frame recorded by each camera.
-    image_sizes
-        Width and height of each camera's image, px.
-    rename
-        Camera of the source -> native name.
-    length_unit
-        Unit of length of the source's cameras; None: the unit of the format, or metres.
-    time_unit
-        Unit of the source's times.
-    pixel_origin
-        What pixel (0, 0) of the source is: ``center`` or ``corner`` of the top-left pixel, or ``one`` where the
-        centre of the top-left pixel is (1, 1); None: as the format has it.
-    rows_from
-        Whether rows count from the ``top`` of the image or from the ``bottom``; None: as the format has it.
-    fill
-        Whether frames missing between those of a camera become empty frames.
-    box_point
-        The point of a bounding box that is the detection: its ``center``, or the middle of its ``bottom``.
-    least_score
-        Detections of a smaller score are left out.
-    undistorted
-        Whether the source's pixels are already undistorted: the cameras then lose their lens model.
-    detector
-        ``sigma_px``, ``p_detect`` and ``clutter_per_frame`` of all cameras; None: to be estimated from the log.
-    """
-
-    columns: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)  # Native column -> column of the source
+    # Frames per second of each camera; times are then frame number over rate.
     rates: PerCamera[float] = field(default_factory=PerCamera)
-    offsets: PerCamera[float] = field(default_factory=PerCamera)
+    offsets: PerCamera[float] = field(default_factory=PerCamera)  # Seconds to add to the times of each camera
+    # First and last frame recorded by each camera.
     frames: PerCamera[tuple[int, int]] = field(default_factory=PerCamera)
+    # Width and height of each camera's image, px.
     image_sizes: PerCamera[tuple[int, int]] = field(default_factory=PerCamera)
-    rename: Mapping[str, str] = field(default_factory=dict)
-    length_unit: str | None = None
-    time_unit: str = "s"
+    rename: Mapping[str, str] = field(default_factory=dict)  # Camera of the source -> native name
+    length_unit: str | None = None  # Unit of length of the source's cameras; None: the unit of the format, or metres
+    time_unit: str = "s"  # Unit of the source's times
+    # What pixel (0, 0) of the source is: ``center`` or ``corner`` of the top-left pixel, or ``one`` where the centre
+    # of the top-left pixel is (1, 1); None: as the format has it.
     pixel_origin: str | None = None
+    # Whether rows count from the ``top`` of the image or from the ``bottom``; None: as the format has it.
     rows_from: str | None = None
-    fill: bool = True
+    fill: bool = True  # Whether frames missing between those of a camera become empty frames
+    # The point of a bounding box that is the detection: its ``center``, or the middle of its ``bottom``.
     box_point: str = "center"
-    least_score: float | None = None
+    least_score: float | None = None  # Detections of a smaller score are left out
+    # Whether the source's pixels are already undistorted: the cameras then lose their lens model.
     undistorted: bool = False
+    # ``sigma_px``, ``p_detect`` and ``clutter_per_frame`` of all cameras; None: to be estimated from the log.
     detector: Mapping[str, Any] | None = None
 
     def name(self, camera: str) -> str:
@@ -110,87 +81,46 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class Piece:
-    """Some detections of one camera.
+    """Some detections of one camera."""
 
-    Attributes
-    ----------
-    camera
-        Native name.
-    pixels
-        Native pixels (n, 2); a row of NaN is a frame without detections.
-    frame
-        Frame numbers (n,), or None where the source has times only.
-    time_s
-        Times (n,), s, or None where the source has frame numbers only.
-    extra
-        Name of an optional column -> values (n,), NaN where there is none.
-    """
-
-    camera: str
-    pixels: Floats
-    frame: Floats | None = None
-    time_s: Floats | None = None
-    extra: Mapping[str, Floats] = field(default_factory=dict)
+    camera: str  # Native name
+    pixels: Array  # Native pixels (n, 2); a row of NaN is a frame without detections
+    frame: Array | None = None  # Frame numbers (n,), or None where the source has times only
+    time_s: Array | None = None  # Times (n,), s, or None where the source has frame numbers only
+    # Name of an optional column -> values (n,), NaN where there is none.
+    extra: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass
 class ForeignRecording:
-    """Contents of a foreign source.
+    """Contents of a foreign source."""
 
-    Attributes
-    ----------
-    pieces
-        Its detections, in any order; None: it holds none. They may be consumed once.
-    cameras
-        Its cameras, by native name.
-    length_unit
-        Unit of the camera centres; None without cameras.
-    unit_is_assumed
-        Whether neither the source nor the user states that unit.
-    assumed
-        Sentences: what the source does not state, and what was assumed instead. Complete once `pieces` are consumed.
-    warnings
-        Sentences: what is probably wrong. Complete once `pieces` are consumed.
-    labels
-        Number in ``object_id`` -> name of the object in the source.
-    files
-        Every file that is read.
-    rates, frames
-        Frames per second, and first and last recorded frame, of cameras for which the source states them.
-    first_frame
-        Number of a frame at time 0, for times by rate.
-    """
-
+    # Its detections, in any order; None: it holds none. They may be consumed once.
     pieces: Iterable[Piece] | None = None
-    cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    length_unit: str | None = None
-    unit_is_assumed: bool = False
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)  # Its cameras, by native name
+    length_unit: str | None = None  # Unit of the camera centres; None without cameras
+    unit_is_assumed: bool = False  # Whether neither the source nor the user states that unit
+    # Sentences: what the source does not state, and what was assumed instead. Complete once `pieces` are consumed.
     assumed: list[str] = field(default_factory=list)
+    # Sentences: what is probably wrong. Complete once `pieces` are consumed.
     warnings: list[str] = field(default_factory=list)
-    labels: dict[int, str] = field(default_factory=dict)
-    files: list[Path] = field(default_factory=list)
+    labels: dict[int, str] = field(default_factory=dict)  # Number in ``object_id`` -> name of the object in the source
+    files: list[Path] = field(default_factory=list)  # Every file that is read
+    # `rates`, `frames`: Frames per second, and first and last recorded frame, of cameras for which the source states
+    # them.
     rates: dict[str, float] = field(default_factory=dict)
     frames: dict[str, tuple[int, int]] = field(default_factory=dict)
-    first_frame: int = 0
+    first_frame: int = 0  # Number of a frame at time 0, for times by rate
 
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Options of an exported file.
+    """Options of an exported file."""
 
-    Attributes
-    ----------
-    tracks
-        Identities to write; None: all.
-    rate_hz
-        Times are resampled to this rate, by linear interpolation within a track; None: as in the source.
-    tentative
-        Write tentative estimates too, not only confirmed ones.
-    """
-
-    tracks: Sequence[int] | None = None
+    tracks: Sequence[int] | None = None  # Identities to write; None: all
+    # Times are resampled to this rate, by linear interpolation within a track; None: as in the source.
     rate_hz: float | None = None
-    tentative: bool = False
+    tentative: bool = False  # Write tentative estimates too, not only confirmed ones
 
     def plain(self) -> dict[str, Any]:
         """Return the options that differ from the defaults, JSON-able."""
@@ -208,28 +138,16 @@ CamerasWriter = Callable[[Mapping[str, CameraConfig], str, Path], list[str]]
 
 @dataclass(frozen=True)
 class Format:
-    """A foreign format; each module of `stereophd.io.formats` has one, named ``FORMAT``.
+    """A foreign format; each module of `stereophd.io.formats` has one, named ``FORMAT``."""
 
-    Attributes
-    ----------
-    title
-        Description in one line.
-    read
-        Reads files into a `ForeignRecording`; None: it is only written.
-    recognises_cameras
-        Whether a file holds cameras in this format, decided by its content; None: never.
-    write_tracks, write_cameras
-        Write files; None: the format has no such thing.
-    is_folder
-        Whether `write_cameras` writes a folder.
-    """
-
-    title: str
-    read: Reader | None = None
+    title: str  # Description in one line
+    read: Reader | None = None  # Reads files into a `ForeignRecording`; None: it is only written
+    # Whether a file holds cameras in this format, decided by its content; None: never.
     recognises_cameras: Callable[[Path], bool] | None = None
+    # `write_tracks`, `write_cameras`: Write files; None: the format has no such thing.
     write_tracks: TracksWriter | None = None
     write_cameras: CamerasWriter | None = None
-    is_folder: bool = False
+    is_folder: bool = False  # Whether `write_cameras` writes a folder
 
 
 def need_extra(package: str, extra: str, purpose: str) -> InputError:

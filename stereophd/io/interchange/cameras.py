@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stereophd.config.cameras import UNKNOWN_DETECTOR, CameraConfig
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
-
-Floats = NDArray[np.float64]
 
 #: Coefficients in OpenCV's order; a shorter list has zeros at its end.
 OPENCV_ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -26,31 +25,18 @@ SMALL_DEFECT = 1e-9
 
 @dataclass(frozen=True)
 class Parts:
-    """A camera as most programs describe it.
+    """A camera as most programs describe it."""
 
-    Attributes
-    ----------
-    matrix
-        Camera matrix (3, 3) without skew; pixel (0, 0) is the centre of the top-left pixel.
-    coefficients
-        Lens coefficients in OpenCV's order: 8 of the rational model, or 4 of a fisheye.
-    fisheye
-        Which of the two models they belong to.
-    rotation, center
-        ``x_camera = rotation @ (x_world - center)``, camera axes x right, y down, z forward.
-    size
-        Width and height, px.
-    """
-
-    matrix: Floats
-    coefficients: Floats
-    fisheye: bool
-    rotation: Floats
-    center: Floats
-    size: tuple[int, int]
+    matrix: Array  # Camera matrix (3, 3) without skew; pixel (0, 0) is the centre of the top-left pixel
+    coefficients: Array  # Lens coefficients in OpenCV's order: 8 of the rational model, or 4 of a fisheye
+    fisheye: bool  # Which of the two models they belong to
+    # `rotation`, `center`: ``x_camera = rotation @ (x_world - center)``, camera axes x right, y down, z forward.
+    rotation: Array
+    center: Array
+    size: tuple[int, int]  # Width and height, px
 
     @property
-    def translation(self) -> Floats:
+    def translation(self) -> Array:
         """The t of ``x_camera = rotation @ x_world + t``."""
         return np.asarray(-self.rotation @ self.center, dtype=np.float64)
 
@@ -137,7 +123,7 @@ def distortion(coefficients: ArrayLike, fisheye: bool, where: str) -> dict[str, 
     return {"model": "fisheye" if fisheye else "brown_conrady", **stated}
 
 
-def checked_rotation(matrix: ArrayLike, where: str) -> Floats:
+def checked_rotation(matrix: ArrayLike, where: str) -> Array:
     """Return a rotation matrix: the one given, or the nearest where it was rounded.
 
     Raises

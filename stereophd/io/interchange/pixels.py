@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats, ForeignRecording, ImportOptions
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 
 #: What to subtract for the centre of the first pixel to be (0, 0).
 ORIGINS = {"center": 0.0, "corner": 0.5, "one": 1.0}
 
 
 def native_pixels(
-    pixels: Floats,
+    pixels: Array,
     camera: str,
     options: ImportOptions,
     recording: ForeignRecording,
     origin: str = "center",
     rows_from: str = "top",
-) -> Floats:
+) -> Array:
     """Return native pixels: (0, 0) is the centre of the top-left pixel, rows count from the top.
 
     Parameters

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stereophd.io.interchange.base import Floats, Piece
+from stereophd.core.arrays import Array
+from stereophd.io.interchange.base import Piece
 
 
-def point_rows(camera: str, frames: Floats, points: Floats, scores: Floats | None, least: float | None) -> Piece:
+def point_rows(camera: str, frames: Array, points: Array, scores: Array | None, least: float | None) -> Piece:
     """Return the detections of a camera; a frame without any is one row of NaN.
 
     Parameters

@@ -10,11 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-
-Floats = NDArray[np.float64]
 
 #: Turns a left-handed world into a right-handed one.
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
@@ -24,21 +22,21 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 class Decomposed:
     """A projection matrix in parts: K (3, 3) with skew K[0, 1] and K[2, 2] = 1, rotation, and centre."""
 
-    matrix: Floats
-    rotation: Floats
-    center: Floats
+    matrix: Array
+    rotation: Array
+    center: Array
 
     @property
     def skew_slope(self) -> float:
         """Shift of u by the skew per row below the principal point, px per px."""
         return float(self.matrix[0, 1] / self.matrix[1, 1])
 
-    def depth(self, points: Floats) -> Floats:
+    def depth(self, points: Array) -> Array:
         """Return the depths (n,) of world points (n, 3)."""
         return np.asarray((points - self.center) @ self.rotation[2], dtype=np.float64)
 
 
-def decompose(projection: Floats, where: str) -> Decomposed:
+def decompose(projection: Array, where: str) -> Decomposed:
     """Take a projection matrix (3, 4) apart, with positive focal lengths and a proper rotation.
 
     Raises
@@ -54,11 +52,11 @@ def decompose(projection: Floats, where: str) -> Decomposed:
     matrix, rotation = rq(left * np.sign(np.linalg.det(left)))
     signs = np.sign(np.diag(matrix))
     matrix, rotation = matrix * signs, signs[:, None] * rotation
-    center: Floats = -np.linalg.solve(left, projection[:, 3]).astype(np.float64)
+    center: Array = -np.linalg.solve(left, projection[:, 3]).astype(np.float64)
     return Decomposed(matrix / matrix[2, 2], rotation, center)
 
 
-def is_left_handed(cameras: Sequence[Decomposed], points: Floats | None) -> bool:
+def is_left_handed(cameras: Sequence[Decomposed], points: Array | None) -> bool:
     """Whether the world of some cameras is left-handed: the scene lies behind most of them.
 
     Parameters
@@ -75,7 +73,7 @@ def is_left_handed(cameras: Sequence[Decomposed], points: Floats | None) -> bool
     return sum(behind) < 0
 
 
-def _scene(cameras: Sequence[Decomposed]) -> Floats:
+def _scene(cameras: Sequence[Decomposed]) -> Array:
     across = [np.eye(3) - np.outer(camera.rotation[2], camera.rotation[2]) for camera in cameras]
     total = np.sum(across, axis=0)
     if np.linalg.cond(total) > 1e3:
@@ -84,7 +82,7 @@ def _scene(cameras: Sequence[Decomposed]) -> Floats:
     return np.linalg.solve(total, target)[None]
 
 
-def triangulate(projections: Sequence[Floats], pixels: Floats) -> Floats:
+def triangulate(projections: Sequence[Array], pixels: Array) -> Array:
     """Return world points of pixels (n, cameras, 2), linearly; those that fewer than two cameras see are left out."""
     result = []
     for row in pixels:

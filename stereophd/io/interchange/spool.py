@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, Piece
-
-Floats = NDArray[np.float64]
 
 FRAME, TIME, U, V = range(4)
 WIDTH = 4 + len(EXTRA_COLUMNS)
@@ -77,7 +75,7 @@ def _append(spool: Spool, piece: Piece) -> None:
     for name, values in piece.extra.items():
         rows[:, 4 + EXTRA_COLUMNS.index(name)] = values
     spool.has_frames &= piece.frame is not None
-    key: Floats = rows[:, FRAME] if spool.has_frames else rows[:, TIME]
+    key: Array = rows[:, FRAME] if spool.has_frames else rows[:, TIME]
     if not np.isfinite(key).all():
         what = "frame numbers" if spool.has_frames else "times"
         raise InputError(f"camera {piece.camera}: expected {what}, found a row without one")
@@ -90,7 +88,7 @@ def _append(spool: Spool, piece: Piece) -> None:
     rows.tofile(spool.stream)
 
 
-def read_rows(spool: Spool) -> Iterator[Floats]:
+def read_rows(spool: Spool) -> Iterator[Array]:
     """Yield the rows of a temporary file in order, in pieces."""
     spool.stream.flush()
     if not spool.in_order:

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import Floats
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -116,13 +116,13 @@ def _is_cut_off(source: Path | IO[bytes], reason: str) -> bool:
     return False
 
 
-def numbers(batch: Any, column: str) -> Floats:
+def numbers(batch: Any, column: str) -> Array:
     """Return a column of numbers, NaN where it is empty."""
-    values: Floats = batch.column(column).to_numpy(zero_copy_only=False)
+    values: Array = batch.column(column).to_numpy(zero_copy_only=False)
     return values
 
 
-def read_matrix(path: Path) -> Floats | None:
+def read_matrix(path: Path) -> Array | None:
     """Return a small table of numbers without a header, or None if the file is not one."""
     import numpy as np
 

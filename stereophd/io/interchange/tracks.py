@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pyarrow import RecordBatch, compute
 from pyarrow.parquet import ParquetFile
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import from_metadata
 from stereophd.io.outputs.provenance import length_unit as unit_of
 from stereophd.io.tables.reading import cast_column, check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.schemas import CONFIRMED, STD, STRING, TRACKS
-
-Floats = NDArray[np.float64]
 
 TEXTS = ("camera", "status")
 # Columns that a table of tracks may lack.
@@ -82,7 +80,7 @@ def _wanted_status(parquet: ParquetFile, columns: list[str], tentative: bool) ->
             yield batch.filter(compute.equal(batch.column(batch.schema.get_field_index("status")), CONFIRMED))
 
 
-def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Floats, Floats]]:
+def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Array, Array]]:
     """Return each track's times (n,) and states (n, 6), by identity; at each time its last row.
 
     Raises
@@ -90,8 +88,8 @@ def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Floats, 
     InputError
         As `batches`, or there is no track.
     """
-    times: dict[int, list[Floats]] = {}
-    states: dict[int, list[Floats]] = {}
+    times: dict[int, list[Array]] = {}
+    states: dict[int, list[Array]] = {}
     for rows in batches(path, options):
         state = np.stack([rows[axis] for axis in ("x", "y", "z", "vx", "vy", "vz")], axis=1)
         for track in np.unique(rows["track_id"]).tolist():
@@ -110,7 +108,7 @@ def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Floats, 
     return result
 
 
-def on_grid(path: Path, options: ExportOptions) -> tuple[float, Floats, dict[int, Floats]]:
+def on_grid(path: Path, options: ExportOptions) -> tuple[float, Array, dict[int, Array]]:
     """Return tracks at a fixed rate, as motion-capture formats need them.
 
     Returns
@@ -147,7 +145,7 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Floats, dict[int
     return rate, times, result
 
 
-def _regular(every: Floats, path: Path) -> tuple[float, Floats]:
+def _regular(every: Array, path: Path) -> tuple[float, Array]:
     """Return the rate of times that are multiples of a period, and all multiples between the first and the last."""
     steps = np.diff(every)
     if len(steps):

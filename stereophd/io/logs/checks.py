@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.settings import LARGEST_SIGMA_PX, LARGEST_TIME_S, SMALLEST_SIGMA_PX
 from stereophd.errors import InputError, unknown_camera
-from stereophd.io.logs.rows import Booleans, Decoded, Floats, Integers, Rows
+from stereophd.io.logs.rows import Decoded, Rows
 
 #: The kinds of bad rows, in the order in which a row is tested; keys of `LogReader.counts`.
 KINDS = (
@@ -44,7 +45,7 @@ class OrderState:
     last_frame: dict[int, int] = field(default_factory=dict)
 
 
-def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Floats, margin: float) -> Iterator[Fault]:
+def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: float) -> Iterator[Fault]:
     """Yield the faults that a row has by itself.
 
     Parameters

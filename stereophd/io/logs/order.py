@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from stereophd.core.arrays import Array
 from stereophd.io.file_kinds import LOG
-from stereophd.io.logs.rows import Floats, values_of
+from stereophd.io.logs.rows import values_of
 from stereophd.io.tables.reading import cast_column, check_texts, damaged_is_input_error, open_parquet
 from stereophd.io.tables.schemas import FLOAT, STRING
 
@@ -64,7 +65,7 @@ def _is_ordered_within_cameras(path: Path) -> bool:
     return True
 
 
-def _times(batch: pa.RecordBatch, path: Path, start: int) -> Floats:
+def _times(batch: pa.RecordBatch, path: Path, start: int) -> Array:
     return values_of(cast_column(batch.column("time_s"), "time_s", FLOAT, path, start), np.float64, np.nan)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
@@ -34,7 +35,7 @@ from stereophd.io.logs.checks import (
     time_fault,
 )
 from stereophd.io.logs.order import is_by_camera
-from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Booleans, Floats, Integers, Rows, decode
+from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
 
@@ -67,8 +68,8 @@ class Frame:
     time_s: float
     camera: int
     frame: int
-    pixels: Floats
-    sigma: Floats | None = None
+    pixels: Array
+    sigma: Array | None = None
     object_id: Integers | None = None
 
 
@@ -269,10 +270,10 @@ class LogReader:
                 None if rows.object_id is None else rows.object_id[i:j],
             )
 
-    def _true_times(self, time_s: Floats, camera: Integers) -> Floats:
+    def _true_times(self, time_s: Array, camera: Integers) -> Array:
         offset = np.array([c.clock.offset_s for c in self._cameras])
         rate = np.array([c.clock.rate for c in self._cameras])
-        true: Floats = offset[camera] + rate[camera] * time_s
+        true: Array = offset[camera] + rate[camera] * time_s
         # Cameras whose frames coincide come in their order: a clock must not part them by its rounding.
         kept = (offset == 0.0) & (rate == 1.0)
         return np.where(kept[camera], time_s, np.round(true, TIME_DECIMALS))

@@ -16,12 +16,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.io.tables.reading import cast_column, check_texts
 from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 REQUIRED = {name: DETECTIONS.field(name).type for name in DETECTIONS.names}
 OPTIONAL = {"sigma_u_px": FLOAT, "sigma_v_px": FLOAT, "object_id": INTEGER}
@@ -32,12 +29,12 @@ class Rows:
     """Rows of a log as arrays of length n; `empty` marks the rows of frames without detections."""
 
     row: Integers
-    time_s: Floats
+    time_s: Array
     camera: Integers
     frame: Integers
-    pixels: Floats
+    pixels: Array
     empty: Booleans
-    sigma: Floats | None
+    sigma: Array | None
     object_id: Integers | None
 
     def take(self, which: Any) -> Rows:
@@ -60,22 +57,13 @@ class Rows:
 
 @dataclass(frozen=True)
 class Decoded:
-    """A piece of a log: its rows, and what only the checks need to know of them.
+    """A piece of a log: its rows, and what only the checks need to know of them."""
 
-    Attributes
-    ----------
-    rows
-        The rows; `camera` is -1 where it is not one of the configuration's.
-    nulls, half
-        Masks of the rows with a null in a required column, and of those with one of u_px, v_px null.
-    names
-        The camera column as read, for messages.
-    """
-
-    rows: Rows
+    rows: Rows  # The rows; `camera` is -1 where it is not one of the configuration's
+    # `nulls`, `half`: Masks of the rows with a null in a required column, and of those with one of u_px, v_px null.
     nulls: Booleans
     half: Booleans
-    names: pa.Array
+    names: pa.Array  # The camera column as read, for messages
 
 
 def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: Path | str = "log") -> Decoded:

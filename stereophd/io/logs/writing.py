@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from stereophd.io.logs.rows import Floats, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.io.tables.schemas import DETECTIONS, OBJECT_ID
 from stereophd.io.tables.writing import TableWriter
 
@@ -29,7 +29,7 @@ class LogWriter:
         self._object_id = object_id
         self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
 
-    def write(self, time_s: float, camera: str, frame: int, pixels: Floats, object_id: Integers | None = None) -> None:
+    def write(self, time_s: float, camera: str, frame: int, pixels: Array, object_id: Integers | None = None) -> None:
         """Write one frame.
 
         Parameters

@@ -23,23 +23,11 @@ LENGTH_UNIT_KEY = b"length_unit"
 
 @dataclass(frozen=True)
 class ConfigRecord:
-    """The record of a configuration in the provenance.
+    """The record of a configuration in the provenance."""
 
-    Attributes
-    ----------
-    resolved : mapping
-        The resolved configuration as JSON-able values.
-    sha256 : str
-        SHA-256 of its `canonical_json`.
-    inputs : mapping
-        Role -> SHA-256 of the files that the configuration names.
-    seed : int
-    length_unit : str
-    """
-
-    resolved: Mapping[str, Any]
-    sha256: str
-    inputs: Mapping[str, str]
+    resolved: Mapping[str, Any]  # The resolved configuration as JSON-able values
+    sha256: str  # SHA-256 of its `canonical_json`
+    inputs: Mapping[str, str]  # Role -> SHA-256 of the files that the configuration names
     seed: int
     length_unit: str
 

@@ -25,30 +25,18 @@ _BLOCK_BYTES = 2**20
 
 @dataclass(frozen=True)
 class WrittenTable:
-    """How far a table is written.
+    """How far a table is written."""
 
-    Attributes
-    ----------
-    length : int
-        Bytes of its file that count; what follows them is dropped.
-    checksum : int
-        CRC-32 of these bytes.
-    footers, ends : array (n,) of uint8, array (k,)
-        Footers of the row groups in the file, end to end, and where each ends.
-    rows : int
-        Rows so far, those that wait included.
-    waiting_rows : int
-    waiting : mapping
-        Name -> column of the rows that wait for the rest of their group: numbers (n,) or (n, k), or texts as an
-        array of codes and the words that they stand for.
-    """
-
-    length: int
-    checksum: int
+    length: int  # Bytes of its file that count; what follows them is dropped
+    checksum: int  # CRC-32 of these bytes
+    # `footers`, `ends`: (n,) of uint8, array (k,): Footers of the row groups in the file, end to end, and where each
+    # ends.
     footers: NDArray[np.uint8]
     ends: NDArray[np.int64]
-    rows: int
+    rows: int  # Rows so far, those that wait included
     waiting_rows: int
+    # Name -> column of the rows that wait for the rest of their group: numbers (n,) or (n, k), or texts as an array
+    # of codes and the words that they stand for.
     waiting: dict[str, Any]
 
 

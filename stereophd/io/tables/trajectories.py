@@ -8,12 +8,10 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.trajectory import COLUMNS, BodyTrajectory
 from stereophd.errors import InputError
-
-Array = NDArray[np.float64]
 
 # Poses become part of the configuration, and so of the metadata of every output.
 MOST_POSES = 50_000

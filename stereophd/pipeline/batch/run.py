@@ -40,21 +40,11 @@ LOGGER = logging.getLogger("stereophd")
 
 @dataclass(frozen=True)
 class Item:
-    """One input of a batch.
+    """One input of a batch."""
 
-    Attributes
-    ----------
-    name : str
-        Name of its folder.
-    source : str
-        As the user gave it, for messages and the summary.
-    paths : tuple of Path
-        Its files, absolute: workers may have another current folder.
-    """
-
-    name: str
-    source: str
-    paths: tuple[Path, ...]
+    name: str  # Name of its folder
+    source: str  # As the user gave it, for messages and the summary
+    paths: tuple[Path, ...]  # Its files, absolute: workers may have another current folder
 
 
 def log_items(logs: Sequence[Path | str]) -> list[Item]:
@@ -76,28 +66,16 @@ Work = Callable[[Item, Path, Progress | None], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Batch:
-    """What is done for each input.
-
-    Attributes
-    ----------
-    items : sequence of Item
-    work : callable
-        A function of a module, or `functools.partial` of one, that writes the item's folder.
-    values : callable
-        A function of a module that takes the values of a row from a report.
-    files, beside : sequences of str
-        Files that `work` may write in the folder of an item, and beside it.
-    columns : mapping
-        Names and types of its values; they are null where it fails.
-    record : mapping
-        Provenance of ``summary.parquet``; the hashes of the inputs are added, as ``NAME.role``.
-    """
+    """What is done for each input."""
 
     items: Sequence[Item]
-    work: Work
+    work: Work  # A function of a module, or `functools.partial` of one, that writes the item's folder
+    # A function of a module that takes the values of a row from a report.
     values: Callable[[Mapping[str, Any]], Mapping[str, Any]]
+    # `files`, `beside`: Files that `work` may write in the folder of an item, and beside it.
     files: Sequence[str]
-    columns: Mapping[str, pa.DataType]
+    columns: Mapping[str, pa.DataType]  # Names and types of its values; they are null where it fails
+    # Provenance of ``summary.parquet``; the hashes of the inputs are added, as ``NAME.role``.
     record: Mapping[str, Any]
     beside: Sequence[str] = ()
 

@@ -27,26 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CalibrationProblem:
-    """The unknowns of a calibration and the data that constrain them.
-
-    Attributes
-    ----------
-    parameters : ParameterSet
-    reference : int
-        Index of the reference camera.
-    recording : Recording
-        The log.
-    scale : ScaleMeasurement or None
-        A known baseline.
-    counts : dict
-        Counts of the log, as in ``report.json``.
-    """
+    """The unknowns of a calibration and the data that constrain them."""
 
     parameters: ParameterSet
-    reference: int
-    recording: Recording
-    scale: ScaleMeasurement | None
-    counts: dict[str, int]
+    reference: int  # Index of the reference camera
+    recording: Recording  # The log
+    scale: ScaleMeasurement | None  # A known baseline
+    counts: dict[str, int]  # Counts of the log, as in ``report.json``
 
     def frames(self, most: int | None = None) -> NDArray[np.int64]:
         """Return the frames of the recording, at most about `most`."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedScale
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.selection import compare
 from stereophd.core.calibration.annealing.fits import fit_until, marginal_fit, problem_of, restricted_fit
@@ -34,11 +35,7 @@ from stereophd.core.calibration.unknowns.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
-from stereophd.pipeline.calibration.outcome import (
-    Array,
-    HistoryRow,
-    Outcome,
-)
+from stereophd.pipeline.calibration.outcome import HistoryRow, Outcome
 from stereophd.pipeline.calibration.samplers import smc_outcome
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.workers.processes import on_processes

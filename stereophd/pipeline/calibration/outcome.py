@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.annealing.task import Fit
 
 if TYPE_CHECKING:
     pass
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -27,31 +23,17 @@ class HistoryRow:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a method.
+    """The result of a method."""
 
-    Attributes
-    ----------
-    values, covariance : arrays (m,), (m, m)
-        Mean (or optimum) and covariance; NaN where nothing agrees with the data.
-    particles, log_weights : arrays (k, m), (k,)
-        Posterior as particles.
-    history : tuple of HistoryRow
-    reason : str
-        Why nothing was found; empty if something was.
-    doubt : str
-        Why the posterior is not to be trusted; empty if it may be.
-    fit : Fit or None
-        Trajectories and residuals, of method annealed.
-    details : dict
-        For the report.
-    """
-
+    # `values`, `covariance`: arrays (m,), (m, m): Mean (or optimum) and covariance; NaN where nothing agrees with the
+    # data.
     values: Array
     covariance: Array
+    # `particles`, `log_weights`: arrays (k, m), (k,): Posterior as particles.
     particles: Array
     log_weights: Array
     history: tuple[HistoryRow, ...]
-    reason: str = ""
-    doubt: str = ""
-    fit: Fit | None = None
-    details: dict[str, Any] = field(default_factory=dict)
+    reason: str = ""  # Why nothing was found; empty if something was
+    doubt: str = ""  # Why the posterior is not to be trusted; empty if it may be
+    fit: Fit | None = None  # Trajectories and residuals, of method annealed
+    details: dict[str, Any] = field(default_factory=dict)  # For the report

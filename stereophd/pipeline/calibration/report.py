@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.core.calibration.unknowns.observability import (
@@ -22,8 +21,6 @@ from stereophd.core.calibration.unknowns.observability import (
 from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
-
-Array = NDArray[np.float64]
 
 # Parameters that make up this part of a direction (in units of prior standard deviations) are named.
 NAMED_PART = 0.3

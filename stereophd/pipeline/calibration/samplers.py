@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.annealing.fits import fit_from
 from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.annealing.task import Fit
@@ -26,11 +27,7 @@ from stereophd.core.numerics.weights import effective_sample_size, weighted_mean
 from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import phd_filter, pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
-from stereophd.pipeline.calibration.outcome import (
-    Array,
-    HistoryRow,
-    Outcome,
-)
+from stereophd.pipeline.calibration.outcome import HistoryRow, Outcome
 from stereophd.pipeline.runs.progress import Progress
 
 if TYPE_CHECKING:

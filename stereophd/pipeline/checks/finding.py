@@ -11,33 +11,17 @@ Status = Literal["ok", "warning", "not checked"]
 
 @dataclass(frozen=True)
 class Finding:
-    """The outcome of one check.
+    """The outcome of one check."""
 
-    Attributes
-    ----------
-    name : str
-        The check, such as ``geometry.rays``.
-    status : {"ok", "warning", "not checked"}
-    message : str
-        What was found, with the likely cause of a warning. One or two sentences.
-    value, expected : float, str or None
-        The figure that was found, and the one that a correct set-up has.
-    camera : str or None
-        The camera that is concerned; None: all of them.
-    remedy : str or None
-        What to change.
-    cause : str or None
-        Short name of the likely cause, such as ``rotation_transposed``; stable, for programs.
-    """
-
-    name: str
+    name: str  # The check, such as ``geometry.rays``
     status: Status
-    message: str
+    message: str  # What was found, with the likely cause of a warning. One or two sentences.
+    # `value`, `expected`: The figure that was found, and the one that a correct set-up has.
     value: float | str | None = None
     expected: float | str | None = None
-    camera: str | None = None
-    remedy: str | None = None
-    cause: str | None = None
+    camera: str | None = None  # The camera that is concerned; None: all of them
+    remedy: str | None = None  # What to change
+    cause: str | None = None  # Short name of the likely cause, such as ``rotation_transposed``; stable, for programs
 
     def as_dict(self) -> dict[str, Any]:
         """Return the finding as JSON-able data."""

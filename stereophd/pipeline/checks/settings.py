@@ -10,17 +10,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.model import Config
+from stereophd.core.arrays import Array
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.measure import Geometry
 from stereophd.pipeline.checks.geometry.rays import distances
 from stereophd.pipeline.checks.log.sample import CameraSample
-
-Array = NDArray[np.float64]
 
 # Score of a pair whose depths count.
 LEAST_SCORE = 6.0
@@ -38,24 +36,14 @@ ACCELERATION_LENGTH = 12
 
 @dataclass(frozen=True)
 class MeasuredScene:
-    """What the log shows of the objects.
+    """What the log shows of the objects."""
 
-    Attributes
-    ----------
-    depths : array (3,) or None
-        Quantiles of 5, 50 and 95 % of the depth before the cameras, length.
-    depth_samples : array (n,)
-        Depths that represent the distribution, length.
-    speed : array (2,) or None
-        Root mean square of one component, and 95 % quantile of the speed across the line of sight, length/s.
-    acceleration : float or None
-        Standard deviation of the mean acceleration over 1 s, one component, length/s^2.
-    """
-
-    depths: Array | None
-    depth_samples: Array
+    depths: Array | None  # (3,) or None: Quantiles of 5, 50 and 95 % of the depth before the cameras, length
+    depth_samples: Array  # (n,): Depths that represent the distribution, length
+    # (2,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
+    # length/s.
     speed: Array | None
-    acceleration: float | None
+    acceleration: float | None  # Standard deviation of the mean acceleration over 1 s, one component, length/s^2
 
 
 def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:

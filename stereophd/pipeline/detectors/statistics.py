@@ -31,17 +31,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.association.likelihoods import pair_likelihoods
 from stereophd.core.multi.base import Prediction
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A track whose alternatives are still undecided (the heaviest has less than this share) is not counted yet.
 DECIDED_SHARE = 0.9
@@ -54,64 +51,42 @@ FEWEST_IN_VIEW = 50.0
 
 @dataclass
 class DetectorSums:
-    """Running sums of one camera, over events.
+    """Running sums of one camera, over events."""
 
-    Attributes
-    ----------
-    residuals, weights, squares, shares : arrays (2,)
-        Sums of w e^2 / S, of w, of w^2 and of w R / S along u and v.
-    pairs : float
-        Expected number of detections behind them.
-    detected, missed : float
-        Sums of D and M.
-    frames, detections, attributed : int
-        Frames, detections, and those of confirmed tracks.
-    products, norms : arrays (2,)
-        Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for residuals r = e / sqrt(S).
-    successions : int
-        Number of terms in these.
-    previous : dict
-        Label -> residual r (2,) of its last detection.
-    """
-
+    # `residuals`, `weights`, `squares`, `shares`: arrays (2,): Sums of w e^2 / S, of w, of w^2 and of w R / S along u
+    # and v.
     residuals: Array = field(default_factory=lambda: np.zeros(2))
     weights: Array = field(default_factory=lambda: np.zeros(2))
     squares: Array = field(default_factory=lambda: np.zeros(2))
     shares: Array = field(default_factory=lambda: np.zeros(2))
-    pairs: float = 0.0
+    pairs: float = 0.0  # Expected number of detections behind them
+    # `detected`, `missed`: Sums of D and M.
     detected: float = 0.0
     missed: float = 0.0
+    # `frames`, `detections`, `attributed`: Frames, detections, and those of confirmed tracks.
     frames: int = 0
     detections: int = 0
     attributed: int = 0
+    # `products`, `norms`: arrays (2,): Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for
+    # residuals r = e / sqrt(S).
     products: Array = field(default_factory=lambda: np.zeros(2))
     norms: Array = field(default_factory=lambda: np.zeros(2))
-    successions: int = 0
-    previous: dict[int, Array] = field(default_factory=dict)
+    successions: int = 0  # Number of terms in these
+    previous: dict[int, Array] = field(default_factory=dict)  # Label -> residual r (2,) of its last detection
 
 
 @dataclass(frozen=True)
 class DetectorEstimate:
-    """A detector estimated from a run, and how well; what could not be estimated has no standard error.
-
-    Attributes
-    ----------
-    detector : Detector
-    sigma_error : array (2,) or None
-        Standard errors of sigma, px.
-    p_detect_error, clutter_error : float or None
-    correlation : array (2,) or None
-        Correlation of the residuals of successive frames along u and v: 0 of white noise.
-    residuals, in_view : float
-        Expected numbers of detections behind sigma, and of frames with a track in view behind p_detect.
-    frames : int
-    """
+    """A detector estimated from a run, and how well; what could not be estimated has no standard error."""
 
     detector: Detector
-    sigma_error: Array | None
+    sigma_error: Array | None  # (2,) or None: Standard errors of sigma, px
     p_detect_error: float | None
     clutter_error: float | None
+    # (2,) or None: Correlation of the residuals of successive frames along u and v: 0 of white noise.
     correlation: Array | None
+    # `residuals`, `in_view`: Expected numbers of detections behind sigma, and of frames with a track in view behind
+    # p_detect.
     residuals: float
     in_view: float
     frames: int
@@ -119,16 +94,11 @@ class DetectorEstimate:
 
 @dataclass(frozen=True)
 class Sighting:
-    """Evidence of a frame on the settled tracks in its view.
+    """Evidence of a frame on the settled tracks in its view."""
 
-    Attributes
-    ----------
-    labels : array (k,) of int
-    detected, missed : arrays (k,)
-        Probabilities that the track made a detection of the frame, and that it exists and made none.
-    """
-
-    labels: Integers
+    labels: Integers  # (k,) of int
+    # `detected`, `missed`: arrays (k,): Probabilities that the track made a detection of the frame, and that it
+    # exists and made none.
     detected: Array
     missed: Array
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
+from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import calibration_bound
 from stereophd.core.calibration.unknowns.observability import PoseSpread, pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -20,8 +21,6 @@ from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import build_scale
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene
-
-Array = NDArray[np.float64]
 
 
 def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:

@@ -16,18 +16,10 @@ Side = Literal["above", "below"]
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``.
+    """Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``."""
 
-    Attributes
-    ----------
-    above : mapping
-        A figure above its limit fails.
-    below : mapping
-        A figure below its limit fails.
-    """
-
-    above: Mapping[str, float] = field(default_factory=dict)
-    below: Mapping[str, float] = field(default_factory=dict)
+    above: Mapping[str, float] = field(default_factory=dict)  # A figure above its limit fails
+    below: Mapping[str, float] = field(default_factory=dict)  # A figure below its limit fails
 
     def sides(self) -> tuple[tuple[Side, Mapping[str, float]], ...]:
         """Return the limits of each side."""

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
 from stereophd.core.metrics.truth.visibility import Sightings
@@ -38,37 +38,18 @@ COVARIANCE_ROWS = 16_384
 
 @dataclass(frozen=True)
 class Tracks:
-    """Reported objects of a run, one row an estimate, in the order of the events.
+    """Reported objects of a run, one row an estimate, in the order of the events."""
 
-    Attributes
-    ----------
-    events : Events
-        Events of the run; without ``scans.parquet`` only those that reported an object.
-    all_events : bool
-        Whether events that reported nothing are among them.
-    position, velocity : (n, 3) arrays
-        In the world.
-    covariance : (n, 3, 3) array
-        Covariance of the position.
-    track_id : (n,) array
-        Identities, negative if the filter gives none.
-    confirmed : (n,) bool array
-        Whether each estimate is confirmed, rather than tentative.
-    metadata : dict or None
-        Provenance that the file carries.
-    length_unit : str or None
-        Unit that the file names.
-    """
-
-    events: Events
-    all_events: bool
-    position: FloatArray
-    velocity: FloatArray
-    covariance: FloatArray
-    track_id: IntArray
-    confirmed: NDArray[np.bool_]
-    metadata: Mapping[str, Any] | None
-    length_unit: str | None
+    events: Events  # Events of the run; without ``scans.parquet`` only those that reported an object
+    all_events: bool  # Whether events that reported nothing are among them
+    # `position`, `velocity`: (n, 3) arrays: In the world.
+    position: Array
+    velocity: Array
+    covariance: Array  # (n, 3, 3) array: Covariance of the position
+    track_id: Integers  # (n,) array: Identities, negative if the filter gives none
+    confirmed: NDArray[np.bool_]  # (n,) bool array: Whether each estimate is confirmed, rather than tentative
+    metadata: Mapping[str, Any] | None  # Provenance that the file carries
+    length_unit: str | None  # Unit that the file names
 
 
 def read_tracks(path: Path) -> Tracks:
@@ -218,7 +199,7 @@ def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
     return EventKeys(time_s, number[camera], _integers(table, "frame"))
 
 
-def _events_of_scans(keys: EventKeys, starts: IntArray, ends: IntArray, path: Path, cameras: dict[str, int]) -> Events:
+def _events_of_scans(keys: EventKeys, starts: Integers, ends: Integers, path: Path, cameras: dict[str, int]) -> Events:
     """Return the events of ``scans.parquet`` and the rows of tracks that belong to each."""
     scans_path = path.with_name(SCANS_NAME)
     scans = _keys(read_table(scans_path, KEY, what="table of scans"), scans_path, cameras)
@@ -242,7 +223,7 @@ def _split_event(path: Path, row: int) -> InputError:
     return InputError(f"{path}: row {row}: expected all rows of an event together and in the order of the events")
 
 
-def _integers(table: pa.Table, name: str) -> IntArray:
+def _integers(table: pa.Table, name: str) -> Integers:
     return np.array(table[name], dtype=np.int64)
 
 
@@ -259,13 +240,13 @@ def _confirmed(table: pa.Table, path: Path) -> NDArray[np.bool_]:
     return confirmed
 
 
-def _names(table: pa.Table) -> tuple[IntArray, list[str]]:
+def _names(table: pa.Table) -> tuple[Integers, list[str]]:
     """Return the camera of each row as an index into a list of names."""
     encoded = pa.concat_arrays(table["camera"].chunks or [pa.array([], STRING)]).dictionary_encode()
     return np.asarray(encoded.indices, dtype=np.int64), encoded.dictionary.to_pylist()
 
 
-def _finite(table: pa.Table, name: str, path: Path) -> FloatArray:
+def _finite(table: pa.Table, name: str, path: Path) -> Array:
     values = np.array(table[name], dtype=np.float64)
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
@@ -273,11 +254,11 @@ def _finite(table: pa.Table, name: str, path: Path) -> FloatArray:
     return values
 
 
-def _vectors(table: pa.Table, names: Mapping[str, Any], path: Path) -> FloatArray:
+def _vectors(table: pa.Table, names: Mapping[str, Any], path: Path) -> Array:
     return np.stack([_finite(table, name, path) for name in names], axis=1)
 
 
-def _position_covariances(path: Path) -> FloatArray:
+def _position_covariances(path: Path) -> Array:
     """Read the position part (n, 3, 3) of the covariances, piece by piece."""
     pieces = [np.zeros((0, 3, 3))]
     with open_parquet(path, "table of tracks") as parquet, damaged_is_input_error(path):

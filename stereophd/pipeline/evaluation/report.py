@@ -28,27 +28,13 @@ INTEGER_COLUMNS = frozenset({"n_truth", "n_estimates", "n_matched", "identity_sw
 
 @dataclass(frozen=True)
 class Scored:
-    """The scored scans and their scores.
+    """The scored scans and their scores."""
 
-    Attributes
-    ----------
-    figures : dict
-        Figures of the run, nested.
-    scans : dict
-        How many scans were scored, and why others were not.
-    columns : dict
-        Columns of ``per_scan.parquet``.
-    estimates : PointSets
-        The estimates of the scored scans.
-    registration : Registration, optional
-        How the tracks were brought to the frame and clock of the truth before.
-    """
-
-    figures: dict[str, Any]
-    scans: dict[str, int]
-    columns: dict[str, NDArray[Any]]
-    estimates: PointSets
-    registration: Registration | None = None
+    figures: dict[str, Any]  # Figures of the run, nested
+    scans: dict[str, int]  # How many scans were scored, and why others were not
+    columns: dict[str, NDArray[Any]]  # Columns of ``per_scan.parquet``
+    estimates: PointSets  # The estimates of the scored scans
+    registration: Registration | None = None  # How the tracks were brought to the frame and clock of the truth before
 
 
 def build_report(

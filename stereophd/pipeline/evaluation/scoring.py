@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Integers
 from stereophd.core.metrics.errors.confirmation_delay import FirstReports, first_reports, waits
-from stereophd.core.metrics.matching.assignment import IntArray, is_positive_definite
+from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
 from stereophd.core.metrics.matching.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
@@ -129,7 +130,7 @@ def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> 
     return reported if options.tentative else reported.keep_points(confirmed)
 
 
-def _rows(events: Events) -> tuple[IntArray, IntArray]:
+def _rows(events: Events) -> tuple[Integers, Integers]:
     """Return the rows of tracks that belong to events, one event after the other, and where each event starts."""
     count = events.row_end - events.row_start
     start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig, variant
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
@@ -32,7 +32,6 @@ from stereophd.pipeline.tracking.loop import run_estimator
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
-Array = NDArray[np.float64]
 
 # Frames of a log that are looked at, stretches of it that the filter runs over, events and detections of them all.
 MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000
@@ -51,24 +50,12 @@ LOGGER = logging.getLogger("stereophd")
 
 @dataclass(frozen=True)
 class AccelerationEstimate:
-    """The acceleration that a log shows.
+    """The acceleration that a log shows."""
 
-    Attributes
-    ----------
-    value : float
-        `motion.acceleration_std`, length/s^2.
-    usual : float
-        The value of greatest likelihood over all events.
-    tried : dict
-        Log-likelihood of every value, less that of `usual`.
-    events : int
-        Events that the filter ran over for each value.
-    """
-
-    value: float
-    usual: float
-    tried: dict[float, float]
-    events: int
+    value: float  # `motion.acceleration_std`, length/s^2
+    usual: float  # The value of greatest likelihood over all events
+    tried: dict[float, float]  # Log-likelihood of every value, less that of `usual`
+    events: int  # Events that the filter ran over for each value
 
     def report(self) -> dict[str, Any]:
         """Return the entry of ``report.json``."""

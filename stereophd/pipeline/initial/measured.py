@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.tracking.loop import run_estimator
-
-Array = NDArray[np.float64]
 
 # Largest standard deviation of a position, over its depth, that counts.
 CERTAIN = 0.05
@@ -28,30 +26,16 @@ STARTED = 0.15
 
 @dataclass(frozen=True)
 class SceneFigures:
-    """Depths, speeds and comings of the objects of a log.
+    """Depths, speeds and comings of the objects of a log."""
 
-    Attributes
-    ----------
-    depths : array (2,)
-        Quantiles of 1 and 99 % of the depth before the cameras that see the objects, length.
-    speed_std : float
-        Root mean square of one component of the velocity, length/s.
-    fastest : float
-        Quantile of 99 % of the speed, length/s.
-    objects : int
-        Tracks.
-    births, duration_s : int, float
-        Tracks that began within the stretches, and the length of these.
-    deaths, seen_s : int, float
-        Tracks that ended within the stretches, and the time that all tracks lasted together.
-    """
-
-    depths: Array
-    speed_std: float
-    fastest: float
-    objects: int
+    depths: Array  # (2,): Quantiles of 1 and 99 % of the depth before the cameras that see the objects, length
+    speed_std: float  # Root mean square of one component of the velocity, length/s
+    fastest: float  # Quantile of 99 % of the speed, length/s
+    objects: int  # Tracks
+    # `births`, `duration_s`: Tracks that began within the stretches, and the length of these.
     births: int
     duration_s: float
+    # `deaths`, `seen_s`: Tracks that ended within the stretches, and the time that all tracks lasted together.
     deaths: int
     seen_s: float
 

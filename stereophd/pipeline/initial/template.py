@@ -17,46 +17,22 @@ METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0}
 
 @dataclass(frozen=True)
 class Choice:
-    """A value of the configuration, and where it comes from.
+    """A value of the configuration, and where it comes from."""
 
-    Attributes
-    ----------
-    value : object
-        As YAML holds it.
-    reason : str
-        A sentence for the comment.
-    measured : bool
-        Whether the log or the cameras gave it, and not a template.
-    """
-
-    value: Any
-    reason: str
-    measured: bool = True
+    value: Any  # As YAML holds it
+    reason: str  # A sentence for the comment
+    measured: bool = True  # Whether the log or the cameras gave it, and not a template
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A configuration in the making.
+    """A configuration in the making."""
 
-    Attributes
-    ----------
-    unit : str
-        Unit of lengths.
-    cameras : dict
-        By name; empty where none are known.
-    camera_notes : dict
-        Comments on each camera.
-    choices : dict
-        Dotted key -> choice, in the order of the file.
-    head : tuple of str
-        Comments at the top of the file.
-    """
-
-    unit: str
-    cameras: dict[str, CameraConfig]
-    choices: dict[str, Choice]
-    camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    head: tuple[str, ...] = ()
+    unit: str  # Unit of lengths
+    cameras: dict[str, CameraConfig]  # By name; empty where none are known
+    choices: dict[str, Choice]  # Dotted key -> choice, in the order of the file
+    camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # Comments on each camera
+    head: tuple[str, ...] = ()  # Comments at the top of the file
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
         """Return the draft with other values."""

@@ -9,12 +9,10 @@ from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.cameras import CameraConfig
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose
-
-Floats = NDArray[np.float64]
 
 # Optical axes whose directions all lie this close together have no point that they look at, condition number.
 PARALLEL = 1e4
@@ -41,7 +39,7 @@ def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> 
     }
 
 
-def _behind(rows: Mapping[str, Mapping[str, Any]], point: Floats) -> list[str]:
+def _behind(rows: Mapping[str, Mapping[str, Any]], point: Array) -> list[str]:
     """Return the cameras that a point lies behind."""
     offsets = {name: point - np.array(row["center"]) for name, row in rows.items()}
     return [name for name, offset in offsets.items() if float(offset @ np.array(rows[name]["looks_along"])) < 0]
@@ -87,7 +85,7 @@ def _trajectory(pose: Pose) -> dict[str, Any] | None:
     }
 
 
-def meeting_point(centers: Floats, axes: Floats) -> Floats | None:
+def meeting_point(centers: Array, axes: Array) -> Array | None:
     """Return the point nearest to all optical axes, or None where they are parallel."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     total = across.sum(axis=0)
@@ -96,7 +94,7 @@ def meeting_point(centers: Floats, axes: Floats) -> Floats | None:
     return np.asarray(np.linalg.solve(total, np.einsum("kij,kj->i", across, centers)), dtype=np.float64)
 
 
-def _distance_rms(centers: Floats, axes: Floats, point: Floats) -> float:
+def _distance_rms(centers: Array, axes: Array, point: Array) -> float:
     offset = point - centers
     along = np.einsum("ki,ki->k", offset, axes)[:, None] * axes
     return float(np.sqrt(np.mean(np.sum((offset - along) ** 2, axis=1))))
@@ -121,7 +119,7 @@ def sketch(summary: Mapping[str, Any]) -> list[str]:
     scale = max(extent[across] / (WIDTH - 1), extent[up] / (HEIGHT - 1) / 2)
     lines = [[" "] * WIDTH for _ in range(HEIGHT)]
 
-    def put(point: Floats, letter: str) -> None:
+    def put(point: Array, letter: str) -> None:
         column = round((point[across] - low[across]) / scale)
         row = HEIGHT - 1 - round((point[up] - low[up]) / scale / 2)
         if 0 <= column < WIDTH and 0 <= row < HEIGHT and (letter.isalnum() or lines[row][column] == " "):
@@ -144,7 +142,7 @@ def sketch(summary: Mapping[str, Any]) -> list[str]:
     return [*drawn[used[0] : used[-1] + 1], note]
 
 
-def _reach(centers: Floats, target: Any) -> float:
+def _reach(centers: Array, target: Any) -> float:
     """Return how far the direction of a camera is drawn: half-way to what it looks at."""
     if target is not None:
         return float(np.median(np.linalg.norm(centers - np.array(target), axis=1))) / 2

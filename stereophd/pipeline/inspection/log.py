@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
-from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Floats, Rows, decode
+from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
 
@@ -38,9 +39,9 @@ class _CameraState:
     missing_frames: int = 0
     frames_backwards: int = 0
     current: int = 0
-    lowest: Floats = field(default_factory=lambda: np.full(2, np.inf))
-    highest: Floats = field(default_factory=lambda: np.full(2, -np.inf))
-    intervals: list[Floats] = field(default_factory=list)
+    lowest: Array = field(default_factory=lambda: np.full(2, np.inf))
+    highest: Array = field(default_factory=lambda: np.full(2, -np.inf))
+    intervals: list[Array] = field(default_factory=list)
     kept: int = 0
 
     def add(self, rows: Rows) -> None:

@@ -21,8 +21,6 @@ from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, S
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.tables import kind_of
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Columns = Mapping[str, NDArray[Any]]
 
 KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
@@ -52,42 +50,23 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: what `track` or `calibrate` wrote, and what belongs to it.
+    """One run: what `track` or `calibrate` wrote, and what belongs to it."""
 
-    Attributes
-    ----------
-    name : str
-        Name of its folder.
-    command : str
-        ``track`` or ``calibrate``; ``evaluate`` for an evaluation whose run is not among the folders.
-    report : mapping
-        Its ``report.json``.
-    cameras : tuple of Camera
-        As the run found them, else as it was given them; may be empty.
-    tracks, scans, associations : mapping, optional
-        Columns of its tables. Tracks are the confirmed estimates, with ``position_std`` and ``speed`` in place of
-        the covariance.
-    history, posterior : mapping, optional
-        Columns of a calibration's.
-    evaluation : Evaluation, optional
-    truth : Truth, optional
-        True objects.
-    log : path, optional
-        Detection log that the run was made from.
-    """
-
-    name: str
-    command: str
-    report: Mapping[str, Any]
-    cameras: tuple[Camera, ...] = ()
+    name: str  # Name of its folder
+    command: str  # ``track`` or ``calibrate``; ``evaluate`` for an evaluation whose run is not among the folders
+    report: Mapping[str, Any]  # Its ``report.json``
+    cameras: tuple[Camera, ...] = ()  # As the run found them, else as it was given them; may be empty
+    # `tracks`, `scans`, `associations`: Columns of its tables. Tracks are the confirmed estimates, with
+    # ``position_std`` and ``speed`` in place of the covariance.
     tracks: Columns | None = None
     scans: Columns | None = None
     associations: Columns | None = None
+    # `history`, `posterior`: Columns of a calibration's.
     history: Columns | None = None
     posterior: Columns | None = None
     evaluation: Evaluation | None = None
-    truth: Truth | None = None
-    log: Path | None = None
+    truth: Truth | None = None  # True objects
+    log: Path | None = None  # Detection log that the run was made from
 
     @property
     def provenance(self) -> Mapping[str, Any]:

@@ -32,45 +32,26 @@ _STATE_MEMORY, _DETECTION_MEMORY, _OBJECT_MEMORY, _RUN_MEMORY = 200.0, 150.0, 30
 
 @dataclass(frozen=True)
 class Size:
-    """Estimates for a run.
+    """Estimates for a run."""
 
-    Attributes
-    ----------
-    seconds : float
-        Processor time.
-    memory_bytes, disk_bytes : float
-    cause : str
-        What the size comes from, for the message: numbers that the configuration states.
-    """
-
-    seconds: float
+    seconds: float  # Processor time
     memory_bytes: float
     disk_bytes: float
-    cause: str
+    cause: str  # What the size comes from, for the message: numbers that the configuration states
 
 
 @dataclass(frozen=True)
 class SceneCounts:
-    """Expected numbers of a scene.
+    """Expected numbers of a scene."""
 
-    Attributes
-    ----------
-    frames, detections : float
-        Of all cameras together; detections include false ones.
-    clutter : float
-        False detections.
-    objects, alive : float
-        Objects of the scene, and those that exist at a time.
-    truths : float
-        Times at which the truth is stated.
-    """
-
+    # `frames`, `detections`: Of all cameras together; detections include false ones.
     frames: float
     detections: float
-    clutter: float
+    clutter: float  # False detections
+    # `objects`, `alive`: Objects of the scene, and those that exist at a time.
     objects: float
     alive: float
-    truths: float
+    truths: float  # Times at which the truth is stated
 
 
 def counts_of_scene(loaded: LoadedConfig) -> SceneCounts:

@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.association.attribution import Claims
 from stereophd.core.multi.state.estimates import Estimates
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Claims of a smaller probability are left out.
 LEAST_PROBABILITY = 1e-3
@@ -26,26 +24,15 @@ LEAST_PROBABILITY = 1e-3
 
 @dataclass(frozen=True)
 class Associated:
-    """Detections of one event that tracks claim; one row a detection and track.
+    """Detections of one event that tracks claim; one row a detection and track."""
 
-    Attributes
-    ----------
-    time_s, camera, frame : float, str, int
-        The event.
-    pixels : array (k, 2)
-        As in the log, distorted.
-    track_ids : array (k,) of int
-        (Labels, as long as they are not reported.)
-    probabilities : array (k,)
-        Probability that the object of the track exists and made the detection.
-    """
-
+    # `time_s`, `camera`, `frame`: The event.
     time_s: float
     camera: str
     frame: int
-    pixels: Array
-    track_ids: Integers
-    probabilities: Array
+    pixels: Array  # (k, 2): As in the log, distorted
+    track_ids: Integers  # (k,) of int: (Labels, as long as they are not reported.)
+    probabilities: Array  # (k,): Probability that the object of the track exists and made the detection
 
     def take(self, kept: NDArray[Any]) -> Associated:
         """Return some of the rows."""

@@ -50,34 +50,17 @@ PACKED_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class SavedRun:
-    """A `RunState`, without what the records hold.
+    """A `RunState`, without what the records hold."""
 
-    Attributes
-    ----------
-    estimator : object
-        State of the estimator.
-    events : int
-    forecast_from_s : float
-    attribution : mapping
-        Labels not reported yet, and their detections by camera.
-    tracks : array (n, 2)
-        Labels reported so far, and their tracks.
-    claims : array (n, 3)
-        Labels not reported yet, the event of a claim (its place in `claimed`), and its row there.
-    claimed : list of Associated
-        Each event once: thousands of labels may wait with claims to the same event.
-    chunks : list
-        Spans of the chunks that lead up to this state (`RecordChunks`).
-    """
-
-    estimator: Any
+    estimator: Any  # State of the estimator
     events: int
     forecast_from_s: float
-    attribution: dict[str, Any]
-    tracks: NDArray[np.int64]
+    attribution: dict[str, Any]  # Labels not reported yet, and their detections by camera
+    tracks: NDArray[np.int64]  # (n, 2): Labels reported so far, and their tracks
+    # (n, 3): Labels not reported yet, the event of a claim (its place in `claimed`), and its row there.
     claims: NDArray[np.int64]
-    claimed: list[Associated]
-    chunks: list[tuple[float, float]]
+    claimed: list[Associated]  # Each event once: thousands of labels may wait with claims to the same event
+    chunks: list[tuple[float, float]]  # Spans of the chunks that lead up to this state (`RecordChunks`)
 
     @classmethod
     def of(cls, run: RunState[Any], chunks: Sequence[tuple[float, float]]) -> SavedRun:

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.tracking.loop import Record
-
-Array = NDArray[np.float64]
 
 # A detection that belongs to a track more probably than not has a residual.
 PROBABLE = 0.5

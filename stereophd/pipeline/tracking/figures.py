@@ -33,30 +33,20 @@ class _Identity:
 
 @dataclass(frozen=True)
 class SavedFigures:
-    """`RunFigures` for a checkpoint.
+    """`RunFigures` for a checkpoint."""
 
-    Attributes
-    ----------
-    events, confirmed, log_likelihood, first_s, last_s
-        Of the whole run.
-    losses : Losses
-    explained : dict
-        Camera -> sums.
-    track_ids, identities : array (n,), array (n, 6)
-        Running figures of each track.
-    detections : mapping
-        Track -> camera -> detections, as `stereophd.io.outputs.columns.pack_counts` returns them.
-    """
-
+    # Of the whole run.
     events: int
     confirmed: int
     log_likelihood: float
     first_s: float
     last_s: float
     losses: Losses
-    explained: dict[str, CameraSums]
+    explained: dict[str, CameraSums]  # Camera -> sums
+    # `track_ids`, `identities`: (n,), array (n, 6): Running figures of each track.
     track_ids: NDArray[np.int64]
     identities: NDArray[np.float64]
+    # Track -> camera -> detections, as `stereophd.io.outputs.columns.pack_counts` returns them.
     detections: dict[str, Any]
 
 

@@ -34,17 +34,12 @@ def lasting(records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
 
 @dataclass(frozen=True)
 class SavedLasting:
-    """`LastingTracks` for a checkpoint.
+    """`LastingTracks` for a checkpoint."""
 
-    Attributes
-    ----------
-    waiting : mapping, optional
-        Records that wait, as `stereophd.io.outputs.columns.pack` returns them; None without any.
-    track_ids, spans : array (n,), array (n, 2)
-        Tracks so far, and the times of their first and last reported estimate, s.
-    """
-
+    # Records that wait, as `stereophd.io.outputs.columns.pack` returns them; None without any.
     waiting: dict[str, Any] | None
+    # `track_ids`, `spans`: (n,), array (n, 2): Tracks so far, and the times of their first and last reported
+    # estimate, s.
     track_ids: NDArray[np.int64]
     spans: NDArray[np.float64]
 

@@ -45,22 +45,13 @@ class ReportTimes:
     """When estimates are reported: after every event, or as the camera or grid that is set requires.
 
     With `max_position_std`, also how certain they must be for their associations to be reported.
-
-    Attributes
-    ----------
-    camera : str, optional
-        After every frame of this camera.
-    grid_s : float, optional
-        At the multiples of this interval, s, from the first event to the last.
-    max_position_std : float, optional
-        Associations are those of tracks whose position was at least once as certain as this when they were reported.
-    whole_run : bool
-        Associations are those of all confirmed tracks: what is written of them is decided once the run is known.
     """
 
-    camera: str | None = None
-    grid_s: float | None = None
+    camera: str | None = None  # After every frame of this camera
+    grid_s: float | None = None  # At the multiples of this interval, s, from the first event to the last
+    # Associations are those of tracks whose position was at least once as certain as this when they were reported.
     max_position_std: float | None = None
+    # Associations are those of all confirmed tracks: what is written of them is decided once the run is known.
     whole_run: bool = False
 
     def after(self, camera: str) -> bool:
@@ -180,26 +171,12 @@ class Attribution:
 
 @dataclass
 class RunState(Generic[State]):
-    """All that the rest of a run depends on. `run_estimator` brings it up to date before it yields a record.
+    """All that the rest of a run depends on. `run_estimator` brings it up to date before it yields a record."""
 
-    Attributes
-    ----------
-    estimator : State
-        State of the estimator after the last event.
-    events : int
-        Number of events so far: those that a run from a copy passes over.
-    last : Record, optional
-        Record of the last event.
-    forecast_from_s : float
-        Times of the grid from here on are still to be predicted.
-    attribution : Attribution
-    associations : Associations
-    """
-
-    estimator: State
-    events: int = 0
-    last: Record | None = None
-    forecast_from_s: float = -math.inf
+    estimator: State  # State of the estimator after the last event
+    events: int = 0  # Number of events so far: those that a run from a copy passes over
+    last: Record | None = None  # Record of the last event
+    forecast_from_s: float = -math.inf  # Times of the grid from here on are still to be predicted
     attribution: Attribution = field(default_factory=Attribution)
     associations: Associations = field(default_factory=Associations)
 

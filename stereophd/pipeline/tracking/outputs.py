@@ -30,16 +30,10 @@ class Tables:
 
 @dataclass(frozen=True)
 class SavedWriting:
-    """`RecordWriter` for a checkpoint, without its tables.
-
-    Attributes
-    ----------
-    figures : SavedFigures
-    new_detections, new_log_likelihood : int, float
-        Since the last row of the table of events.
-    """
+    """`RecordWriter` for a checkpoint, without its tables."""
 
     figures: SavedFigures
+    # `new_detections`, `new_log_likelihood`: Since the last row of the table of events.
     new_detections: int
     new_log_likelihood: float
 

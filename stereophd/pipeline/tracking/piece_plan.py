@@ -23,25 +23,17 @@ TICK_EVERY = 5000
 
 @dataclass(frozen=True)
 class LogPiece:
-    """A piece of a log.
-
-    Attributes
-    ----------
-    number : int
-    from_s, to_s : float
-        Its own span of true time.
-    begin_s, end_s : float
-        What is tracked.
-    events_before : int
-        Events of the log before `begin_s`: filters choose their samples by the number of an event, and so choose
-        those of the whole run.
-    """
+    """A piece of a log."""
 
     number: int
+    # `from_s`, `to_s`: Its own span of true time.
     from_s: float
     to_s: float
+    # `begin_s`, `end_s`: What is tracked.
     begin_s: float
     end_s: float
+    # Events of the log before `begin_s`: filters choose their samples by the number of an event, and so choose those
+    # of the whole run.
     events_before: int
 
 

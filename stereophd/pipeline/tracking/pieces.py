@@ -49,27 +49,13 @@ CERTAIN = 0.99
 
 @dataclass(frozen=True)
 class PieceWork:
-    """What all pieces of a run share; it is sent to the workers.
-
-    Attributes
-    ----------
-    loaded : LoadedConfig
-    cameras : tuple of Camera
-        With their detectors.
-    log : Path
-        Absolute.
-    folder : Path
-        Absolute; ``piece-NUMBER`` in it is that of a piece.
-    identity : str
-        Identity of configuration, log and pieces.
-    threads : int
-    """
+    """What all pieces of a run share; it is sent to the workers."""
 
     loaded: LoadedConfig
-    cameras: tuple[Camera, ...]
-    log: Path
-    folder: Path
-    identity: str
+    cameras: tuple[Camera, ...]  # With their detectors
+    log: Path  # Absolute
+    folder: Path  # Absolute; ``piece-NUMBER`` in it is that of a piece
+    identity: str  # Identity of configuration, log and pieces
     threads: int
 
     def chunks(self, piece: LogPiece) -> RecordChunks:
@@ -176,23 +162,13 @@ def _done(work: PieceWork, piece: LogPiece) -> PieceDone | None:
 
 @dataclass
 class JoinedPieces:
-    """The records of all pieces as those of one run, and how sure the joins are.
-
-    Attributes
-    ----------
-    work : PieceWork
-    pieces : sequence of LogPiece
-        All finished.
-    length_s, overlap_s : float
-    one_object : bool
-        Whether there is one track only, number 0.
-    """
+    """The records of all pieces as those of one run, and how sure the joins are."""
 
     work: PieceWork
-    pieces: Sequence[LogPiece]
+    pieces: Sequence[LogPiece]  # All finished
     length_s: float
     overlap_s: float
-    one_object: bool
+    one_object: bool  # Whether there is one track only, number 0
     _joined: int = 0
     _uncertain: list[dict[str, Any]] = field(default_factory=list)
     _next_id: int = 0

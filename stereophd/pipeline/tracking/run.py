@@ -40,26 +40,13 @@ TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", 
 
 @dataclass(frozen=True)
 class Tracking:
-    """Everything that tracking a log needs.
+    """Everything that tracking a log needs."""
 
-    Attributes
-    ----------
-    estimator : Estimator
-        A filter of many objects, or a `SingleTracker`.
-    motion : Motion
-        For smoothing.
-    cameras : tuple of Camera
-        With the detectors that the estimator works with.
-    report : ReportConfig
-        What is reported, and when.
-    detectors : dict, optional
-        For ``report.json``: how the detectors were estimated from the log, if they were.
-    """
-
-    estimator: Estimator[Any]
-    motion: Motion
-    cameras: tuple[Camera, ...]
-    report: ReportConfig
+    estimator: Estimator[Any]  # A filter of many objects, or a `SingleTracker`
+    motion: Motion  # For smoothing
+    cameras: tuple[Camera, ...]  # With the detectors that the estimator works with
+    report: ReportConfig  # What is reported, and when
+    # For ``report.json``: how the detectors were estimated from the log, if they were.
     detectors: dict[str, Any] | None = None
 
     def records(

@@ -76,17 +76,10 @@ class SingleTrackerState:
 
 @dataclass(frozen=True)
 class SingleTracker:
-    """A single-object estimator as `stereophd.pipeline.tracking.loop` runs it: one track, number 0.
-
-    Attributes
-    ----------
-    estimator : SingleEstimator
-    point : {"mean", "map"}
-        The estimate that is reported.
-    """
+    """A single-object estimator as `stereophd.pipeline.tracking.loop` runs it: one track, number 0."""
 
     estimator: AnyEstimator
-    point: Literal["mean", "map"]
+    point: Literal["mean", "map"]  # The estimate that is reported
 
     @property
     def rig(self) -> Rig:

@@ -38,26 +38,13 @@ LOGGER = logging.getLogger("stereophd")
 
 @dataclass(frozen=True)
 class SavedTables:
-    """A run and its tables, for a checkpoint.
+    """A run and its tables, for a checkpoint."""
 
-    Attributes
-    ----------
-    run : SavedRun
-        Without chunks of records.
-    last : mapping, optional
-        Record of the last event, as `stereophd.io.outputs.columns.pack` returns it.
-    writing : SavedWriting
-    tables : dict
-        Name of a file -> how far it is written.
-    lasting : SavedLasting, optional
-        Where short tracks are left out.
-    """
-
-    run: SavedRun
-    last: dict[str, Any] | None
+    run: SavedRun  # Without chunks of records
+    last: dict[str, Any] | None  # Record of the last event, as `stereophd.io.outputs.columns.pack` returns it
     writing: SavedWriting
-    tables: dict[str, WrittenTable]
-    lasting: SavedLasting | None = None
+    tables: dict[str, WrittenTable]  # Name of a file -> how far it is written
+    lasting: SavedLasting | None = None  # Where short tracks are left out
 
     @classmethod
     def of(

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from stereophd.core.arrays import Array, Integers
 
 # Longer than this many usual steps between two estimates of a track is a gap: lines break there. Steps differ by much
 # where cameras report one soon after the other and then pause, so usual is what few steps exceed.
@@ -26,20 +25,11 @@ def packed(values: NDArray[Any]) -> str:
 
 @dataclass(frozen=True)
 class Paths:
-    """Paths of objects or tracks, one after the other, each in order of time.
+    """Paths of objects or tracks, one after the other, each in order of time."""
 
-    Attributes
-    ----------
-    ids : array (k,) of int
-    starts : array (k + 1,) of int
-        First row of each, and the number of rows.
-    columns : mapping of str to array (n,)
-        With ``time_s, x, y, z``.
-    """
-
-    ids: Integers
-    starts: Integers
-    columns: Mapping[str, Array]
+    ids: Integers  # (k,) of int
+    starts: Integers  # First row of each, and the number of rows
+    columns: Mapping[str, Array]  # With ``time_s, x, y, z``
 
     @property
     def times(self) -> Array:

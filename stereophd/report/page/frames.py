@@ -5,16 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.pipeline.tracking.explained import PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A reprojected track further outside the image than this share of its size is not drawn.
 MARGIN = 0.1

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
@@ -22,8 +22,6 @@ from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.multi.pmb.filter import PmbFilter
 from tests.core.disparity.cases import make_camera
 from tests.core.disparity.moves import sample_sets
-
-Array = NDArray[np.float64]
 
 PRIOR_STD = (5.0, 5.0, 5.0, 0.02, 0.13, 0.02)
 

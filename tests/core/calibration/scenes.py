@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
@@ -14,8 +14,6 @@ from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-
-Array = NDArray[np.float64]
 
 STDS = (5.0, 5.0, 5.0, np.pi / 180, np.pi / 24, np.pi / 180)
 SIGMA = 1.4

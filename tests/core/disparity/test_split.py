@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity import moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, PARTLY_IN_VIEW
 from stereophd.core.motion.base import Motion
@@ -33,8 +33,6 @@ from tests.core.disparity.moves import (
     reference_samples,
     sample_sets,
 )
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("size", [3, 6])

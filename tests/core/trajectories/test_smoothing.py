@@ -7,14 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.stitching import stitch
-
-Array = NDArray[np.float64]
 
 MOTION = ConstantVelocity([0.3, 0.1, 0.5])
 OBSERVE = np.eye(3, 6)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.two_views import epipolar
 
-Array = NDArray[np.float64]
 ROWS = 12
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.problem import Problem, true_times
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -22,9 +23,6 @@ from stereophd.core.calibration.unknowns.parameters import taken
 from stereophd.core.calibration.unknowns.quantities.base import TIMES
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -47,26 +45,15 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """What of a problem does not change from step to step.
-
-    Attributes
-    ----------
-    problem : Problem
-    members : tuple of arrays of int
-        Observations of each camera.
-    path, rates : Interpolation
-        Interpolation of positions and velocities at the times of the prior mean.
-    motion : MotionPrior
-    columns : array (c, q)
-        Places of the unknown values of each camera, filled up with -1.
-    """
+    """What of a problem does not change from step to step."""
 
     problem: Problem
-    members: tuple[Integers, ...]
+    members: tuple[Integers, ...]  # Observations of each camera
+    # `path`, `rates`: Interpolation of positions and velocities at the times of the prior mean.
     path: Interpolation
     rates: Interpolation
     motion: MotionPrior
-    columns: Integers
+    columns: Integers  # (c, q): Places of the unknown values of each camera, filled up with -1
 
     @staticmethod
     def of(problem: Problem) -> Linearisation:

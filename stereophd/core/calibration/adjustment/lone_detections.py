@@ -9,11 +9,8 @@ they confirm the detection.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
+from stereophd.core.arrays import Array, Booleans, Integers
 
 # Probability that a detector misses an object in all frames before a detection, and after it, below which the
 # detection stands alone.

@@ -49,15 +49,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_triangular
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment, damped_bands, eliminate, posterior_covariance
 from stereophd.core.calibration.unknowns.scale import log_scale
-
-Array = NDArray[np.float64]
 
 # Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
 NOISE_STD = 0.5
@@ -78,23 +76,15 @@ LONGEST_MOVE_OF_NOISE = 3.0
 
 @dataclass(frozen=True)
 class MarginalOptimum:
-    """Maximum of the marginal posterior.
+    """Maximum of the marginal posterior."""
 
-    Attributes
-    ----------
-    adjustment : Adjustment
-        Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
-        by more than `LONGEST_LEFT` posterior standard deviations too early.
-    noise_factor : float
-        Noise of the motion, in units of the scene's scale, over what is stated.
-    believed : bool
-        Whether that is within `LONGEST_MOVE_OF_NOISE` prior standard deviations of 1. Objects that move together, as
-        the corners of a board, count as independent; where their motion is smoother than stated as well, the
-        posterior is far too sure of itself.
-    """
-
+    # Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
+    # by more than `LONGEST_LEFT` posterior standard deviations too early.
     adjustment: Adjustment
-    noise_factor: float
+    noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
+    # Whether that is within `LONGEST_MOVE_OF_NOISE` prior standard deviations of 1. Objects that move together, as
+    # the corners of a board, count as independent; where their motion is smoother than stated as well, the posterior
+    # is far too sure of itself.
     believed: bool
 
 
@@ -152,12 +142,7 @@ class Point:
 
 @dataclass(frozen=True)
 class MarginalPosterior:
-    """The marginal posterior of a problem, as the head of this module says.
-
-    Attributes
-    ----------
-    linearisation : Linearisation
-    """
+    """The marginal posterior of a problem, as the head of this module says."""
 
     linearisation: Linearisation
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Losses of `accumulate`: none, Cauchy at a scale, and a normal density on a floor of false detections.
 SQUARED, CAUCHY, FLOOR = 0, 1, 2

@@ -8,42 +8,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.trajectories import Knots
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.geometry.camera import Camera
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 
 @dataclass(frozen=True)
 class Observations:
-    """Detections that belong to trajectories.
+    """Detections that belong to trajectories."""
 
-    Attributes
-    ----------
-    trajectories, cameras : arrays (n,) of int
-    times : array (n,)
-        True times by the clocks and readouts of the prior mean, s.
-    points, precisions : arrays (n, 2), (n, 2, 2)
-        Raw pixels and their inverse covariances.
-    log_times : array (n,)
-        Times of the frames on the cameras' own clocks, s.
-    rows : array (n,)
-        Row of each detection over the height of the image.
-    weights : array (n,), optional
-        What each detection counts, in measurements of its precision (`calibration.shared_errors`); default 1.
-    """
-
+    # `trajectories`, `cameras`: arrays (n,) of int
     trajectories: Integers
     cameras: Integers
-    times: Array
+    times: Array  # (n,): True times by the clocks and readouts of the prior mean, s
+    # `points`, `precisions`: arrays (n, 2), (n, 2, 2): Raw pixels and their inverse covariances.
     points: Array
     precisions: Array
-    log_times: Array
-    rows: Array
+    log_times: Array  # (n,): Times of the frames on the cameras' own clocks, s
+    rows: Array  # (n,): Row of each detection over the height of the image
+    # (n,), optional: What each detection counts, in measurements of its precision (`calibration.shared_errors`);
+    # default 1.
     weights: Array | None = None
 
     def __len__(self) -> int:
@@ -70,27 +57,15 @@ SQUARED = Loss(normal_equations.SQUARED, 1.0)
 
 @dataclass(frozen=True)
 class Problem:
-    """What is adjusted.
-
-    Attributes
-    ----------
-    parameters : ParameterSet
-    reference : int
-        Index of the reference camera.
-    knots : Knots
-    observations : Observations
-    loss : Loss
-    scale : ScaleMeasurement or None
-    held : array (m,) of bool, optional
-        Values that stay where the adjustment starts; default none.
-    """
+    """What is adjusted."""
 
     parameters: ParameterSet
-    reference: int
+    reference: int  # Index of the reference camera
     knots: Knots
     observations: Observations
     loss: Loss
     scale: ScaleMeasurement | None = None
+    # (m,) of bool, optional: Values that stay where the adjustment starts; default none.
     held: NDArray[np.bool_] | None = None
 
     def weights(self, distances: Array) -> Array:

@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.disparity.events import Event, framed_detections
 from stereophd.core.geometry.camera import Camera, Clock
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # One frame: index of its camera, true time by the camera's clock, raw pixels (m, 2), standard deviations if stated.
 RawFrame = tuple[int, float, Array, Array | None]
@@ -26,31 +23,16 @@ RawFrame = tuple[int, float, Array, Array | None]
 
 @dataclass(frozen=True)
 class Recording:
-    """Frames of a log and their detections in one array.
+    """Frames of a log and their detections in one array."""
 
-    Attributes
-    ----------
-    cameras : array (f,) of int
-        Camera of each frame.
-    times : array (f,)
-        True time of each frame by `clocks`, s, increasing.
-    clocks : tuple of Clock
-        The clock of each camera by which the log was read.
-    first : array (f + 1,) of int
-        Frame i has the detections first[i] to first[i + 1] - 1.
-    pixels, sigma : arrays (n, 2)
-        Raw pixels and their standard deviations, px.
-    heights : array (c,)
-        Height of each camera's image, px.
-    """
-
-    cameras: Integers
-    times: Array
-    clocks: tuple[Clock, ...]
-    first: Integers
+    cameras: Integers  # (f,) of int: Camera of each frame
+    times: Array  # (f,): True time of each frame by `clocks`, s, increasing
+    clocks: tuple[Clock, ...]  # The clock of each camera by which the log was read
+    first: Integers  # Frame i has the detections first[i] to first[i + 1] - 1
+    # `pixels`, `sigma`: arrays (n, 2): Raw pixels and their standard deviations, px.
     pixels: Array
     sigma: Array
-    heights: Array
+    heights: Array  # (c,): Height of each camera's image, px
 
     @staticmethod
     def of(cameras: Sequence[Camera], frames: Sequence[RawFrame]) -> Recording:
@@ -123,36 +105,20 @@ class Recording:
 
 @dataclass(frozen=True)
 class Scans:
-    """The events that cameras make of a recording, and their detections in one array.
+    """The events that cameras make of a recording, and their detections in one array."""
 
-    Attributes
-    ----------
-    events : tuple of Event
-        In order of true time, ties in the order of the cameras.
-    times, cameras : arrays (e,)
-        True times, s, and indices of the cameras of the events.
-    first : array (e + 1,) of int
-        Event i has the detections first[i] to first[i + 1] - 1.
-    points, precisions : arrays (n, 2), (n, 2, 2)
-        Undistorted pixels of all detections, as in the events, and the inverse of their covariances.
-    event_of : array (n,) of int
-        Event of each detection.
-    detection_times : array (n,)
-        Time of each detection, s: of its event, and with a rolling shutter of its row.
-    source : array (n,) of int
-        Which detection of the recording each one is.
-    recording : Recording
-    """
-
-    events: tuple[Event, ...]
+    events: tuple[Event, ...]  # In order of true time, ties in the order of the cameras
+    # `times`, `cameras`: arrays (e,): True times, s, and indices of the cameras of the events.
     times: Array
     cameras: Integers
-    first: Integers
+    first: Integers  # Event i has the detections first[i] to first[i + 1] - 1
+    # `points`, `precisions`: arrays (n, 2), (n, 2, 2): Undistorted pixels of all detections, as in the events, and
+    # the inverse of their covariances.
     points: Array
     precisions: Array
-    event_of: Integers
-    detection_times: Array
-    source: Integers
+    event_of: Integers  # (n,) of int: Event of each detection
+    detection_times: Array  # (n,): Time of each detection, s: of its event, and with a rolling shutter of its row
+    source: Integers  # (n,) of int: Which detection of the recording each one is
     recording: Recording
 
     @staticmethod

@@ -17,14 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Stretches of the log; iterations of an adjustment to half of them and of the trajectories of the others, and the
 # relative change of the cost at which they end.
@@ -36,21 +33,11 @@ LEAST_DETECTIONS, MOST_DETECTIONS = 8, 6000
 
 @dataclass(frozen=True)
 class Comparison:
-    """How well sets of unknowns predict.
+    """How well sets of unknowns predict."""
 
-    Attributes
-    ----------
-    sets : tuple of UnknownSet
-        The smallest first, all unknowns last.
-    losses : array (s, b)
-        Loss of the detections of each stretch under cameras that did not see it, by set.
-    chosen : int
-        Which set is taken.
-    """
-
-    sets: tuple[UnknownSet, ...]
-    losses: Array
-    chosen: int
+    sets: tuple[UnknownSet, ...]  # The smallest first, all unknowns last
+    losses: Array  # (s, b): Loss of the detections of each stretch under cameras that did not see it, by set
+    chosen: int  # Which set is taken
 
     @property
     def totals(self) -> Array:

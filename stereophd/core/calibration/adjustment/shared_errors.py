@@ -19,17 +19,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.solver import solve
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Cells that a camera needs, and the least part of the variance that is shared, for its errors to count as shared.
 LEAST_CELLS, LEAST_PART = 12, 0.2
@@ -93,19 +90,13 @@ def variance_components(residuals: Array, cells: Integers) -> tuple[float, float
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """Errors of the detections of each camera, px per coordinate.
+    """Errors of the detections of each camera, px per coordinate."""
 
-    Attributes
-    ----------
-    own, shared : arrays (c,)
-        Standard deviations of the independent error of each detection, and of the error that detections of a cell
-        share; NaN and 0 for cameras whose residuals show no shared error.
-    weights : array (n,)
-        What each detection counts, in measurements of the precision that its detector states; 1 for such cameras.
-    """
-
+    # `own`, `shared`: arrays (c,): Standard deviations of the independent error of each detection, and of the error
+    # that detections of a cell share; NaN and 0 for cameras whose residuals show no shared error.
     own: Array
     shared: Array
+    # (n,): What each detection counts, in measurements of the precision that its detector states; 1 for such cameras.
     weights: Array
 
 

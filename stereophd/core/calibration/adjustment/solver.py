@@ -20,13 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
-
-Array = NDArray[np.float64]
 
 # Marquardt's damping: where it starts, its factor, and where it gives up.
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
@@ -38,28 +36,13 @@ LEAST_INFORMATION = 1e-200
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Outcome of `adjust`.
+    """Outcome of `adjust`."""
 
-    Attributes
-    ----------
-    values : array (m,)
-    states : array (k, 2, 3)
-        Knots.
-    covariance : array (m, m)
-        Covariance of the values, trajectories integrated out.
-    cost : float
-        Twice the negative logarithm of the posterior density, without its constant.
-    distances : array (n,)
-        Squared Mahalanobis distances of the detections.
-    iterations : int
-    converged : bool
-    """
-
-    values: Array
-    states: Array
-    covariance: Array
-    cost: float
-    distances: Array
+    values: Array  # (m,)
+    states: Array  # (k, 2, 3): Knots
+    covariance: Array  # (m, m): Covariance of the values, trajectories integrated out
+    cost: float  # Twice the negative logarithm of the posterior density, without its constant
+    distances: Array  # (n,): Squared Mahalanobis distances of the detections
     iterations: int
     converged: bool
 

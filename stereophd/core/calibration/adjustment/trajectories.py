@@ -16,13 +16,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.motion.base import Motion
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Standard deviation of the deviation from the mean half-way between knots, in parts of the detection noise.
 DEVIATION = 0.3
@@ -40,24 +37,13 @@ SMALLEST = float(np.finfo(np.float64).tiny)
 
 @dataclass(frozen=True)
 class Knots:
-    """Where the knots of all trajectories are.
+    """Where the knots of all trajectories are."""
 
-    Attributes
-    ----------
-    times : array (n,)
-        Times of the knots, s, increasing within a trajectory.
-    first : array (k + 1,) of int
-        Trajectory j has the knots first[j] to first[j + 1] - 1.
-    spans : array (k, 2)
-        First and last time of each trajectory, s.
-    noise_std : array (3,)
-        Standard deviations of the noise of the motion, length/s^2, none of them exactly zero while others are not.
-    motion : Motion
-    """
-
-    times: Array
-    first: Integers
-    spans: Array
+    times: Array  # (n,): Times of the knots, s, increasing within a trajectory
+    first: Integers  # Trajectory j has the knots first[j] to first[j + 1] - 1
+    spans: Array  # (k, 2): First and last time of each trajectory, s
+    # (3,): Standard deviations of the noise of the motion, length/s^2, none of them exactly zero while others are
+    # not.
     noise_std: Array
     motion: Motion
 
@@ -112,21 +98,11 @@ def knot_spacing(motion: Motion, noise: float) -> float:
 
 
 class Interpolation(NamedTuple):
-    """Positions or velocities as functions of the knots.
+    """Positions or velocities as functions of the knots."""
 
-    Attributes
-    ----------
-    knot : array (n,) of int
-        The knot before each time.
-    weights : array (n, 4)
-        Weights of its position and velocity, and of those of the next knot.
-    offsets : array (n, 3)
-        What the drift of the motion adds.
-    """
-
-    knot: Integers
-    weights: Array
-    offsets: Array
+    knot: Integers  # (n,) of int: The knot before each time
+    weights: Array  # (n, 4): Weights of its position and velocity, and of those of the next knot
+    offsets: Array  # (n, 3): What the drift of the motion adds
 
 
 def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:
@@ -199,23 +175,12 @@ class Links(NamedTuple):
 
     What it changes, A x - drift with A = [[-1, -reach, 1, 0], [0, -keep, 0, 1]] over the positions and velocities of
     both knots, has on each axis the covariance noise_std^2 Q of `Motion.noise`.
-
-    Attributes
-    ----------
-    knot : array (l,) of int
-        The knot before each link.
-    precisions : array (l, 4, 4)
-        A^T Q^-1 A.
-    pull : array (l, 4, 3)
-        A^T Q^-1 drift.
-    energy : array (l, 3)
-        drift^T Q^-1 drift.
     """
 
-    knot: Integers
-    precisions: Array
-    pull: Array
-    energy: Array
+    knot: Integers  # (l,) of int: The knot before each link
+    precisions: Array  # (l, 4, 4): A^T Q^-1 A
+    pull: Array  # (l, 4, 3): A^T Q^-1 drift
+    energy: Array  # (l, 3): drift^T Q^-1 drift
 
 
 def motion_links(knots: Knots) -> Links:

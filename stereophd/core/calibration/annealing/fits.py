@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.collapsed_stretches import collapsed
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
@@ -42,10 +43,6 @@ from stereophd.core.calibration.pairing.search import (
 from stereophd.core.calibration.unknowns.gauge import enlarged, reduced
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.numerics.random_streams import SHARED_ERRORS_SEED
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).

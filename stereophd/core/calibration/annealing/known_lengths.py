@@ -19,9 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.solver import damped_bands, eliminate
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
@@ -35,9 +35,6 @@ from stereophd.core.calibration.annealing.known_scale import (
 )
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import log_scale
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Relative deviation of a distance that may be the known length.
 WITHIN = 2.0 * RIGID

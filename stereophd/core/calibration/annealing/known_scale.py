@@ -15,13 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import adjusted_to
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale, scale_is_free
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Steps in which the length of a path is measured, and times at which distances are.
 SPEED_STEPS, DISTANCE_TIMES = 200, 1000
@@ -46,27 +44,13 @@ SLOW_PAIRS = 20
 
 @dataclass(frozen=True)
 class ObjectPairs:
-    """All pairs of trajectories that are seen together for a while.
+    """All pairs of trajectories that are seen together for a while."""
 
-    Attributes
-    ----------
-    distances : array (p,)
-        Mean distances over the common times.
-    spreads : array (p,)
-        Standard deviations of the distances in parts of them.
-    travels : array (p,)
-        How far the middle of the pair moves in the common time, length.
-    seconds : array (p,)
-        The common time, s.
-    members : array (p, 2) of int
-        The trajectories.
-    """
-
-    distances: Array
-    spreads: Array
-    travels: Array
-    seconds: Array
-    members: Integers
+    distances: Array  # (p,): Mean distances over the common times
+    spreads: Array  # (p,): Standard deviations of the distances in parts of them
+    travels: Array  # (p,): How far the middle of the pair moves in the common time, length
+    seconds: Array  # (p,): The common time, s
+    members: Integers  # (p, 2) of int: The trajectories
 
     @property
     def moving(self) -> NDArray[np.bool_]:
@@ -223,22 +207,14 @@ def object_pairs(fit: Fit) -> ObjectPairs:
 
 @dataclass(frozen=True)
 class Peaks:
-    """Rigid pairs whose distance may be the known length: within the reach of the prior.
+    """Rigid pairs whose distance may be the known length: within the reach of the prior."""
 
-    Attributes
-    ----------
-    ratios, widths : arrays (k,)
-        Logarithms of the length over the distances, and their uncertainty.
-    odds : array (k,)
-        Odds that a pair keeps its distance because it is rigid, not by chance, if one rigid pair is expected.
-    range : float
-        Width of the interval in which the logarithms lie: twice the reach.
-    """
-
+    # `ratios`, `widths`: arrays (k,): Logarithms of the length over the distances, and their uncertainty.
     ratios: Array
     widths: Array
+    # (k,): Odds that a pair keeps its distance because it is rigid, not by chance, if one rigid pair is expected.
     odds: Array
-    range: float
+    range: float  # Width of the interval in which the logarithms lie: twice the reach
 
     def densities(self, center: Array) -> Array:
         """Odds times densities (n, k) of the ratios at centers (n,), in units of those of chance."""

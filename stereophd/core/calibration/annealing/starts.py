@@ -12,8 +12,8 @@ sum of evidence (PMB filter at the true noise) and log-prior.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
@@ -33,8 +33,6 @@ from stereophd.core.calibration.unknowns.gauge import KEPT_WITHIN, depth_ratio, 
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import collapse
 from stereophd.wording import percent
-
-Array = NDArray[np.float64]
 
 # Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
 PAIRED_INFLATION = 3.5

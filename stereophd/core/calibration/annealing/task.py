@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
@@ -23,9 +24,6 @@ from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb.filter import PmbFilter
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 SUCCEEDED = "succeeded"
 # Most starts by default: where poses alone are unknown, and otherwise.
 STARTS_OF_POSES, STARTS = 24, 8
@@ -35,44 +33,23 @@ PAIRING, WIDE = "pairing", "wide"
 
 @dataclass(frozen=True)
 class Task:
-    """What a start needs.
-
-    Attributes
-    ----------
-    parameters : ParameterSet
-    reference : int
-        Index of the reference camera.
-    filter : PmbFilter
-        Template; its cameras are replaced.
-    recording : Recording
-    frames : array of int
-        Frames of the recording that are tracked: all, or a part of a long log.
-    scans, tracking : Scans
-        Events of all frames and of those that are tracked, by the cameras of the prior mean.
-    tracks : tuple of (int, array)
-        One-camera tracks among the tracked frames: camera and detections of the recording.
-    pairs : TrackPairs
-        Which of them may be one object.
-    scale : ScaleMeasurement or None
-    settings : AnnealedSettings
-    clocks : ClockOffsets
-        Offsets of unknown clocks by the motion that the tracks show.
-    stages : tuple of UnknownSet
-        Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
-    """
+    """What a start needs."""
 
     parameters: ParameterSet
-    reference: int
-    filter: PmbFilter
+    reference: int  # Index of the reference camera
+    filter: PmbFilter  # Template; its cameras are replaced
     recording: Recording
-    frames: Integers
+    frames: Integers  # Frames of the recording that are tracked: all, or a part of a long log
+    # `scans`, `tracking`: Events of all frames and of those that are tracked, by the cameras of the prior mean.
     scans: Scans
     tracking: Scans
+    # One-camera tracks among the tracked frames: camera and detections of the recording.
     tracks: tuple[tuple[int, Integers], ...]
-    pairs: TrackPairs
+    pairs: TrackPairs  # Which of them may be one object
     scale: ScaleMeasurement | None
     settings: AnnealedSettings
-    clocks: ClockOffsets
+    clocks: ClockOffsets  # Offsets of unknown clocks by the motion that the tracks show
+    # Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
     stages: tuple[UnknownSet, ...]
 
     @property
@@ -151,36 +128,18 @@ class Fit:
 
 @dataclass(frozen=True)
 class Start:
-    """Outcome of one start.
-
-    Attributes
-    ----------
-    number : int
-    outcome : str
-        `SUCCEEDED`, or why not.
-    start : array (m,)
-        Values it began with.
-    passes : array (p, m)
-        Values after every pass.
-    fit : Fit or None
-        The last one.
-    log_evidence, log_prior : float
-        At the last values; NaN where the start failed.
-    explained : float
-        Detections of shared trajectories, in parts of those not expected to be false.
-    origin : str
-        Where the passes began: `PAIRING` and its number, or `WIDE`.
-    """
+    """Outcome of one start."""
 
     number: int
-    outcome: str
-    start: Array
-    passes: Array
-    fit: Fit | None
+    outcome: str  # `SUCCEEDED`, or why not
+    start: Array  # (m,): Values it began with
+    passes: Array  # (p, m): Values after every pass
+    fit: Fit | None  # The last one
+    # `log_evidence`, `log_prior`: At the last values; NaN where the start failed.
     log_evidence: float
     log_prior: float
-    explained: float
-    origin: str
+    explained: float  # Detections of shared trajectories, in parts of those not expected to be false
+    origin: str  # Where the passes began: `PAIRING` and its number, or `WIDE`
 
     @property
     def succeeded(self) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.adjustment.trajectories import Knots, interpolation, positions
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
@@ -16,9 +17,6 @@ from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole
 from stereophd.core.multi.pmb.filter import PmbFilter
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise: 3 sigma while
 # tracking, 3.7 sigma (0.1 % of a normal distribution in the plane) once the trajectories are fitted.
@@ -29,27 +27,13 @@ LEAST_EXISTENCE = 0.6
 
 @dataclass(frozen=True)
 class TrackedDetections:
-    """Detections of the objects that a filter followed, sorted by track and time.
+    """Detections of the objects that a filter followed, sorted by track and time."""
 
-    Attributes
-    ----------
-    tracks : array (n,) of int
-        0 to the number of tracks less one.
-    detections : array (n,) of int
-        Index among all detections.
-    positions : array (n, 3)
-        Estimates of the filter, world.
-    variances : array (n,)
-        Trace of their covariance.
-    log_likelihood : float
-        Evidence of the run: sum over all events.
-    """
-
-    tracks: Integers
-    detections: Integers
-    positions: Array
-    variances: Array
-    log_likelihood: float
+    tracks: Integers  # (n,) of int: 0 to the number of tracks less one
+    detections: Integers  # (n,) of int: Index among all detections
+    positions: Array  # (n, 3): Estimates of the filter, world
+    variances: Array  # (n,): Trace of their covariance
+    log_likelihood: float  # Evidence of the run: sum over all events
 
     def __len__(self) -> int:
         return len(self.tracks)

@@ -12,15 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.pairing.track_pairs import LEAST_TIMES, TrackPairs
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.two_views.epipolar import slopes_of
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Tolerances in units of the noise of the distance, step by step; a time counts for a pair within 3 of it.
 TOLERANCES = (20.0, 10.0, 5.0, 2.5)
@@ -31,19 +28,11 @@ STEPS = 4
 
 @dataclass(frozen=True)
 class Pairing:
-    """Cameras and the pairs of tracks that meet under them.
+    """Cameras and the pairs of tracks that meet under them."""
 
-    Attributes
-    ----------
-    values : array (m,)
-    chosen : array (c,) of int
-        Indices of the pairs.
-    gain : float
-        Gain of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
-    """
-
-    values: Array
-    chosen: Integers
+    values: Array  # (m,)
+    chosen: Integers  # (c,) of int: Indices of the pairs
+    # Gain of the pairs, less the squared distance of the values from the prior mean in its standard deviations.
     gain: float
 
 

@@ -12,15 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.pairing.track_rays import RawTracks
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.clock_offset import QUANTITY
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Step of the grid of shifts in median frame intervals of the slowest camera, and reach in prior deviations.
 STEP_FRAMES, REACH = 1.0, 3.0

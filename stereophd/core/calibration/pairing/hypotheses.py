@@ -17,16 +17,12 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.pairing.choice import TOLERANCES, Pairing, choose_pairs, pair_gains
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.two_views.epipolar import epipolar_distances, slopes_of
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Tracks are close together if each has so many possible partners in another camera on average.
 CROWDED = 7.0

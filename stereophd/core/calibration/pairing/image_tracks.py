@@ -12,12 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # An alternative is ambiguous within this many times the distance of the nearest, and this many times the noise.
 RATIO, NOISE = 2.0, 4.0

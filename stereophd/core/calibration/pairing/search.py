@@ -13,16 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.pairing.choice import TOLERANCES, Pairing, choose_pairs, pair_gains, refine
 from stereophd.core.calibration.pairing.hypotheses import crowded, hypotheses
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.calibration.pairing.track_rays import Rays, rays_of
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.two_views.epipolar import epipolar_distances, slopes_of
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Draws of a start, and those refined.
 DRAWS, REFINED = 256, 8

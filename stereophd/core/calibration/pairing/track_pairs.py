@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.pairing.association import track_detections
 from stereophd.core.calibration.pairing.track_rays import LONGEST_GAP, RawTracks, rays_of
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.multi.pmb.filter import PmbFilter
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Times at which a pair of tracks is compared, and how many it needs.
 PAIR_TIMES, LEAST_TIMES = 24, 6
@@ -26,37 +23,19 @@ RAW_TIMES, REACH = 48, 4.0
 
 @dataclass(frozen=True)
 class TrackPairs:
-    """Pairs of one-camera tracks, and the rays at their common times.
+    """Pairs of one-camera tracks, and the rays at their common times."""
 
-    Attributes
-    ----------
-    cameras : array (p, 2) of int
-        The two cameras of every pair.
-    tracks : array (p, 2) of int
-        The two tracks, numbered over all cameras.
-    pair : array (n,) of int
-        Pair of each row.
-    rays : array (n, 2, 3)
-        x_a, x_b with third component 1.
-    sigma : array (n,)
-        Noise, px.
-    times : array (n,)
-        s.
-    entries, others : arrays (n,) of int
-        Entry of the first track in `raw`, and the second track.
-    raw : RawTracks or None
-        Where clocks, lenses or intrinsics are unknown, or cameras move: the rays depend on the cameras, and `rays`
-        and `times` are those of the prior mean.
-    """
-
-    cameras: Integers
-    tracks: Integers
-    pair: Integers
-    rays: Array
-    sigma: Array
-    times: Array
+    cameras: Integers  # (p, 2) of int: The two cameras of every pair
+    tracks: Integers  # (p, 2) of int: The two tracks, numbered over all cameras
+    pair: Integers  # (n,) of int: Pair of each row
+    rays: Array  # (n, 2, 3): x_a, x_b with third component 1
+    sigma: Array  # (n,): Noise, px
+    times: Array  # (n,): s
+    # `entries`, `others`: arrays (n,) of int: Entry of the first track in `raw`, and the second track.
     entries: Integers
     others: Integers
+    # Where clocks, lenses or intrinsics are unknown, or cameras move: the rays depend on the cameras, and `rays` and
+    # `times` are those of the prior mean.
     raw: RawTracks | None
 
     @cached_property

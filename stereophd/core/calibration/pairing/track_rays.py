@@ -11,14 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Tracks are interpolated over at most this many of their median steps.
 LONGEST_GAP = 3.5
@@ -26,26 +22,13 @@ LONGEST_GAP = 3.5
 
 @dataclass(frozen=True)
 class RawTracks:
-    """Pixels of one-camera tracks on their cameras' own clocks.
+    """Pixels of one-camera tracks on their cameras' own clocks."""
 
-    Attributes
-    ----------
-    cameras : array (k,) of int
-    first : array (k + 1,) of int
-        Track j has the entries first[j] to first[j + 1] - 1.
-    log_times : array (n,)
-        s, increasing within a track.
-    pixels : array (n, 2)
-        Raw pixels.
-    rows : array (n,)
-        Row of each detection over the height of the image.
-    """
-
-    cameras: Integers
-    first: Integers
-    log_times: Array
-    pixels: Array
-    rows: Array
+    cameras: Integers  # (k,) of int
+    first: Integers  # Track j has the entries first[j] to first[j + 1] - 1
+    log_times: Array  # (n,): s, increasing within a track
+    pixels: Array  # (n, 2): Raw pixels
+    rows: Array  # (n,): Row of each detection over the height of the image
 
     @staticmethod
     def of(recording: Recording, tracks: Sequence[tuple[int, Integers]]) -> RawTracks:

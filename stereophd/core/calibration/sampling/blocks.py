@@ -19,15 +19,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.bridging import BridgeSampler
 from stereophd.core.calibration.sampling.likelihood import LogEvidence
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-
-Array = NDArray[np.float64]
-
 
 # The last stage may add more events than those so far, by this factor, so that no short one is left.
 LAST_GROWTH = 2.5
@@ -43,16 +40,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class BlockPath:
-    """The first block at falling noise, then more and more events.
+    """The first block at falling noise, then more and more events."""
 
-    Attributes
-    ----------
-    evidence : LogEvidence
-        Evidence of the whole log.
-    settings : SequentialSettings
-    """
-
-    evidence: LogEvidence
+    evidence: LogEvidence  # Evidence of the whole log
     settings: SequentialSettings
 
     modes = None

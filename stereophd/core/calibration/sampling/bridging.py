@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
 from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.numerics.resampling import systematic
@@ -35,9 +35,6 @@ from stereophd.core.numerics.weights import (
     step_generator,
     weighted_mean_covariance,
 )
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Of Gaussian random walks in m dimensions: 2.38 / sqrt(m) moves best (G. O. Roberts, A. Gelman, W. R. Gilks 1997).
 OPTIMAL_STEP = 2.38
@@ -78,21 +75,11 @@ class DensityPath(Protocol):
 
 @dataclass(frozen=True)
 class BridgeSampler:
-    """The sampler of one problem.
-
-    Attributes
-    ----------
-    path : DensityPath
-    resample_below : float
-        A tempering step keeps the effective sample size at this share of the particles.
-    moves : int
-        Metropolis-Hastings moves after each tempering step.
-    seed : SeedSequence
-    """
+    """The sampler of one problem."""
 
     path: DensityPath
-    resample_below: float
-    moves: int
+    resample_below: float  # A tempering step keeps the effective sample size at this share of the particles
+    moves: int  # Metropolis-Hastings moves after each tempering step
     seed: np.random.SeedSequence
 
     def init(self) -> BridgeState:

@@ -5,47 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from stereophd.core.arrays import Array, Integers
 
 
 @dataclass(frozen=True)
 class BridgeState:
-    """State after a step.
+    """State after a step."""
 
-    Attributes
-    ----------
-    values : array (k, m)
-    log_begin, log_end : arrays (k,)
-        Log-densities of each particle at the beginning and at the end of the stage.
-    ancestors : array (k,) of int
-        First particle that each descends from.
-    stage : int
-        Stage of the path, from 0.
-    temperature : float
-        How far the particles are through the stage, 0 to 1.
-    moves_left : int
-        Moves to make before the next tempering step.
-    step_size : float
-        Factor of the proposals, in units of `OPTIMAL_STEP` / sqrt(m).
-    log_evidence : float
-        Estimate so far.
-    n_steps : int
-        Steps so far: picks the random numbers.
-    """
-
-    values: Array
+    values: Array  # (k, m)
+    # `log_begin`, `log_end`: arrays (k,): Log-densities of each particle at the beginning and at the end of the
+    # stage.
     log_begin: Array
     log_end: Array
-    ancestors: Integers
-    stage: int
-    temperature: float
-    moves_left: int
-    step_size: float
-    log_evidence: float
-    n_steps: int
+    ancestors: Integers  # (k,) of int: First particle that each descends from
+    stage: int  # Stage of the path, from 0
+    temperature: float  # How far the particles are through the stage, 0 to 1
+    moves_left: int  # Moves to make before the next tempering step
+    step_size: float  # Factor of the proposals, in units of `OPTIMAL_STEP` / sqrt(m)
+    log_evidence: float  # Estimate so far
+    n_steps: int  # Steps so far: picks the random numbers
 
     @property
     def stage_done(self) -> bool:
@@ -55,61 +34,30 @@ class BridgeState:
 
 @dataclass(frozen=True)
 class BridgeInfo:
-    """Diagnostics of a step.
+    """Diagnostics of a step."""
 
-    Attributes
-    ----------
-    kind : str
-        ``temper`` or ``move``.
-    stage : int
-    temperature : float
-        After the step.
-    effective_sample_size : float
-        Effective sample size of the weights of a tempering step before resampling; NaN of a move.
-    acceptance : float
-        Share of particles moved; NaN of a tempering step.
-    step_size : float
-        Factor of the proposals in the step.
-    mean, covariance : arrays (m,), (m, m)
-        Moments of the particles after the step.
-    """
-
-    kind: str
+    kind: str  # ``temper`` or ``move``
     stage: int
-    temperature: float
+    temperature: float  # After the step
+    # Effective sample size of the weights of a tempering step before resampling; NaN of a move.
     effective_sample_size: float
-    acceptance: float
-    step_size: float
+    acceptance: float  # Share of particles moved; NaN of a tempering step
+    step_size: float  # Factor of the proposals in the step
+    # `mean`, `covariance`: arrays (m,), (m, m): Moments of the particles after the step.
     mean: Array
     covariance: Array
 
 
 @dataclass(frozen=True)
 class BridgeResult:
-    """Outcome of a run.
+    """Outcome of a run."""
 
-    Attributes
-    ----------
-    values : array (k, m)
-        Particles of the last density, all of the same weight.
-    log_densities : array (k,)
-        The last log-density of each.
-    log_evidence : float
-        Logarithm of the ratio of the integrals of the last density and the first.
-    acceptance : float
-        Share of accepted proposals of the moves at the last density itself.
-    effective_sample_size : float
-        The smallest of the tempering steps, as a share of the particles.
-    ancestors : int
-        First particles that still have descendants: few mean that the first density missed most of the last.
-    history : tuple of BridgeInfo
-    """
-
-    values: Array
-    log_densities: Array
-    log_evidence: float
-    acceptance: float
-    effective_sample_size: float
+    values: Array  # (k, m): Particles of the last density, all of the same weight
+    log_densities: Array  # (k,): The last log-density of each
+    log_evidence: float  # Logarithm of the ratio of the integrals of the last density and the first
+    acceptance: float  # Share of accepted proposals of the moves at the last density itself
+    effective_sample_size: float  # The smallest of the tempering steps, as a share of the particles
+    # First particles that still have descendants: few mean that the first density missed most of the last.
     ancestors: int
     history: tuple[BridgeInfo, ...]
 

@@ -19,16 +19,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.unknowns.parameters import ParameterSet, taken
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, predicted
 from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.layout import CENTER
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
-
-Array = NDArray[np.float64]
 
 
 class LogEvidence(Protocol):
@@ -55,28 +53,16 @@ class LogEvidence(Protocol):
 
 @dataclass(frozen=True)
 class Evidence:
-    """Log-likelihood of a log as a function of the poses of cameras that stand still.
-
-    Attributes
-    ----------
-    parameters : ParameterSet
-    events : sequence of Event
-        The log, in order of time.
-    batch : FilterBatch
-        The conditional filters.
-    scale_reference : int, optional
-        Number of the reference camera. Given, the cameras of a hypothesis are brought to the nominal scale
-        (`at_nominal_scale`): for problems whose scale is free (`core.calibration.scale.scale_is_free`), if the
-        objects' priors shall not decide on it.
-    scale : ScaleMeasurement, optional
-        What else is known of the scale; its normal density is one more factor.
-    """
+    """Log-likelihood of a log as a function of the poses of cameras that stand still."""
 
     parameters: ParameterSet
-    events: Sequence[Event]
-    batch: FilterBatch
+    events: Sequence[Event]  # The log, in order of time
+    batch: FilterBatch  # The conditional filters
+    # Number of the reference camera. Given, the cameras of a hypothesis are brought to the nominal scale
+    # (`at_nominal_scale`): for problems whose scale is free (`core.calibration.scale.scale_is_free`), if the objects'
+    # priors shall not decide on it.
     scale_reference: int | None = None
-    scale: ScaleMeasurement | None = None
+    scale: ScaleMeasurement | None = None  # What else is known of the scale; its normal density is one more factor
 
     @property
     def n_events(self) -> int:

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.covariance_factors import covariance_factor
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Degrees of freedom: tails heavier than the posterior's, finite variance.
 DEGREES_OF_FREEDOM = 5.0
@@ -19,19 +16,12 @@ DEGREES_OF_FREEDOM = 5.0
 
 @dataclass(frozen=True)
 class Modes:
-    """Modes of the posterior, as another method has found them.
+    """Modes of the posterior, as another method has found them."""
 
-    Attributes
-    ----------
-    means, covariances : arrays (j, m), (j, m, m)
-        Optimum and its (Laplace) covariance.
-    weights : array (j,)
-        Share of the particles drawn from each; positive, summing to 1.
-    """
-
+    # `means`, `covariances`: arrays (j, m), (j, m, m): Optimum and its (Laplace) covariance.
     means: Array
     covariances: Array
-    weights: Array
+    weights: Array  # (j,): Share of the particles drawn from each; positive, summing to 1
 
     def draw(self, count: int, spread: float, rng: np.random.Generator) -> Array:
         """Draw values (count, m) from the mixture, stratified over the modes.

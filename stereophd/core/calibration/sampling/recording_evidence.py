@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.sampling.likelihood import extent, log_density_of_scale
@@ -36,9 +36,6 @@ from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.numerics.samples import SampleSets
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 # False detections a frame below which a lens that cannot be inverted would make the recording impossible.
 LEAST_CLUTTER = 1e-6
 
@@ -49,31 +46,17 @@ class RecordingEvidence:
 
     The filters move components by samples and report nothing, as those of
     `stereophd.core.calibration.sampling.likelihood.Evidence` do; of poses that stand still, both find the same values.
-
-    Attributes
-    ----------
-    parameters : ParameterSet
-    recording : Recording
-    frames : array (n,) of int
-        Frames of the recording, in order of time by the clocks of the prior mean.
-    template : DisparityFilter
-        At the cameras of the prior mean.
-    threads : int
-        Hypotheses are shared out over this many threads; results do not depend on it.
-    scale_reference : int, optional
-        Number of the reference camera. Given, the cameras of a hypothesis are brought to the scale of the prior mean,
-        about the reference.
-    scale : ScaleMeasurement, optional
-        What else is known of the scale; its normal density is one more factor.
     """
 
     parameters: ParameterSet
     recording: Recording
-    frames: Integers
-    template: DisparityFilter
-    threads: int = 1
+    frames: Integers  # (n,) of int: Frames of the recording, in order of time by the clocks of the prior mean
+    template: DisparityFilter  # At the cameras of the prior mean
+    threads: int = 1  # Hypotheses are shared out over this many threads; results do not depend on it
+    # Number of the reference camera. Given, the cameras of a hypothesis are brought to the scale of the prior mean,
+    # about the reference.
     scale_reference: int | None = None
-    scale: ScaleMeasurement | None = None
+    scale: ScaleMeasurement | None = None  # What else is known of the scale; its normal density is one more factor
 
     @property
     def n_events(self) -> int:

@@ -24,8 +24,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -39,61 +39,34 @@ from stereophd.core.numerics.weights import (
     weighted_mean_covariance,
 )
 
-Array = NDArray[np.float64]
-
 # Streams of random numbers: the prior's draws, and then one for each event.
 PRIOR_STREAM, FIRST_EVENT_STREAM = 0, 1
 
 
 @dataclass(frozen=True)
 class SequentialState:
-    """State after an event: k camera particles, each with its conditional intensity.
+    """State after an event: k camera particles, each with its conditional intensity."""
 
-    Attributes
-    ----------
-    values : array (k, m)
-        Parameter values.
-    log_weights : array (k,)
-        Normalised.
-    filters : BatchState
-        Conditional intensities.
-    log_evidence : float
-        Log-likelihood of all events so far, the cameras integrated out (product of mean weights).
-    """
-
-    values: Array
-    log_weights: Array
-    filters: BatchState
-    log_evidence: float
+    values: Array  # (k, m): Parameter values
+    log_weights: Array  # (k,): Normalised
+    filters: BatchState  # Conditional intensities
+    log_evidence: float  # Log-likelihood of all events so far, the cameras integrated out (product of mean weights)
 
 
 @dataclass(frozen=True)
 class SequentialInfo:
-    """Diagnostics of an event.
+    """Diagnostics of an event."""
 
-    Attributes
-    ----------
-    time_s, camera
-        Time, s, and camera of the event.
-    mean, covariance : arrays (m,), (m, m)
-        Moments of the particles, before resampling.
-    effective_sample_size : float
-        Before resampling.
-    resampled : bool
-    log_likelihood : float
-        Log-likelihood of the event given those before, the cameras integrated out.
-    components : float
-        Mean number of components of a conditional intensity.
-    """
-
+    # `time_s`, `camera`: Time, s, and camera of the event.
     time_s: float
     camera: int
+    # `mean`, `covariance`: arrays (m,), (m, m): Moments of the particles, before resampling.
     mean: Array
     covariance: Array
-    effective_sample_size: float
+    effective_sample_size: float  # Before resampling
     resampled: bool
-    log_likelihood: float
-    components: float
+    log_likelihood: float  # Log-likelihood of the event given those before, the cameras integrated out
+    components: float  # Mean number of components of a conditional intensity
 
 
 # Called after every event with its number (from 1), the state and the history so far.
@@ -102,18 +75,10 @@ AfterEvent = Callable[[int, SequentialState, Sequence[SequentialInfo]], None]
 
 @dataclass(frozen=True)
 class SequentialResult:
-    """Outcome of a run.
+    """Outcome of a run."""
 
-    Attributes
-    ----------
-    state : SequentialState
-        After the last event; `values` (k, m) and `log_weights` (k,) are the posterior.
-    history : tuple of SequentialInfo
-        One per event.
-    """
-
-    state: SequentialState
-    history: tuple[SequentialInfo, ...]
+    state: SequentialState  # After the last event; `values` (k, m) and `log_weights` (k,) are the posterior
+    history: tuple[SequentialInfo, ...]  # One per event
 
     @property
     def mean(self) -> Array:

@@ -13,14 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.bridging import BridgeSampler
 from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.calibration.settings import TemperedSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-
-Array = NDArray[np.float64]
 
 # Log-likelihoods (k,) of parameter values (k, m).
 LogLikelihood = Callable[[Array], Array]
@@ -28,22 +26,12 @@ LogLikelihood = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class TemperedPath:
-    """One stage, from the modes to the posterior.
+    """One stage, from the modes to the posterior."""
 
-    Attributes
-    ----------
-    parameters : ParameterSet
-        Unknowns and their priors.
-    log_likelihood : callable
-        Evidence of parameter values, (k, m) -> (k,): `stereophd.core.calibration.sampling.likelihood.LogEvidence`.
-    modes : Modes or None
-        Without them the particles start from the prior, which takes many more steps.
-    settings : TemperedSettings
-    """
-
-    parameters: ParameterSet
+    parameters: ParameterSet  # Unknowns and their priors
+    # Evidence of parameter values, (k, m) -> (k,): `stereophd.core.calibration.sampling.likelihood.LogEvidence`.
     log_likelihood: LogLikelihood
-    modes: Modes | None
+    modes: Modes | None  # Without them the particles start from the prior, which takes many more steps
     settings: TemperedSettings
 
     @property

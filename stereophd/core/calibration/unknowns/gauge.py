@@ -13,16 +13,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import scale_is_free
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
-
-Array = NDArray[np.float64]
 
 # While tracking, the cameras keep their scale if the median object is within this many standard deviations of the
 # prior's mean disparity.

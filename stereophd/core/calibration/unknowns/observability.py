@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH, LENGTH_PER_SECOND
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.covariance_factors import covariance_factor
-
-Array = NDArray[np.float64]
 
 # A direction whose posterior standard deviation is above this part of the prior's is not determined by the data.
 UNDETERMINED_RATIO = 0.7
@@ -30,29 +29,16 @@ class Observability:
     The posterior covariance is compared with the prior's: with P = D^-1 S D^-1 and D the prior standard
     deviations, the eigenvectors of P are the directions, and the roots of its eigenvalues the ratios of
     posterior to prior standard deviation along them.
-
-    Attributes
-    ----------
-    ratios : array (m,)
-        Posterior over prior standard deviation, increasing.
-    directions : array (m, m)
-        Unit vectors in units of prior standard deviations, one per row.
-    parameter_ratios : array (m,)
-        Posterior over prior standard deviation of each parameter.
-    scale_ratio : float
-        The same ratio for the logarithm of the scene's scale; NaN where the scale is not free.
-    information_bits : float
-        What the data added to the prior: half the logarithm (base 2) of the ratio of determinants.
-    status : str
-        `DETERMINED` if nothing but the scale keeps a ratio above `UNDETERMINED_RATIO`; `PARTLY` if at least half
-        of the directions do not; else `UNDETERMINED`.
     """
 
-    ratios: Array
-    directions: Array
-    parameter_ratios: Array
-    scale_ratio: float
+    ratios: Array  # (m,): Posterior over prior standard deviation, increasing
+    directions: Array  # (m, m): Unit vectors in units of prior standard deviations, one per row
+    parameter_ratios: Array  # (m,): Posterior over prior standard deviation of each parameter
+    scale_ratio: float  # The same ratio for the logarithm of the scene's scale; NaN where the scale is not free
+    # What the data added to the prior: half the logarithm (base 2) of the ratio of determinants.
     information_bits: float
+    # `DETERMINED` if nothing but the scale keeps a ratio above `UNDETERMINED_RATIO`; `PARTLY` if at least half of the
+    # directions do not; else `UNDETERMINED`.
     status: str
 
 
@@ -128,24 +114,12 @@ def laplace_draws(
 
 @dataclass(frozen=True)
 class PoseSpread:
-    """Root mean square errors of the pose of a camera that follow from a covariance of the parameters.
+    """Root mean square errors of the pose of a camera that follow from a covariance of the parameters."""
 
-    Attributes
-    ----------
-    rotation : float
-        Standard deviation of the rotation, rad.
-    direction : float
-        Standard deviation of the direction of the translation from the reference, rad.
-    scale : float
-        Standard deviation of the logarithm of its length.
-    center : float
-        Length.
-    """
-
-    rotation: float
-    direction: float
-    scale: float
-    center: float
+    rotation: float  # Standard deviation of the rotation, rad
+    direction: float  # Standard deviation of the direction of the translation from the reference, rad
+    scale: float  # Standard deviation of the logarithm of its length
+    center: float  # Length
 
 
 def pose_spread(parameters: ParameterSet, reference: int, values: Array, covariance: Array, camera: str) -> PoseSpread:

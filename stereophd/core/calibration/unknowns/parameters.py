@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH_PER_SECOND, MOVES, RADIANS_PER_SECOND, Quantity
 from stereophd.core.calibration.unknowns.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Values must be this probable under the prior to agree with it.
 LEAST_PRIOR_PROBABILITY = 1e-6
@@ -31,25 +29,14 @@ LEAST_PRIOR_PROBABILITY = 1e-6
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown of one camera, or of several that share it, with its Gaussian prior.
+    """One unknown of one camera, or of several that share it, with its Gaussian prior."""
 
-    Attributes
-    ----------
-    name : str
-        A component of a quantity (`stereophd.core.calibration.unknowns.quantities.registry`).
-    camera : str
-        Name of the camera.
-    mean, std : float
-        Prior of the value, in the unit of the quantity.
-    shared_with : tuple of str
-        Other cameras that have the same value.
-    """
-
-    name: str
-    camera: str
+    name: str  # A component of a quantity (`stereophd.core.calibration.unknowns.quantities.registry`)
+    camera: str  # Name of the camera
+    # `mean`, `std`: Prior of the value, in the unit of the quantity.
     mean: float
     std: float
-    shared_with: tuple[str, ...] = ()
+    shared_with: tuple[str, ...] = ()  # Other cameras that have the same value
 
     def __post_init__(self) -> None:
         if self.name not in component_names():
@@ -78,18 +65,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """The unknowns of a set of cameras.
+    """The unknowns of a set of cameras."""
 
-    Attributes
-    ----------
-    cameras : tuple of Camera
-        At the prior mean, known ones included, in the order of the configuration.
-    parameters : tuple of Parameter
-        In the order of the values.
-    """
-
-    cameras: tuple[Camera, ...]
-    parameters: tuple[Parameter, ...]
+    cameras: tuple[Camera, ...]  # At the prior mean, known ones included, in the order of the configuration
+    parameters: tuple[Parameter, ...]  # In the order of the values
 
     def __post_init__(self) -> None:
         unknown = {name for p in self.parameters for name in p.cameras} - {c.name for c in self.cameras}

@@ -16,13 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
-
-Array = NDArray[np.float64]
 
 # Less probable under the prior than this are cameras that have fallen together. Two cameras 1 cm apart have a
 # probability of 8e-8 if their distance is unknown by 1.5 m.
@@ -31,22 +29,13 @@ LEAST_PROBABILITY_OF_NEARNESS = 1e-8
 
 @dataclass(frozen=True)
 class ScaleMeasurement:
-    """What is known of the scale.
+    """What is known of the scale."""
 
-    Attributes
-    ----------
-    kind : {"baseline", "log_scale"}
-        The distance of two cameras, or the logarithm of s above.
-    value, std : float
-        Length and length, or pure numbers.
-    cameras : tuple of int
-        The two cameras of a baseline.
-    """
-
-    kind: str
+    kind: str  # The distance of two cameras, or the logarithm of s above
+    # `value`, `std`: Length and length, or pure numbers.
     value: float
     std: float
-    cameras: tuple[int, int] = (0, 0)
+    cameras: tuple[int, int] = (0, 0)  # The two cameras of a baseline
 
 
 def scale_is_free(parameters: ParameterSet) -> bool:

@@ -11,28 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Booleans
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import MOVES
-
-Booleans = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class UnknownSet:
-    """Some of the unknowns; the others are held.
+    """Some of the unknowns; the others are held."""
 
-    Attributes
-    ----------
-    free : array (m,) of bool
-        Which values of the parameter set are free.
-    names : tuple of str
-        Components that are free, each once, in the order of the parameters.
-    """
-
-    free: Booleans
-    names: tuple[str, ...]
+    free: Booleans  # (m,) of bool: Which values of the parameter set are free
+    names: tuple[str, ...]  # Components that are free, each once, in the order of the parameters
 
     @staticmethod
     def of(parameters: ParameterSet, free: Booleans) -> UnknownSet:

@@ -9,11 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from stereophd.core.arrays import Array
 from stereophd.core.settings import FINITE
-
-Array = NDArray[np.float64]
 
 #: A coefficient of a lens, without unit.
 Coefficient = Annotated[float, Interval(ge=-1e6, le=1e6), FINITE]
@@ -27,22 +26,14 @@ ROOT_LIMIT = 1e12
 
 @dataclass(frozen=True)
 class LensModel:
-    """A lens model.
+    """A lens model."""
 
-    Attributes
-    ----------
-    settings : type
-        Its `stereophd.core.settings.settings`: ``model``, and its coefficients in the order in which compiled kernels
-        read them. Their names are among those of `stereophd.core.geometry.lens.Lens`.
-    code : int
-        Its number in compiled kernels (`stereophd.core.geometry.layout`).
-    max_radius : callable
-        From the coefficients (8,) to the largest undistorted radius up to which the radial map r -> r_d increases;
-        inf if it always does.
-    """
-
+    # Its `stereophd.core.settings.settings`: ``model``, and its coefficients in the order in which compiled kernels
+    # read them. Their names are among those of `stereophd.core.geometry.lens.Lens`.
     settings: type[Any]
-    code: int
+    code: int  # Its number in compiled kernels (`stereophd.core.geometry.layout`)
+    # From the coefficients (8,) to the largest undistorted radius up to which the radial map r -> r_d increases; inf
+    # if it always does.
     max_radius: Callable[[Array], float]
 
     @property

@@ -9,13 +9,11 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.layout import LENS_BROWN_CONRADY
 from stereophd.core.geometry.lenses.base import FOLD_MARGIN, Coefficient, LensModel, smallest_positive_root
 from stereophd.core.settings import parameter, settings
-
-Array = NDArray[np.float64]
 
 
 @settings

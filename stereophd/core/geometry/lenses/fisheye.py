@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.layout import LENS_FISHEYE
 from stereophd.core.geometry.lenses.base import FOLD_MARGIN, Coefficient, LensModel, smallest_positive_root
 from stereophd.core.settings import parameter, settings
-
-Array = NDArray[np.float64]
 
 # Below this squared radius theta_d / r is 1 + (k1 - 1/3) s to full double precision (next term s^2).
 SERIES_LIMIT = 1e-8

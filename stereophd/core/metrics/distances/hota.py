@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.matching.assignment import FloatArray
+from stereophd.core.arrays import Array
 from stereophd.core.metrics.matching.near_pairs import NearPairs, couples, most_gain
 from stereophd.core.metrics.scans import PointSets
 
@@ -25,25 +25,14 @@ ROUNDING = float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class Hota:
-    """HOTA and its parts at each of `THRESHOLDS`, (19,), between 0 and 1.
+    """HOTA and its parts at each of `THRESHOLDS`, (19,), between 0 and 1."""
 
-    Attributes
-    ----------
-    hota : (19,) array
-        Geometric mean of detection and association.
-    detection : (19,) array
-        Pairs over pairs, missed and false points together (DetA).
-    association : (19,) array
-        Mean over pairs of the share of scans at which their track and object are paired, of those at which either
-        exists (AssA).
-    localisation : (19,) array
-        Mean similarity of the pairs (LocA); 1 without pairs.
-    """
-
-    hota: FloatArray
-    detection: FloatArray
-    association: FloatArray
-    localisation: FloatArray
+    hota: Array  # (19,) array: Geometric mean of detection and association
+    detection: Array  # (19,) array: Pairs over pairs, missed and false points together (DetA)
+    # (19,) array: Mean over pairs of the share of scans at which their track and object are paired, of those at which
+    # either exists (AssA).
+    association: Array
+    localisation: Array  # (19,) array: Mean similarity of the pairs (LocA); 1 without pairs
 
 
 def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
@@ -78,7 +67,7 @@ def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
     return Hota(np.sqrt(detection * association), detection, association, localisation)
 
 
-def _overlap(near: NearPairs, similarity: FloatArray) -> FloatArray:
+def _overlap(near: NearPairs, similarity: Array) -> Array:
     """Return the similarity of each pair over that of all pairs that share a point with it."""
     of_estimate = np.bincount(near.estimate, similarity)
     of_truth = np.bincount(near.truth, similarity)

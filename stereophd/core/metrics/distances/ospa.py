@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray, euclidean_distances, optimal_assignment
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.metrics.matching.assignment import euclidean_distances, optimal_assignment
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,9 @@ class Ospa:
     between 0 and the cutoff.
     """
 
-    distance: FloatArray
-    localisation: FloatArray
-    cardinality: FloatArray
+    distance: Array
+    localisation: Array
+    cardinality: Array
 
 
 @dataclass(frozen=True)
@@ -42,26 +43,18 @@ class Gospa:
     distance.
     """
 
-    distance: FloatArray
-    localisation: FloatArray
-    missed: FloatArray
-    false: FloatArray
+    distance: Array
+    localisation: Array
+    missed: Array
+    false: Array
 
 
 @dataclass(frozen=True)
 class Matching:
-    """Optimal assignments of k scans that all have m estimates and n true points.
+    """Optimal assignments of k scans that all have m estimates and n true points."""
 
-    Attributes
-    ----------
-    truth : (k, m) array
-        Index of the true point that each estimate is assigned to, -1 if none.
-    distance : (k, m) array
-        Base distance of that pair, infinite if none.
-    """
-
-    truth: IntArray
-    distance: FloatArray
+    truth: Integers  # (k, m) array: Index of the true point that each estimate is assigned to, -1 if none
+    distance: Array  # (k, m) array: Base distance of that pair, infinite if none
 
 
 def check_parameters(order: float, cutoff: float) -> None:
@@ -72,7 +65,7 @@ def check_parameters(order: float, cutoff: float) -> None:
         raise ValueError(f"expected a cutoff > 0 and finite, found {cutoff}")
 
 
-def match(distances: FloatArray, order: float, cutoff: float) -> Matching:
+def match(distances: Array, order: float, cutoff: float) -> Matching:
     """Assign estimates to true points at the least sum of ``min(distance, cutoff)**order``.
 
     Parameters
@@ -145,7 +138,7 @@ def _match_two_sets(
     return match(base[None], order, cutoff), len(truth)
 
 
-def _as_points(points: ArrayLike) -> FloatArray:
+def _as_points(points: ArrayLike) -> Array:
     array = np.asarray(points, dtype=float)
     return array.reshape(0, 0) if array.size == 0 and array.ndim < 2 else array
 

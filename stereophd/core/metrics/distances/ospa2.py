@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.distances.ospa import Ospa, check_parameters, match, ospa_of_matching
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray, is_positive_definite
+from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.scans import PointSets, batches_of_one_size
 
 # Windows are summed for about this many (scan, track, object) at once, some 20 megabytes in all.
@@ -42,10 +43,10 @@ class _Run:
 
     estimates: PointSets
     truth: PointSets
-    track: IntArray
-    target: IntArray
+    track: Integers
+    target: Integers
     # (n, 3, 3), None: Euclidean
-    inverse_covariance: FloatArray | None
+    inverse_covariance: Array | None
     cutoff: float
     window: int
 
@@ -61,8 +62,8 @@ class _Chunk:
     first: int
     last: int
     # Sorted numbers, (t,) and (o,)
-    tracks: IntArray
-    targets: IntArray
+    tracks: Integers
+    targets: Integers
 
     @property
     def scans(self) -> int:
@@ -131,7 +132,7 @@ def ospa2_of_windows(
     return Ospa(*values)
 
 
-def _number_tracks(points: PointSets, anonymous: NDArray[np.bool_]) -> IntArray:
+def _number_tracks(points: PointSets, anonymous: NDArray[np.bool_]) -> Integers:
     """Number the tracks: one number for each label, and one for each anonymous or repeated point."""
     order = np.lexsort((points.label, points.scan))
     label, scan = points.label[order], points.scan[order]
@@ -143,7 +144,7 @@ def _number_tracks(points: PointSets, anonymous: NDArray[np.bool_]) -> IntArray:
     return number
 
 
-def _inverse_covariances(estimates: PointSets) -> FloatArray:
+def _inverse_covariances(estimates: PointSets) -> Array:
     if estimates.covariance is None:
         raise ValueError("expected covariances for the Mahalanobis distance")
     if not is_positive_definite(estimates.covariance).all():
@@ -176,7 +177,7 @@ def _rows(points: PointSets, first: int, last: int) -> slice:
     return slice(int(points.start[first]), int(points.start[last]))
 
 
-def _base_distances(run: _Run, chunk: _Chunk) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+def _base_distances(run: _Run, chunk: _Chunk) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Return base distances over the cutoff, (b, t, o), and who exists in each window, (b, t) and (b, o)."""
     shape = (chunk.scans, len(chunk.tracks), len(chunk.targets))
     begin = run.earliest(chunk.first)
@@ -205,7 +206,7 @@ def _base_distances(run: _Run, chunk: _Chunk) -> tuple[FloatArray, NDArray[np.bo
 
 
 def _add_steps(
-    steps: NDArray[Any], run: _Run, chunk: _Chunk, scan: IntArray, cell: IntArray, weight: NDArray[Any]
+    steps: NDArray[Any], run: _Run, chunk: _Chunk, scan: Integers, cell: Integers, weight: NDArray[Any]
 ) -> None:
     """Add to steps (b, cells), whose running sum over scans is the sum over each window.
 
@@ -219,7 +220,7 @@ def _add_steps(
     np.subtract.at(flat, leaves[inside] * cells + cell[inside], weight[inside])
 
 
-def _pairs_of_scans(run: _Run, begin: int, end: int) -> Iterator[tuple[IntArray, IntArray, IntArray]]:
+def _pairs_of_scans(run: _Run, begin: int, end: int) -> Iterator[tuple[Integers, Integers, Integers]]:
     """Yield scan, estimate and true point of all pairs within a scan, some scans at a time."""
     m, n = run.estimates.counts[begin:end], run.truth.counts[begin:end]
     total = np.cumsum(m * n)
@@ -232,7 +233,7 @@ def _pairs_of_scans(run: _Run, begin: int, end: int) -> Iterator[tuple[IntArray,
         yield begin + owner, estimate, run.truth.start[begin + owner] + place % n[owner]
 
 
-def _distances(run: _Run, estimate: IntArray, true_point: IntArray) -> FloatArray:
+def _distances(run: _Run, estimate: Integers, true_point: Integers) -> Array:
     """Return the base distances (q,) of pairs of points."""
     difference = run.estimates.position[estimate] - run.truth.position[true_point]
     if run.inverse_covariance is None:
@@ -241,6 +242,6 @@ def _distances(run: _Run, estimate: IntArray, true_point: IntArray) -> FloatArra
     return np.asarray(np.sqrt(np.maximum(np.einsum("qi,qi->q", difference, weighted), 0.0)))
 
 
-def _first_marked(marked: NDArray[np.bool_], count: int) -> IntArray:
+def _first_marked(marked: NDArray[np.bool_], count: int) -> Integers:
     """Return the columns of the marks of each row, (b, count), for rows that all have this many."""
     return np.argsort(~marked, axis=1, kind="stable")[:, :count].astype(np.int64)

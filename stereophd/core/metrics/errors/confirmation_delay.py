@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
 from stereophd.core.metrics.scans import PointSets, ScanScores
 
 
@@ -15,10 +15,10 @@ from stereophd.core.metrics.scans import PointSets, ScanScores
 class FirstReports:
     """When each track was first reported, confirmed or tentative: rising identities and times, arrays (t,)."""
 
-    track_id: IntArray
-    time_s: FloatArray
+    track_id: Integers
+    time_s: Array
 
-    def of(self, track_id: IntArray, otherwise: FloatArray) -> FloatArray:
+    def of(self, track_id: Integers, otherwise: Array) -> Array:
         """Return the times of some tracks (n,), and `otherwise` for those without an identity."""
         if len(self.track_id) == 0:
             return otherwise
@@ -26,7 +26,7 @@ class FirstReports:
         return np.where(self.track_id[place] == track_id, self.time_s[place], otherwise)
 
 
-def first_reports(track_id: IntArray, time_s: FloatArray) -> FirstReports:
+def first_reports(track_id: Integers, time_s: Array) -> FirstReports:
     """Return the first report of each track, from identities (n,) and times of estimates in order of time."""
     tracks, row = np.unique(track_id, return_index=True)
     known = tracks > UNLABELLED
@@ -35,26 +35,15 @@ def first_reports(track_id: IntArray, time_s: FloatArray) -> FirstReports:
 
 @dataclass(frozen=True)
 class Waits:
-    """Waiting times of true objects from their first scored scan on.
+    """Waiting times of true objects from their first scored scan on."""
 
-    Attributes
-    ----------
-    confirmed_s : (n,) array
-        Until a confirmed estimate is paired with the object, s; of the objects to which this happens.
-    reported_s : (n,) array
-        Until the track of that estimate is first reported, confirmed or tentative, s.
-    never : int
-        Number of the other objects.
-    """
-
-    confirmed_s: FloatArray
-    reported_s: FloatArray
-    never: int
+    # (n,) array: Until a confirmed estimate is paired with the object, s; of the objects to which this happens.
+    confirmed_s: Array
+    reported_s: Array  # (n,) array: Until the track of that estimate is first reported, confirmed or tentative, s
+    never: int  # Number of the other objects
 
 
-def waits(
-    time_s: FloatArray, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports
-) -> Waits:
+def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports) -> Waits:
     """Return how long the objects of scored scans waited.
 
     Parameters

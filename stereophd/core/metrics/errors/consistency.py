@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray, is_positive_definite
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.metrics.matching.assignment import is_positive_definite
 
 # A track without an identity (filters that do not label their estimates) carries a negative label.
 UNLABELLED = -1
@@ -21,7 +22,7 @@ UNLABELLED = -1
 CHANCE = 2.0
 
 
-def whitened(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+def whitened(errors: Array, covariance: Array) -> Array:
     """Return ``L^-1 e`` of each error, with ``P = L L^T``: of identity covariance for a consistent filter.
 
     Parameters
@@ -43,12 +44,12 @@ def whitened(errors: FloatArray, covariance: FloatArray) -> FloatArray:
     return result
 
 
-def nees(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+def nees(errors: Array, covariance: Array) -> Array:
     """Return the NEES of each error, (n,), NaN where the covariance is not positive definite; see `whitened`."""
     return np.asarray((whitened(errors, covariance) ** 2).sum(axis=1))
 
 
-def independent_count(errors: FloatArray, group: IntArray) -> float:
+def independent_count(errors: Array, group: Integers) -> float:
     """Return the number of independent errors that would determine the mean NEES as well as these do.
 
     Errors w of one object at successive times are alike. For two Gaussian errors with the (d, d) covariance R, the

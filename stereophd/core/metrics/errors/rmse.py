@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.arrays import Array, Integers
 
 
-def root_mean_square(errors: FloatArray) -> float:
+def root_mean_square(errors: Array) -> float:
     """Return the root of the mean squared length of error vectors.
 
     Parameters
@@ -27,7 +27,7 @@ def root_mean_square(errors: FloatArray) -> float:
     return float(np.sqrt(squared.mean())) if squared.size else float("nan")
 
 
-def root_mean_square_per_group(errors: FloatArray, group: IntArray, groups: int) -> FloatArray:
+def root_mean_square_per_group(errors: Array, group: Integers, groups: int) -> Array:
     """Return `root_mean_square` for each group of rows.
 
     Parameters
@@ -48,7 +48,7 @@ def root_mean_square_per_group(errors: FloatArray, group: IntArray, groups: int)
     return np.asarray(np.sqrt(mean_per_group(squared, group, groups)))
 
 
-def mean_per_group(values: FloatArray, group: IntArray, groups: int) -> FloatArray:
+def mean_per_group(values: Array, group: Integers, groups: int) -> Array:
     """Return the mean of the finite values of each group, NaN for a group without any."""
     finite = np.isfinite(values)
     count = np.bincount(group[finite], minlength=groups)
@@ -65,7 +65,7 @@ class ErrorPercentiles:
     n: int
 
 
-def error_percentiles(errors: FloatArray) -> ErrorPercentiles:
+def error_percentiles(errors: Array) -> ErrorPercentiles:
     """Return percentiles of the lengths of error vectors (n, d), with linear interpolation."""
     if len(errors) == 0:
         return ErrorPercentiles(float("nan"), float("nan"), 0)
@@ -82,7 +82,7 @@ class CardinalityError:
     mae: float
 
 
-def cardinality_error(n_estimates: IntArray, n_truth: IntArray) -> CardinalityError:
+def cardinality_error(n_estimates: Integers, n_truth: Integers) -> CardinalityError:
     """Return the error of the number of objects over scans.
 
     Parameters

@@ -10,11 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from stereophd.core.arrays import Array, Integers
 
 
-def euclidean_distances(x: FloatArray, y: FloatArray) -> FloatArray:
+def euclidean_distances(x: Array, y: Array) -> Array:
     """Return the Euclidean distances between the points of two sets.
 
     Parameters
@@ -33,7 +32,7 @@ def euclidean_distances(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("...d,...d->...", difference, difference)))
 
 
-def mahalanobis_distances(x: FloatArray, y: FloatArray, covariance: FloatArray) -> FloatArray:
+def mahalanobis_distances(x: Array, y: Array, covariance: Array) -> Array:
     """Return ``sqrt((x - y)^T P^-1 (x - y))`` with P the covariance of the estimate (paper VIII-C).
 
     Parameters
@@ -62,7 +61,7 @@ def mahalanobis_distances(x: FloatArray, y: FloatArray, covariance: FloatArray) 
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def is_positive_definite(covariance: FloatArray) -> NDArray[np.bool_]:
+def is_positive_definite(covariance: Array) -> NDArray[np.bool_]:
     """Return which symmetric matrices (..., d, d) are finite and have a Cholesky factor.
 
     The factor itself is computed, because a matrix that is nearly singular may pass any other criterion and then have
@@ -74,7 +73,7 @@ def is_positive_definite(covariance: FloatArray) -> NDArray[np.bool_]:
     return flat.reshape(good.shape)
 
 
-def _have_factors(matrices: FloatArray) -> NDArray[np.bool_]:
+def _have_factors(matrices: Array) -> NDArray[np.bool_]:
     """Bisect to find the matrix for which the factorisation fails, because it fails for all if it fails for one."""
     try:
         np.linalg.cholesky(matrices)
@@ -86,7 +85,7 @@ def _have_factors(matrices: FloatArray) -> NDArray[np.bool_]:
     return np.ones(len(matrices), dtype=bool)
 
 
-def optimal_assignment(costs: FloatArray) -> IntArray:
+def optimal_assignment(costs: Array) -> Integers:
     """Assign the rows of each cost matrix to distinct columns at the least total cost.
 
     Parameters
@@ -119,7 +118,7 @@ def optimal_assignment(costs: FloatArray) -> IntArray:
         column_of_row = np.full((problems, rows), -1, dtype=np.int64)
         np.put_along_axis(column_of_row, row_of_column, np.arange(columns)[None, :], axis=1)
         return column_of_row
-    nearest: IntArray = costs.argmin(axis=2).astype(np.int64)
+    nearest: Integers = costs.argmin(axis=2).astype(np.int64)
     ranked = np.sort(nearest, axis=1)
     clashes = np.flatnonzero((ranked[:, 1:] == ranked[:, :-1]).any(axis=1))
     if clashes.size:

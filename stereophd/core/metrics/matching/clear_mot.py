@@ -24,9 +24,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
-from stereophd.core.metrics.matching.near_pairs import BoolArray, NearPairs, most_gain, near_pairs
+from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
 from stereophd.core.metrics.scans import PointSets, ScanScores, score_scans
 
 NEVER = -1
@@ -40,27 +40,27 @@ class _Run:
 
     near: NearPairs
     # First pair of each scan, and the number of pairs: (k + 1,).
-    start: IntArray
+    start: Integers
     # (q,) Identity of the track, UNLABELLED without one, and number of the object.
-    track: IntArray
-    target: IntArray
+    track: Integers
+    target: Integers
     # (q,) What the pair saves of the cost of an assignment.
-    gain: FloatArray
+    gain: Array
     targets: int
     # (q,) Whether the optimal assignment of the scan has the pair.
-    optimal: BoolArray
+    optimal: Booleans
     # Rows of the optimal pairs with an identity by object and scan, and the rising keys of both.
-    known: IntArray
-    known_key: IntArray
+    known: Integers
+    known_key: Integers
 
 
 class _Memory:
     """Track that each object was last matched to, and when."""
 
-    def __init__(self, track: IntArray, when: IntArray) -> None:
+    def __init__(self, track: Integers, when: Integers) -> None:
         self.track, self.when = track, when
 
-    def update(self, run: _Run, pairs: IntArray, scan: int) -> None:
+    def update(self, run: _Run, pairs: Integers, scan: int) -> None:
         """Take the pairs of a scan into account; those without identity do not count."""
         known = pairs[run.track[pairs] > UNLABELLED]
         self.track[run.target[known]] = run.track[known]
@@ -160,7 +160,7 @@ def follow(estimates: PointSets, truth: PointSets, scores: ScanScores, near: Nea
     """
     run = _number(estimates, truth, scores, near, order)
     suspects = _suspects(run)
-    pieces: list[IntArray] = []
+    pieces: list[Integers] = []
     done = position = 0
     while position < len(suspects):
         scan = int(suspects[position])
@@ -196,7 +196,7 @@ def _number(estimates: PointSets, truth: PointSets, scores: ScanScores, near: Ne
     )  # fmt: skip
 
 
-def _suspects(run: _Run) -> IntArray:
+def _suspects(run: _Run) -> Integers:
     """Return the scans at which an object could keep the track that the optimal assignments gave it last, but does not.
 
     Up to the first of them both assignments are the same.
@@ -206,7 +206,7 @@ def _suspects(run: _Run) -> IntArray:
     return np.unique(run.near.scan[broken])
 
 
-def _last_before(run: _Run, target: IntArray, scan: IntArray | int) -> IntArray:
+def _last_before(run: _Run, target: Integers, scan: Integers | int) -> Integers:
     """Return the last optimal pair with identity of each object before a scan, `NEVER` without one."""
     if len(run.known) == 0:
         return np.full(len(target), NEVER, dtype=np.int64)
@@ -221,7 +221,7 @@ def _memory_before(run: _Run, scan: int) -> _Memory:
     return _Memory(np.where(last == NEVER, NEVER, run.track[last]), np.where(last == NEVER, NEVER, run.near.scan[last]))
 
 
-def _step_through(run: _Run, first: int) -> tuple[Sequence[IntArray], int]:
+def _step_through(run: _Run, first: int) -> tuple[Sequence[Integers], int]:
     """Assign scan by scan from `first`, until the optimal assignments remember the same; return pairs and next scan."""
     optimal = _memory_before(run, first)
     memory = _Memory(optimal.track.copy(), optimal.when.copy())
@@ -237,7 +237,7 @@ def _step_through(run: _Run, first: int) -> tuple[Sequence[IntArray], int]:
     return pieces, len(run.start) - 1
 
 
-def _assign(run: _Run, rows: IntArray, memory: _Memory) -> IntArray:
+def _assign(run: _Run, rows: Integers, memory: _Memory) -> Integers:
     """Return the pairs of one scan: those that are kept, and the best of what is left."""
     target = run.target[rows]
     track = run.track[rows]

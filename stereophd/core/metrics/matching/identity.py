@@ -16,75 +16,53 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
 class TrackTable:
-    """Figures of each track, arrays (t,) in order of identity.
+    """Figures of each track, arrays (t,) in order of identity."""
 
-    Attributes
-    ----------
-    track_id : (t,) array
-        Identity.
-    n_estimates, n_matched : (t,) arrays
-        Number of its estimates, and of those that are matched to an object.
-    object_id : (t,) array
-        Its dominant object; without meaning where nothing is matched.
-    n_dominant : (t,) array
-        Number of its estimates that are matched to that object.
-    """
-
-    track_id: IntArray
-    n_estimates: IntArray
-    n_matched: IntArray
-    object_id: IntArray
-    n_dominant: IntArray
+    track_id: Integers  # (t,) array: Identity
+    # `n_estimates`, `n_matched`: (t,) arrays: Number of its estimates, and of those that are matched to an object.
+    n_estimates: Integers
+    n_matched: Integers
+    object_id: Integers  # (t,) array: Its dominant object; without meaning where nothing is matched
+    n_dominant: Integers  # (t,) array: Number of its estimates that are matched to that object
 
     @property
-    def purity(self) -> FloatArray:
+    def purity(self) -> Array:
         """Share of the estimates that are matched to the dominant object, (t,); 0 for a false track."""
         return self.n_dominant / self.n_estimates
 
 
 @dataclass(frozen=True)
 class ObjectTable:
-    """How each true object was followed, arrays (o,) in order of identity.
+    """How each true object was followed, arrays (o,) in order of identity."""
 
-    Attributes
-    ----------
-    object_id : (o,) array
-        Identity.
-    n_scans, n_matched : (o,) arrays
-        Number of scans at which it exists, and of those at which any estimate is matched to it.
-    track_id : (o,) array
-        Its dominant track; without meaning where no track is matched.
-    n_dominant : (o,) array
-        Number of scans at which that track is matched to it.
-    n_tracks : (o,) array
-        Number of tracks that are matched to it at some scan: its fragmentation, 1 if followed well.
-    """
-
-    object_id: IntArray
-    n_scans: IntArray
-    n_matched: IntArray
-    track_id: IntArray
-    n_dominant: IntArray
-    n_tracks: IntArray
+    object_id: Integers  # (o,) array: Identity
+    # `n_scans`, `n_matched`: (o,) arrays: Number of scans at which it exists, and of those at which any estimate is
+    # matched to it.
+    n_scans: Integers
+    n_matched: Integers
+    track_id: Integers  # (o,) array: Its dominant track; without meaning where no track is matched
+    n_dominant: Integers  # (o,) array: Number of scans at which that track is matched to it
+    # (o,) array: Number of tracks that are matched to it at some scan: its fragmentation, 1 if followed well.
+    n_tracks: Integers
 
     @property
-    def completeness(self) -> FloatArray:
+    def completeness(self) -> Array:
         """Share of the scans at which any estimate is matched, (o,)."""
         return self.n_matched / self.n_scans
 
     @property
-    def completeness_dominant(self) -> FloatArray:
+    def completeness_dominant(self) -> Array:
         """Share of the scans at which the dominant track is matched, (o,)."""
         return self.n_dominant / self.n_scans
 
 
-def tabulate_tracks(label: IntArray, pair_track: IntArray, pair_object: IntArray) -> TrackTable:
+def tabulate_tracks(label: Integers, pair_track: Integers, pair_object: Integers) -> TrackTable:
     """Return what each track did.
 
     Parameters
@@ -106,7 +84,7 @@ def tabulate_tracks(label: IntArray, pair_track: IntArray, pair_object: IntArray
     return TrackTable(tracks, n_estimates, n_matched, partner, most)
 
 
-def tabulate_objects(object_id: IntArray, pair_track: IntArray, pair_object: IntArray) -> ObjectTable:
+def tabulate_objects(object_id: Integers, pair_track: Integers, pair_object: Integers) -> ObjectTable:
     """Return how each true object was followed.
 
     Parameters
@@ -129,7 +107,7 @@ def tabulate_objects(object_id: IntArray, pair_track: IntArray, pair_object: Int
     return ObjectTable(objects, n_scans, n_matched, partner, most, partners)
 
 
-def _dominant(owner: IntArray, partner: IntArray, owners: int) -> tuple[IntArray, IntArray, IntArray]:
+def _dominant(owner: Integers, partner: Integers, owners: int) -> tuple[Integers, Integers, Integers]:
     """Return the most frequent partner of each owner, how often it is, and the number of partners."""
     names, number = np.unique(partner, return_inverse=True)
     couple, times = np.unique(owner * max(len(names), 1) + number, return_counts=True)
@@ -142,7 +120,7 @@ def _dominant(owner: IntArray, partner: IntArray, owners: int) -> tuple[IntArray
     return dominant, most, np.bincount(who, minlength=owners).astype(np.int64)
 
 
-def identity_switches(scan: IntArray, object_id: IntArray, track_id: IntArray) -> NDArray[np.bool_]:
+def identity_switches(scan: Integers, object_id: Integers, track_id: Integers) -> NDArray[np.bool_]:
     """Mark the matched pairs at which a true object is matched to another track than the time before.
 
     Parameters

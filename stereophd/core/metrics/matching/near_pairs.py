@@ -5,35 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray, optimal_assignment
+from stereophd.core.metrics.matching.assignment import optimal_assignment
 from stereophd.core.metrics.scans import PointSets, base_distances, batches_of_one_size
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class NearPairs:
-    """Pairs (q,) of an estimate and a true point of one scan that are nearer than the cutoff, in order of estimate.
+    """Pairs (q,) of an estimate and a true point of one scan that are nearer than the cutoff, in order of estimate."""
 
-    Attributes
-    ----------
-    scan : (q,) array
-        Scan of the pair.
-    estimate, truth : (q,) arrays
-        Rows of the estimate and of the true point.
-    ratio : (q,) array
-        Base distance over the cutoff, in [0, 1).
-    """
+    scan: Integers  # (q,) array: Scan of the pair
+    # `estimate`, `truth`: (q,) arrays: Rows of the estimate and of the true point.
+    estimate: Integers
+    truth: Integers
+    ratio: Array  # (q,) array: Base distance over the cutoff, in [0, 1)
 
-    scan: IntArray
-    estimate: IntArray
-    truth: IntArray
-    ratio: FloatArray
-
-    def take(self, index: IntArray | BoolArray) -> NearPairs:
+    def take(self, index: Integers | Booleans) -> NearPairs:
         """Return the chosen pairs."""
         return NearPairs(self.scan[index], self.estimate[index], self.truth[index], self.ratio[index])
 
@@ -56,23 +45,16 @@ def near_pairs(estimates: PointSets, truth: PointSets, cutoff: float, *, mahalan
 
 @dataclass(frozen=True)
 class Couples:
-    """True objects and tracks that are near each other at some scan.
+    """True objects and tracks that are near each other at some scan."""
 
-    Attributes
-    ----------
-    object_of, track_of : (n,), (m,) arrays
-        Number, from zero, of the object of each true point and of the track of each estimate.
-    objects, tracks : (c,) arrays
-        Object and track of each couple.
-    number : (q,) array
-        Couple of each near pair.
-    """
-
-    object_of: IntArray
-    track_of: IntArray
-    objects: IntArray
-    tracks: IntArray
-    number: IntArray
+    # `object_of`, `track_of`: (n,), (m,) arrays: Number, from zero, of the object of each true point and of the track
+    # of each estimate.
+    object_of: Integers
+    track_of: Integers
+    # `objects`, `tracks`: (c,) arrays: Object and track of each couple.
+    objects: Integers
+    tracks: Integers
+    number: Integers  # (q,) array: Couple of each near pair
 
 
 def couples(estimates: PointSets, truth: PointSets, near: NearPairs) -> Couples:
@@ -84,7 +66,7 @@ def couples(estimates: PointSets, truth: PointSets, near: NearPairs) -> Couples:
     return Couples(object_of, track_of, objects, tracks, number)
 
 
-def _numbered_tracks(label: IntArray) -> tuple[IntArray, int]:
+def _numbered_tracks(label: Integers) -> tuple[Integers, int]:
     """Number the tracks of estimates (n,) from zero; return the numbers and how many tracks there are."""
     known = label > UNLABELLED
     names, number = np.unique(label[known], return_inverse=True)
@@ -94,7 +76,7 @@ def _numbered_tracks(label: IntArray) -> tuple[IntArray, int]:
     return out, len(names) + int(np.count_nonzero(~known))
 
 
-def most_gain(pairs: NearPairs, gain: FloatArray) -> IntArray:
+def most_gain(pairs: NearPairs, gain: Array) -> Integers:
     """Choose pairs that share no point, of the greatest total gain (not negative) in each scan.
 
     Parameters
@@ -129,7 +111,7 @@ def most_gain(pairs: NearPairs, gain: FloatArray) -> IntArray:
     return np.sort(np.concatenate(chosen))
 
 
-def _solve(estimate: IntArray, truth: IntArray, gain: FloatArray) -> IntArray:
+def _solve(estimate: Integers, truth: Integers, gain: Array) -> Integers:
     """Choose pairs of one scan: those of the greatest total gain."""
     names, row = np.unique(estimate, return_inverse=True)
     others, column = np.unique(truth, return_inverse=True)

@@ -6,23 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.arrays import Array, Integers
 
 
 @dataclass(frozen=True)
 class EventKeys:
     """Names of events, one row each: time, index of the camera, frame; arrays (k,)."""
 
-    time_s: FloatArray
-    camera: IntArray
-    frame: IntArray
+    time_s: Array
+    camera: Integers
+    frame: Integers
 
-    def take(self, rows: IntArray) -> EventKeys:
+    def take(self, rows: Integers) -> EventKeys:
         """Return the chosen rows."""
         return EventKeys(self.time_s[rows], self.camera[rows], self.frame[rows])
 
 
-def first_rows_of_events(keys: EventKeys) -> IntArray:
+def first_rows_of_events(keys: EventKeys) -> Integers:
     """Return the first row of each run of rows with one key."""
     new = np.ones(len(keys.time_s), dtype=bool)
     new[1:] = np.diff(keys.time_s) != 0
@@ -38,7 +38,7 @@ def first_repeated(keys: EventKeys) -> int | None:
     return int(np.argmax(repeated)) if repeated.any() else None
 
 
-def find_events(wanted: EventKeys, among: EventKeys) -> IntArray:
+def find_events(wanted: EventKeys, among: EventKeys) -> Integers:
     """Return the row of `among` (distinct keys) that has each wanted key, -1 where there is none."""
     number = _number_equal(among, wanted)
     count = len(among.time_s)
@@ -47,7 +47,7 @@ def find_events(wanted: EventKeys, among: EventKeys) -> IntArray:
     return row_of_number[number[count:]]
 
 
-def _number_equal(*parts: EventKeys) -> IntArray:
+def _number_equal(*parts: EventKeys) -> Integers:
     """Number the keys of all parts, one after the other, so that equal keys have equal numbers."""
     columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("time_s", "camera", "frame")]
     order = np.lexsort(columns[::-1])

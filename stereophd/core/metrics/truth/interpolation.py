@@ -8,13 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.numerics.times import SAME_TIME_S
-
-BoolArray = NDArray[np.bool_]
 
 # By default the truth may be interpolated over intervals a little longer than its usual step.
 DEFAULT_GAP_STEPS = 1.5
@@ -22,27 +19,15 @@ DEFAULT_GAP_STEPS = 1.5
 
 @dataclass(frozen=True)
 class Truth:
-    """True objects: rows ordered by object and, within an object, by time.
+    """True objects: rows ordered by object and, within an object, by time."""
 
-    Attributes
-    ----------
-    time_s : (n,) array
-        True time; distinct within an object.
-    object_id : (n,) array
-        Identity.
-    position : (n, 3) array
-        In the world, length unit.
-    velocity : (n, 3) array or None
-        Length unit per second; None where only positions are known.
-    """
-
-    time_s: FloatArray
-    object_id: IntArray
-    position: FloatArray
-    velocity: FloatArray | None = None
+    time_s: Array  # (n,) array: True time; distinct within an object
+    object_id: Integers  # (n,) array: Identity
+    position: Array  # (n, 3) array: In the world, length unit
+    velocity: Array | None = None  # (n, 3) array or None: Length unit per second; None where only positions are known
 
     @property
-    def object_start(self) -> IntArray:
+    def object_start(self) -> Integers:
         """First row of each object, and the number of rows: (objects + 1,)."""
         change = np.flatnonzero(np.diff(self.object_id)) + 1
         ends = [len(self.object_id)] if len(self.object_id) else []
@@ -57,52 +42,36 @@ class Truth:
 
 @dataclass(frozen=True)
 class Events:
-    """The events of a run, in the order in which they were processed.
+    """The events of a run, in the order in which they were processed."""
 
-    Attributes
-    ----------
-    time_s : (k,) array
-        Time of each event, never decreasing.
-    row_start, row_end : (k,) arrays
-        The estimates reported after it are these rows of the tracks; equal when there are none.
-    """
+    time_s: Array  # (k,) array: Time of each event, never decreasing
+    # `row_start`, `row_end`: (k,) arrays: The estimates reported after it are these rows of the tracks; equal when
+    # there are none.
+    row_start: Integers
+    row_end: Integers
 
-    time_s: FloatArray
-    row_start: IntArray
-    row_end: IntArray
-
-    def take(self, index: IntArray | BoolArray) -> Events:
+    def take(self, index: Integers | Booleans) -> Events:
         """Return the chosen events."""
         return Events(self.time_s[index], self.row_start[index], self.row_end[index])
 
 
 @dataclass(frozen=True)
 class AlignedTruth:
-    """True objects at the times of k events.
+    """True objects at the times of k events."""
 
-    Attributes
-    ----------
-    points : PointSets
-        Their positions and velocities.
-    outside : (k,) bool array
-        The time is before the first or after the last row of the truth.
-    gap : (k,) bool array
-        An object that exists then has no rows near enough to interpolate its position.
-    """
-
-    points: PointSets
-    outside: BoolArray
-    gap: BoolArray
+    points: PointSets  # Their positions and velocities
+    outside: Booleans  # (k,) bool array: The time is before the first or after the last row of the truth
+    gap: Booleans  # (k,) bool array: An object that exists then has no rows near enough to interpolate its position
 
 
-def last_event_of_each_time(time_s: FloatArray) -> IntArray:
+def last_event_of_each_time(time_s: Array) -> Integers:
     """Return the index of the last of all events that share a time, for times (k,) in order."""
     if len(time_s) == 0:
         return np.zeros(0, dtype=np.int64)
     return np.flatnonzero(np.append(np.diff(time_s) > SAME_TIME_S, True)).astype(np.int64)
 
 
-def add_truth_times(events: Events, truth_time_s: FloatArray) -> Events:
+def add_truth_times(events: Events, truth_time_s: Array) -> Events:
     """Add an event without estimates at each time of the truth that has none, if the grids agree.
 
     Parameters
@@ -134,7 +103,7 @@ def add_truth_times(events: Events, truth_time_s: FloatArray) -> Events:
     return joined.take(order.astype(np.int64))
 
 
-def _is_near(time_s: FloatArray, grid: FloatArray) -> BoolArray:
+def _is_near(time_s: Array, grid: Array) -> Booleans:
     """Return which times lie within the tolerance of a time of the grid (sorted)."""
     if len(grid) == 0:
         return np.zeros(len(time_s), dtype=bool)
@@ -144,7 +113,7 @@ def _is_near(time_s: FloatArray, grid: FloatArray) -> BoolArray:
     return np.asarray(distance <= SAME_TIME_S)
 
 
-def in_window(time_s: FloatArray, from_s: float | None, to_s: float | None) -> BoolArray:
+def in_window(time_s: Array, from_s: float | None, to_s: float | None) -> Booleans:
     """Return which times lie in ``[from_s, to_s]``; None is no bound."""
     inside = np.ones(len(time_s), dtype=bool)
     if from_s is not None:
@@ -154,7 +123,7 @@ def in_window(time_s: FloatArray, from_s: float | None, to_s: float | None) -> B
     return inside
 
 
-def align_truth(truth: Truth, time_s: FloatArray, max_gap_s: float) -> AlignedTruth:
+def align_truth(truth: Truth, time_s: Array, max_gap_s: float) -> AlignedTruth:
     """Interpolate the true objects linearly at the times of events.
 
     Parameters
@@ -199,7 +168,7 @@ def align_truth(truth: Truth, time_s: FloatArray, max_gap_s: float) -> AlignedTr
     return AlignedTruth(points, outside, gap)
 
 
-def _segments(row_time: FloatArray, starts: IntArray, time: FloatArray, count: IntArray) -> IntArray:
+def _segments(row_time: Array, starts: Integers, time: Array, count: Integers) -> Integers:
     """Return for each time of each object the row that begins its segment (objects one after the other)."""
     pieces = [np.zeros(0, dtype=np.int64)]
     done = 0
@@ -211,8 +180,8 @@ def _segments(row_time: FloatArray, starts: IntArray, time: FloatArray, count: I
 
 
 def _interpolate(
-    truth: Truth, time: FloatArray, left: IntArray, last: IntArray, first: IntArray, max_gap_s: float
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+    truth: Truth, time: Array, left: Integers, last: Integers, first: Integers, max_gap_s: float
+) -> tuple[Array, Array, Booleans]:
     """Return position, velocity and whether the time is inside too long a segment, for each point."""
     right = np.minimum(left + 1, last)
     span = truth.time_s[right] - truth.time_s[left]
@@ -230,7 +199,7 @@ def _interpolate(
     return position, velocity, long & ~on_row
 
 
-def _segment_velocity(truth: Truth, left: IntArray, right: IntArray, max_gap_s: float) -> FloatArray:
+def _segment_velocity(truth: Truth, left: Integers, right: Integers, max_gap_s: float) -> Array:
     """Return the velocity (n, 3) along segments, NaN for those without length or too long."""
     span = truth.time_s[right] - truth.time_s[left]
     usable = (span > 0) & (span <= max_gap_s + SAME_TIME_S)

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.geometry.rotations import cross_matrices
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
 from stereophd.core.metrics.truth.interpolation import Truth, align_truth
 
 # Steps of the least squares at most, those of them with equal weights, and the change at which they end, in parts of
@@ -40,61 +40,47 @@ class Freedom:
     clock: bool = False
 
     @property
-    def columns(self) -> IntArray:
+    def columns(self) -> Integers:
         """Places of the free values among rotation (3), translation (3), scale, shift and rate."""
         return np.flatnonzero([self.frame] * 6 + [self.scale] + [self.clock] * 2)
 
 
 @dataclass(frozen=True)
 class Registration:
-    """A similarity of space and an affine map of time, from the tracks to the truth.
+    """A similarity of space and an affine map of time, from the tracks to the truth."""
 
-    Attributes
-    ----------
-    rotation : (3, 3) array
-    translation : (3,) array
-        Length.
-    scale : float
-    at_s : float
-        The time t_0, s.
-    shift_s, rate : float
-        What the truth's clock shows more at t_0, s; and its rate relative to the clock of the estimates.
-    estimates : int
-        How many estimates had a true object at their time.
-    """
-
-    rotation: FloatArray
-    translation: FloatArray
+    rotation: Array  # (3, 3) array
+    translation: Array  # (3,) array: Length
     scale: float
-    at_s: float
+    at_s: float  # The time t_0, s
+    # `shift_s`, `rate`: What the truth's clock shows more at t_0, s; and its rate relative to the clock of the
+    # estimates.
     shift_s: float
     rate: float
-    estimates: int
+    estimates: int  # How many estimates had a true object at their time
 
-    def times(self, time_s: FloatArray) -> FloatArray:
+    def times(self, time_s: Array) -> Array:
         """True times (n,) of times of the tracks, s."""
         return np.asarray(self.at_s + self.shift_s + self.rate * (time_s - self.at_s))
 
-    def track_times(self, time_s: FloatArray) -> FloatArray:
+    def track_times(self, time_s: Array) -> Array:
         """Times (n,) of the tracks at true times, s."""
         return np.asarray(self.at_s + (time_s - self.at_s - self.shift_s) / self.rate)
 
-    def positions(self, positions: FloatArray) -> FloatArray:
+    def positions(self, positions: Array) -> Array:
         """Positions (n, 3) in the frame of the truth."""
         return np.asarray(self.scale * positions @ self.rotation.T + self.translation)
 
-    def velocities(self, velocities: FloatArray) -> FloatArray:
+    def velocities(self, velocities: Array) -> Array:
         """Velocities (n, 3) in the frame of the truth."""
         return np.asarray(self.scale / self.rate * velocities @ self.rotation.T)
 
-    def covariances(self, covariances: FloatArray) -> FloatArray:
+    def covariances(self, covariances: Array) -> Array:
         """Covariances (n, 3, 3) of positions in the frame of the truth."""
         return np.asarray(self.scale**2 * self.rotation @ covariances @ self.rotation.T)
 
 
-def register(
-    time_s: FloatArray, positions: FloatArray, truth: Truth, max_gap_s: float, freedom: Freedom
-) -> Registration:
+def register(time_s: Array, positions: Array, truth: Truth, max_gap_s: float, freedom: Freedom) -> Registration:
     """Find the motion and the map of time that bring estimates nearest to the truth.
 
     Parameters
@@ -146,8 +132,8 @@ def register(
 
 
 def _nearest(
-    found: Registration, time_s: FloatArray, positions: FloatArray, truth: Truth, max_gap_s: float
-) -> tuple[IntArray, FloatArray, FloatArray]:
+    found: Registration, time_s: Array, positions: Array, truth: Truth, max_gap_s: float
+) -> tuple[Integers, Array, Array]:
     """Estimates (r,) that have true objects at their times, and position and velocity (r, 3) of the nearest."""
     aligned = align_truth(truth, found.times(time_s), max_gap_s)
     starts = aligned.points.start
@@ -162,7 +148,7 @@ def _nearest(
     return rows[best], aligned.points.position[places[best]], np.nan_to_num(aligned.points.velocity[places[best]])
 
 
-def _jacobian(from_center: FloatArray, velocities: FloatArray, elapsed: FloatArray) -> FloatArray:
+def _jacobian(from_center: Array, velocities: Array, elapsed: Array) -> Array:
     """Derivatives (r, 3, 9) of the moved estimates less the truth: by rotation, translation, scale, shift, rate."""
     out = np.zeros((len(elapsed), 3, 9))
     out[:, :, :3] = -cross_matrices(from_center)
@@ -173,7 +159,7 @@ def _jacobian(from_center: FloatArray, velocities: FloatArray, elapsed: FloatArr
     return out
 
 
-def _stepped(found: Registration, step: FloatArray, center: FloatArray, estimates: int) -> Registration:
+def _stepped(found: Registration, step: Array, center: Array, estimates: int) -> Registration:
     """Return a registration that is turned and scaled about a centre, moved, and timed anew."""
     turn, factor = rotation_from_vector(step[:3]), float(np.exp(step[6]))
     translation = center + step[3:6] + factor * turn @ (found.translation - center)

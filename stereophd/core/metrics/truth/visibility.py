@@ -6,33 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.metrics.matching.assignment import FloatArray, IntArray
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.scans import PointSets, score_scans
-from stereophd.core.metrics.truth.interpolation import BoolArray
 from stereophd.core.numerics.times import SAME_TIME_S
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """Detections as far as visibility needs them.
+    """Detections as far as visibility needs them."""
 
-    Attributes
-    ----------
-    time_s : (n,) array
-        True time of each detection, in any order.
-    camera : (n,) array
-        Index of its camera.
-    object_id : (n,) array or None
-        The true object of each detection; None if the log has no such column: every detection then counts for every
-        object.
-    """
-
-    time_s: FloatArray
-    camera: IntArray
-    object_id: IntArray | None = None
+    time_s: Array  # (n,) array: True time of each detection, in any order
+    camera: Integers  # (n,) array: Index of its camera
+    # (n,) array or None: The true object of each detection; None if the log has no such column: every detection then
+    # counts for every object.
+    object_id: Integers | None = None
 
 
-def cameras_that_saw(sightings: Sightings, time_s: FloatArray, object_id: IntArray, within_s: float) -> IntArray:
+def cameras_that_saw(sightings: Sightings, time_s: Array, object_id: Integers, within_s: float) -> Integers:
     """Count the distinct cameras that detected each object in the seconds up to a time.
 
     Parameters
@@ -61,9 +51,7 @@ def cameras_that_saw(sightings: Sightings, time_s: FloatArray, object_id: IntArr
     return count
 
 
-def _latest_before(
-    detected_at: FloatArray, detected: IntArray, time_s: FloatArray, object_id: IntArray | None
-) -> FloatArray:
+def _latest_before(detected_at: Array, detected: Integers, time_s: Array, object_id: Integers | None) -> Array:
     """Return the time of the last detection of each object up to each time, -inf if there is none.
 
     Detections and questions are sorted together by object and time; the last detection before each question
@@ -83,8 +71,8 @@ def _latest_before(
 
 
 def leave_out_unseen(
-    estimates: PointSets, truth: PointSets, seen: BoolArray, order: float, cutoff: float, *, mahalanobis: bool
-) -> tuple[PointSets, PointSets, BoolArray]:
+    estimates: PointSets, truth: PointSets, seen: Booleans, order: float, cutoff: float, *, mahalanobis: bool
+) -> tuple[PointSets, PointSets, Booleans]:
     """Leave out the unseen true points and the estimates assigned to them.
 
     Parameters

@@ -5,34 +5,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # In the place of a detection where none is more probable than all others together.
 UNDECIDED = -1
 
 
 class Claims(NamedTuple):
-    """Which labels the detections of an event belong to, with which probability.
+    """Which labels the detections of an event belong to, with which probability."""
 
-    Attributes
-    ----------
-    labels : array (n,) of int
-        Several rows of one label and detection are alternatives: their probabilities add up.
-    detections : array (n,) of int
-        Rows of the event's detections.
-    probabilities : array (n,)
-        That the object of the label exists and made the detection (in a PHD, the expected number of such objects).
-        What is missing to 1 for a detection is the probability of clutter and of objects that were not kept.
-    """
-
+    # (n,) of int: Several rows of one label and detection are alternatives: their probabilities add up.
     labels: Integers
-    detections: Integers
+    detections: Integers  # (n,) of int: Rows of the event's detections
+    # (n,): That the object of the label exists and made the detection (in a PHD, the expected number of such
+    # objects). What is missing to 1 for a detection is the probability of clutter and of objects that were not kept.
     probabilities: Array
 
 

@@ -18,13 +18,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.association.belief import propagate_beliefs
 from stereophd.core.multi.association.frontier import eliminate, make_plan, make_table
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import picked
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Odds below which pairs are left out of a cluster: always (the first), and to split a cluster that is too large.
 WEAK_LINKS = (1e-6, 1e-4, 1e-3)

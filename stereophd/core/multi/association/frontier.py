@@ -23,11 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Up to this number of rows, the order that keeps the frontier narrow is searched for step by step; the search costs the
 # square of the number of rows.
@@ -35,45 +33,21 @@ MOST_ROWS_TO_ORDER = 48
 
 
 class Table(NamedTuple):
-    """Pairs of a cluster, row by row.
+    """Pairs of a cluster, row by row."""
 
-    Attributes
-    ----------
-    starts : array (n_rows + 1,)
-        The pairs of row r are those from ``starts[r]`` to ``starts[r + 1]``.
-    columns : array (p,)
-        Column of each pair.
-    odds : array (p,)
-        Weight of each pair.
-    n_columns : int
-        Number of columns.
-    """
-
-    starts: Integers
-    columns: Integers
-    odds: Array
-    n_columns: int
+    starts: Integers  # The pairs of row r are those from ``starts[r]`` to ``starts[r + 1]``
+    columns: Integers  # (p,): Column of each pair
+    odds: Array  # (p,): Weight of each pair
+    n_columns: int  # Number of columns
 
 
 class Plan(NamedTuple):
-    """Order of the rows, and what it costs.
+    """Order of the rows, and what it costs."""
 
-    Attributes
-    ----------
-    order : array (n_rows,)
-        Rows in order of elimination.
-    width : int
-        Largest number of columns in the frontier.
-    room : int
-        Total size of the forward messages.
-    cost : float
-        Multiplications of one pass; infinite where the frontier is wider than the limit.
-    """
-
-    order: Integers
-    width: int
-    room: int
-    cost: float
+    order: Integers  # Rows in order of elimination
+    width: int  # Largest number of columns in the frontier
+    room: int  # Total size of the forward messages
+    cost: float  # Multiplications of one pass; infinite where the frontier is wider than the limit
 
 
 @compiled

@@ -23,11 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import largest
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Pairs further apart than this many standard deviations in u have a likelihood below 1e-17 of the
 # peak: leaving them out changes nothing, and detections ordered by u make finding the others cheap.

@@ -5,15 +5,11 @@ What a detection says about a new object, and what the prior adds to it: `stereo
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.state.inputs import NewbornPrior
-
-Array = NDArray[np.float64]
 
 
 def newborn_prior(space: Array, prior: BirthPrior) -> NewbornPrior:

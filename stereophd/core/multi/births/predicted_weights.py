@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.multi.births.visibility import fade_out_of_view
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Components from this weight or existence on get more samples where only a corner of them is in view.
 IMPORTANT_WEIGHT = 0.1

@@ -26,13 +26,11 @@ from statistics import NormalDist
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.geometry.camera import Detector
 from stereophd.core.multi.filter_settings.common import BirthPrior
-
-Array = NDArray[np.float64]
 
 Reduction = TypeVar("Reduction", bound=NamedTuple)
 
@@ -54,20 +52,14 @@ CROWD_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Undetected:
-    """Objects never detected so far.
+    """Objects never detected so far."""
 
-    Attributes
-    ----------
-    counts : array (c,)
-        Expected number in the view of each camera, of those that appeared since the start.
-    initial_share : array (c,)
-        Share of the objects in view of a camera at the start that the others left; 0 once the camera has had a frame.
-    peaks : array (c,)
-        Largest expected number in the view of each camera at an event since its own last frame; 0 if there was none.
-    """
-
-    counts: Array
+    counts: Array  # (c,): Expected number in the view of each camera, of those that appeared since the start
+    # (c,): Share of the objects in view of a camera at the start that the others left; 0 once the camera has had a
+    # frame.
     initial_share: Array
+    # (c,): Largest expected number in the view of each camera at an event since its own last frame; 0 if there was
+    # none.
     peaks: Array
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moments import FEWEST_SAMPLES, NO_REGION, minimum_in_view
 from stereophd.core.disparity.sample_move import Look
@@ -22,40 +22,23 @@ from stereophd.core.multi.births.undetected import Undetected, reduction_for_bir
 from stereophd.core.multi.camera_hypotheses.batch_kernels import Looks, PredictionNumbers, predict
 from stereophd.core.multi.state.mixture import GaussianMixture, concatenate, empty_mixture
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 # Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
 CHUNK = 8
 
 
 @dataclass(frozen=True)
 class BatchState:
-    """Conditional mixtures of k camera hypotheses after an event.
+    """Conditional mixtures of k camera hypotheses after an event."""
 
-    Attributes
-    ----------
-    begins, ends : arrays (k,) of int
-        The components of hypothesis h are those from ``begins[h]`` to ``ends[h]`` of the mixture. Hypotheses may
-        share components: resampling copies none.
-    mixture : GaussianMixture
-        Components of all hypotheses.
-    time_s : float or None
-        Time of the last event, None before the first.
-    n_events : int
-        Events so far: picks the sample set.
-    next_label : int
-        First unused label, the same in all hypotheses.
-    undetected : Undetected, optional
-        Objects that no camera has detected yet, the same in all hypotheses; None before the first event.
-    """
-
+    # `begins`, `ends`: arrays (k,) of int: The components of hypothesis h are those from ``begins[h]`` to ``ends[h]``
+    # of the mixture. Hypotheses may share components: resampling copies none.
     begins: Integers
     ends: Integers
-    mixture: GaussianMixture
-    time_s: float | None
-    n_events: int
-    next_label: int
+    mixture: GaussianMixture  # Components of all hypotheses
+    time_s: float | None  # Time of the last event, None before the first
+    n_events: int  # Events so far: picks the sample set
+    next_label: int  # First unused label, the same in all hypotheses
+    # Objects that no camera has detected yet, the same in all hypotheses; None before the first event.
     undetected: Undetected | None = None
 
     @property
@@ -86,21 +69,15 @@ class FilterBatch:
     components are moved by samples, regardless of the template's method: a rule that gives way to another at a
     threshold would make the likelihood jump.
 
-    Attributes
-    ----------
-    template : DisparityFilter
-        At the nominal cameras. Hypotheses share its intrinsics, lenses and detectors: only poses differ.
-    threads : int
-        Hypotheses are shared out over this many threads; results do not depend on it.
-
     Raises
     ------
     ValueError
         Cameras move.
     """
 
+    # At the nominal cameras. Hypotheses share its intrinsics, lenses and detectors: only poses differ.
     template: DisparityFilter
-    threads: int = 1
+    threads: int = 1  # Hypotheses are shared out over this many threads; results do not depend on it
 
     def __post_init__(self) -> None:
         if self.template.rig.moving:

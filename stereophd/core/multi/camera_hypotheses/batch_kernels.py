@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
 from stereophd.core.disparity.sample_move import Look, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
@@ -24,9 +24,6 @@ from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.numerics.compilation.compiled import compiled
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 # Components that a hypothesis gets room for at first.
 ROOM = 256
 
@@ -39,25 +36,14 @@ class Looks(NamedTuple):
 
 
 class PredictionNumbers(NamedTuple):
-    """Numbers of a prediction.
+    """Numbers of a prediction."""
 
-    Attributes
-    ----------
-    camera : int
-        Index of the camera of the event.
-    survival : float
-        Probability that an object survives since the last event.
-    elapsed, out_of_view_s : float
-        Time since the last event, s, and the time constant of `fade_out_of_view`.
-    shape_p_detect : float
-        Probability of detection for the shape of the missed part; 0 where it keeps its own.
-    """
-
-    camera: int
-    survival: float
+    camera: int  # Index of the camera of the event
+    survival: float  # Probability that an object survives since the last event
+    # `elapsed`, `out_of_view_s`: Time since the last event, s, and the time constant of `fade_out_of_view`.
     elapsed: float
     out_of_view_s: float
-    shape_p_detect: float
+    shape_p_detect: float  # Probability of detection for the shape of the missed part; 0 where it keeps its own
 
 
 @compiled

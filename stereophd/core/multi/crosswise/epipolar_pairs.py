@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
@@ -19,9 +19,6 @@ from stereophd.core.multi.crosswise.history import DeferredPairs
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Tracks whose epipolar planes are further apart than this many standard deviations of a pixel are not tested.
 COPLANAR_SIGMAS = 6.0

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.sample_move import Look
 from stereophd.core.disparity.trips import disparity_scale
@@ -37,9 +38,6 @@ from stereophd.core.multi.crosswise.explanations import ExplainedRows, explain_r
 from stereophd.core.multi.crosswise.history import ClaimedRows, History, no_deferred_pairs
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Fewest kept detections of each track in the camera whose detections are exchanged, and in all others together.
 LEAST_DETECTIONS = 3
@@ -55,24 +53,13 @@ FEWEST = 2
 
 @dataclass(frozen=True)
 class CrosswiseTest:
-    """The test, and what it takes of a filter.
-
-    Attributes
-    ----------
-    rig : Rig
-    motion : Motion
-    samples : array (rows, s)
-        Samples of the moves.
-    birth : BirthPrior
-    threshold : float
-        Log-odds above which detections are exchanged.
-    """
+    """The test, and what it takes of a filter."""
 
     rig: Rig
     motion: Motion
-    samples: Array
+    samples: Array  # (rows, s): Samples of the moves
     birth: BirthPrior
-    threshold: float
+    threshold: float  # Log-odds above which detections are exchanged
 
     @cached_property
     def tolerances(self) -> list[float]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
@@ -22,30 +23,19 @@ from stereophd.core.multi.crosswise.history import ClaimedRows
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 # A detection whose density is further below the peak of its own noise, nats, is another object's or clutter, and is
 # left out: labels have claimed what does not fit before they settled.
 MOST_SURPRISE = 15.0
 
 
 class ExplainedRows(NamedTuple):
-    """What `explain_rows` finds for h explanations of n detections.
+    """What `explain_rows` finds for h explanations of n detections."""
 
-    Attributes
-    ----------
-    log_likelihoods : array (h, 2)
-        Log-likelihood of the detections of each track after its first. Minus infinity if the track leaves the view of a
-        camera that detected it: the rest of the explanation is then left out.
-    fits : array (h, n) of bool
-        Whether each detection was taken for one of its track.
-    means, covariances : arrays (h, 2, d), (h, 2, d, d)
-        Moments of the tracks at their last detections.
-    """
-
+    # (h, 2): Log-likelihood of the detections of each track after its first. Minus infinity if the track leaves the
+    # view of a camera that detected it: the rest of the explanation is then left out.
     log_likelihoods: Array
-    fits: NDArray[np.bool_]
+    fits: NDArray[np.bool_]  # (h, n) of bool: Whether each detection was taken for one of its track
+    # `means`, `covariances`: arrays (h, 2, d), (h, 2, d, d): Moments of the tracks at their last detections.
     means: Array
     covariances: Array
 
@@ -59,21 +49,11 @@ def room_for_explained(explanations: int, rows: int, size: int) -> ExplainedRows
 
 
 class DetectionPaths(NamedTuple):
-    """The detections of two tracks under h explanations, each a path from detection to detection.
+    """The detections of two tracks under h explanations, each a path from detection to detection."""
 
-    Attributes
-    ----------
-    owners : array (h, n)
-        The track, 0 or 1, of each of the n detections.
-    before : array (h, n)
-        The detection before each in its track; -1 for the first.
-    intervals : array (h * n,)
-        Time since the detection before each, s, explanation by explanation; 0 for the first of a track.
-    """
-
-    owners: Integers
-    before: Integers
-    intervals: Array
+    owners: Integers  # (h, n): The track, 0 or 1, of each of the n detections
+    before: Integers  # (h, n): The detection before each in its track; -1 for the first
+    intervals: Array  # Time since the detection before each, s, explanation by explanation; 0 for the first of a track
 
 
 def make_paths(owners: Integers, times: Array) -> DetectionPaths:

@@ -6,12 +6,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.association.attribution import UNDECIDED
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Events of which detections are kept; at twice as many, every second one of the older half is dropped.
 KEPT_EVENTS = 32
@@ -22,27 +19,18 @@ _NO_READING = np.zeros((1, 3))
 
 
 class ClaimedDetections(NamedTuple):
-    """The detections of one event, and those that labels claim.
+    """The detections of one event, and those that labels claim."""
 
-    Attributes
-    ----------
-    camera, time_s : int, float
-        The event.
-    labels, detections : arrays (k,) of int
-        Labels, and the detection that each claims or `UNDECIDED`.
-    points, noises : arrays (m, 2), (m, 2, 2)
-        Undistorted pixels of all detections, and their covariances.
-    readings : array (m, 3) or None
-        Those of `stereophd.core.disparity.events.Event`.
-    """
-
+    # `camera`, `time_s`: The event.
     camera: int
     time_s: float
+    # `labels`, `detections`: arrays (k,) of int: Labels, and the detection that each claims or `UNDECIDED`.
     labels: Integers
     detections: Integers
+    # `points`, `noises`: arrays (m, 2), (m, 2, 2): Undistorted pixels of all detections, and their covariances.
     points: Array
     noises: Array
-    readings: Array | None
+    readings: Array | None  # (m, 3) or None: Those of `stereophd.core.disparity.events.Event`
 
 
 class DeferredPairs(NamedTuple):
@@ -71,16 +59,9 @@ def no_deferred_pairs() -> DeferredPairs:
 
 @dataclass(frozen=True)
 class History:
-    """What the test needs of the events before.
+    """What the test needs of the events before."""
 
-    Attributes
-    ----------
-    sightings : tuple of ClaimedDetections
-        In order of time.
-    deferred : DeferredPairs
-    """
-
-    sightings: tuple[ClaimedDetections, ...] = ()
+    sightings: tuple[ClaimedDetections, ...] = ()  # In order of time
     deferred: DeferredPairs = field(default_factory=no_deferred_pairs)
 
     def add(self, sighting: ClaimedDetections) -> History:

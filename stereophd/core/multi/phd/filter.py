@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
@@ -27,9 +27,6 @@ from stereophd.core.multi.state.estimates import Info
 from stereophd.core.multi.state.inputs import Detections, EventNumbers, NewbornPrior, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

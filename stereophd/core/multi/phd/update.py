@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
@@ -15,9 +15,6 @@ from stereophd.core.multi.state.outcomes import allocate_outcomes, fill_missed
 from stereophd.core.multi.state.reduction import reduce_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import places, stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Part of the intensity at a detection that is left to others at least, against rounding.
 LEAST_OTHERS = 1e-12

@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
@@ -20,10 +20,6 @@ from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allo
 from stereophd.core.multi.state.outcomes import fill_missed
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, largest, picked, places, stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
 
 # `max_hypotheses` that stands for a bound by the number of detections: so many a detection, and at least `LEAST_BOUND`.
 BY_DETECTIONS = 0
@@ -46,61 +42,34 @@ class PmbReduction(NamedTuple):
 
 
 class Outcomes(NamedTuple):
-    """What an event may make of n components, by c pairs of a component and a detection, and of its m detections.
+    """What an event may make of n components, by c pairs of a component and a detection, and of its m detections."""
 
-    Attributes
-    ----------
-    labels, weights : arrays (n + c + m,)
-        Labels and weights of the components that the event missed, of those that it detected, and of one new track for
-        each detection.
-    owned, made : arrays (c,) of int
-        Component and detection of each pair.
-    new_means, new_covariances : arrays (m, d), (m, d, d)
-        Gaussians of the new tracks.
-    """
-
+    # `labels`, `weights`: Labels and weights of the components that the event missed, of those that it detected, and
+    # of one new track for each detection.
     labels: Integers
     weights: Array
+    # `owned`, `made`: arrays (c,) of int: Component and detection of each pair.
     owned: Integers
     made: Integers
+    # `new_means`, `new_covariances`: arrays (m, d), (m, d, d): Gaussians of the new tracks.
     new_means: Array
     new_covariances: Array
 
 
 class Existences(NamedTuple):
-    """Tracks after an event.
+    """Tracks after an event."""
 
-    Attributes
-    ----------
-    names : array (t,) of int
-        Labels in rising order, -1 among them.
-    existence : array (t,)
-        Sum of the weights of the outcomes of each.
-    recycle_below : float
-        Tracks of a smaller existence join the intensity of undetected objects.
-    """
-
-    names: Integers
-    existence: Array
-    recycle_below: float
+    names: Integers  # (t,) of int: Labels in rising order, -1 among them
+    existence: Array  # (t,): Sum of the weights of the outcomes of each
+    recycle_below: float  # Tracks of a smaller existence join the intensity of undetected objects
 
 
 class ChosenOutcomes(NamedTuple):
-    """Outcomes worth making.
+    """Outcomes worth making."""
 
-    Attributes
-    ----------
-    chosen : array (k,) of int
-        Their places among all outcomes, in rising order.
-    weights : array (k,)
-        Of each.
-    left_out : int
-        Number of others that were worth making but for the bound on hypotheses.
-    """
-
-    chosen: Integers
-    weights: Array
-    left_out: int
+    chosen: Integers  # (k,) of int: Their places among all outcomes, in rising order
+    weights: Array  # (k,): Of each
+    left_out: int  # Number of others that were worth making but for the bound on hypotheses
 
 
 @compiled

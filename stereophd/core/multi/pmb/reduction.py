@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.pmb.hypotheses import Existences, PmbReduction, group
 from stereophd.core.multi.state.mixture import (
     UNLABELLED,
@@ -24,9 +24,6 @@ from stereophd.core.multi.state.reduction import merge_sorted
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
 from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A track is never more certain than this: at existence 1 no number of misses could end it.
 MOST_EXISTENCE = 1.0 - 1e-9

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.association.likelihoods import pair_likelihoods, shared_kalman_updates
@@ -26,9 +27,6 @@ from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import picked, places, stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # A track that must have been detected (certain, in view, detection probability 1) may still be missed
 # with this probability: odds stay finite.
@@ -130,25 +128,14 @@ def associate_tracks(
 
 
 class TrackClaims(NamedTuple):
-    """Pairs of a track and a detection: a track claims a detection as a whole, with all its alternatives.
+    """Pairs of a track and a detection: a track claims a detection as a whole, with all its alternatives."""
 
-    Attributes
-    ----------
-    owners, wanted : arrays (n,) of int
-        Track and detection of each pair, in order of both.
-    sums : array (n,)
-        Sum over the alternatives.
-    order : array (c,) of int
-        Places of the alternatives among all pairs of a component and a detection.
-    pair : array (c,) of int
-        Pair of each of them.
-    """
-
+    # `owners`, `wanted`: arrays (n,) of int: Track and detection of each pair, in order of both.
     owners: Integers
     wanted: Integers
-    sums: Array
-    order: Integers
-    pair: Integers
+    sums: Array  # (n,): Sum over the alternatives
+    order: Integers  # (c,) of int: Places of the alternatives among all pairs of a component and a detection
+    pair: Integers  # (c,) of int: Pair of each of them
 
 
 @compiled

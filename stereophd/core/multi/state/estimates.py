@@ -7,37 +7,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.association.attribution import Claims
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Objects reported after an event, in the world.
+    """Objects reported after an event, in the world."""
 
-    Attributes
-    ----------
-    track_ids : array (k,) of int
-    states : array (k, 6)
-        (x, y, z, vx, vy, vz), length and length/s.
-    covariances : array (k, 6, 6)
-        By moments.
-    existence : array (k,)
-        Weight (PHD) or probability of existence.
-    labels : array (k,) of int
-        Labels of the components behind them.
-    tentative : Estimates, optional
-        Further objects, which are not confirmed; None: there are none.
-    """
-
-    track_ids: Integers
-    states: Array
-    covariances: Array
-    existence: Array
-    labels: Integers
-    tentative: Estimates | None = None
+    track_ids: Integers  # (k,) of int
+    states: Array  # (k, 6): (x, y, z, vx, vy, vz), length and length/s
+    covariances: Array  # (k, 6, 6): By moments
+    existence: Array  # (k,): Weight (PHD) or probability of existence
+    labels: Integers  # (k,) of int: Labels of the components behind them
+    tentative: Estimates | None = None  # Further objects, which are not confirmed; None: there are none
 
     def certain(self, max_position_std: float) -> Estimates:
         """Return the estimates whose position has at most this standard deviation (root of the trace)."""
@@ -82,33 +65,18 @@ class Estimates:
 
 @dataclass(frozen=True)
 class Info:
-    """Diagnostics of an event.
+    """Diagnostics of an event."""
 
-    Attributes
-    ----------
-    log_likelihood : float
-        Multi-object log-likelihood of the event's detections (paper VII-B), over distorted pixels.
-    cardinality_mean : float
-        Expected number of objects after the event.
-    n_components : int
-        Components after reduction.
-    detected : array of int
-        Labels that the event detected (`stereophd.core.multi.association.attribution.detected_labels`).
-    claims : Claims, optional
-        Which detections they were; None unless `DisparityFilter.claims` is set.
-    left_out : int
-        Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
-    hypotheses_left_out : int
-        Hypotheses of tracks beyond the bound on their number (PMB).
-    burst : int
-        Detections that were taken as a burst of clutter (`stereophd.core.multi.births.undetected.burst_of`).
-    """
-
-    log_likelihood: float
-    cardinality_mean: float
-    n_components: int
+    log_likelihood: float  # Multi-object log-likelihood of the event's detections (paper VII-B), over distorted pixels
+    cardinality_mean: float  # Expected number of objects after the event
+    n_components: int  # Components after reduction
+    # Labels that the event detected (`stereophd.core.multi.association.attribution.detected_labels`).
     detected: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64), compare=False)
+    # Which detections they were; None unless `DisparityFilter.claims` is set.
     claims: Claims | None = field(default=None, compare=False)
+    # Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
     left_out: int = field(default=0, compare=False)
+    # Detections that were taken as a burst of clutter (`stereophd.core.multi.births.undetected.burst_of`).
     burst: int = field(default=0, compare=False)
+    # Hypotheses of tracks beyond the bound on their number (PMB).
     hypotheses_left_out: int = field(default=0, compare=False)

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeVar, get_type_hints
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
 
 Kind = TypeVar("Kind")
 
@@ -25,69 +21,41 @@ class Detections(NamedTuple):
 
 
 class NewbornPrior(NamedTuple):
-    """Prior of the objects that a camera sees for the first time.
+    """Prior of the objects that a camera sees for the first time."""
 
-    Attributes
-    ----------
-    space : array (30,)
-        Packed space of the camera.
-    mean, std : float
-        Mean and standard deviation of the disparity, px.
-    velocity_std : float
-        Standard deviation of each component of velocity, length/s.
-    """
-
-    space: Array
+    space: Array  # (30,): Packed space of the camera
+    # `mean`, `std`: Mean and standard deviation of the disparity, px.
     mean: float
     std: float
-    velocity_std: float
+    velocity_std: float  # Standard deviation of each component of velocity, length/s
 
 
 class EventArrays(NamedTuple):
-    """Detections of an event, and the objects that they may have given birth to.
+    """Detections of an event, and the objects that they may have given birth to."""
 
-    Attributes
-    ----------
-    points, noises, areas, readings : arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None
-        As in `stereophd.core.disparity.events.Event`, where `noises` are its covariances.
-    birth_means, birth_covariances : arrays (m, d), (m, d, d)
-        Gaussian of the object born with each detection, in the event's space.
-    """
-
+    # `points`, `noises`, `areas`, `readings`: arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None: As in
+    # `stereophd.core.disparity.events.Event`, where `noises` are its covariances.
     points: Array
     noises: Array
     areas: Array
     readings: Array | None
+    # `birth_means`, `birth_covariances`: arrays (m, d), (m, d, d): Gaussian of the object born with each detection,
+    # in the event's space.
     birth_means: Array
     birth_covariances: Array
 
 
 class EventNumbers(NamedTuple):
-    """Place of an event, and rates of its detector.
+    """Place of an event, and rates of its detector."""
 
-    Attributes
-    ----------
-    camera : int
-        Index of the camera in the rig.
-    time_s : float
-        Time, s.
-    next_label : int
-        First unused label.
-    p_detect : float
-        Probability of detection inside the image.
-    clutter, births : float
-        Expected number of false detections and of new objects a frame.
-    area : float
-        Area of the image, px^2.
-    """
-
-    camera: int
-    time_s: float
-    next_label: int
-    p_detect: float
+    camera: int  # Index of the camera in the rig
+    time_s: float  # Time, s
+    next_label: int  # First unused label
+    p_detect: float  # Probability of detection inside the image
+    # `clutter`, `births`: Expected number of false detections and of new objects a frame.
     clutter: float
     births: float
-    area: float
+    area: float  # Area of the image, px^2
 
 
 @compiled

@@ -7,10 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Label of components that represent undetected objects; identity of labels that were never reported.
 UNLABELLED = -1
@@ -24,31 +22,19 @@ class GaussianMixture(NamedTuple):
 
     In compiled loops the arrays are unpacked first: each fetch of an array from a tuple counts a reference up and
     down, which costs more than reading a row.
-
-    Attributes
-    ----------
-    weights : array (n,)
-        Expected number of objects of each component.
-    means, covariances : arrays (n, d), (n, d, d)
-        States (u, v, d, du, dv, dd), or (u, v, d) for static objects.
-    cameras, times : arrays (n,)
-        Home camera (index in the rig) and time, s.
-    labels : array (n,) of int
-        Components that descend from one detection share its label; -1 for objects never detected.
-    tracks : array (n,) of int
-        Identity under which the label was first reported, -1 before.
-    reported : array (n,) of bool
-        Whether the label was reported after the last event.
     """
 
-    weights: Array
+    weights: Array  # (n,): Expected number of objects of each component
+    # `means`, `covariances`: arrays (n, d), (n, d, d): States (u, v, d, du, dv, dd), or (u, v, d) for static objects.
     means: Array
     covariances: Array
+    # `cameras`, `times`: arrays (n,): Home camera (index in the rig) and time, s.
     cameras: Integers
     times: Array
+    # (n,) of int: Components that descend from one detection share its label; -1 for objects never detected.
     labels: Integers
-    tracks: Integers
-    reported: NDArray[np.bool_]
+    tracks: Integers  # (n,) of int: Identity under which the label was first reported, -1 before
+    reported: NDArray[np.bool_]  # (n,) of bool: Whether the label was reported after the last event
 
     @property
     def size(self) -> int:

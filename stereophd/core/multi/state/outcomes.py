@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Integers
 from stereophd.core.disparity.moved import IN_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.multi.state.inputs import EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @compiled

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.state.mixture import GaussianMixture, take_components
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
 from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @compiled

@@ -31,21 +31,11 @@ _INSTRUCTION = re.compile(r"^  [^ \]]", re.MULTILINE)
 
 
 class Unit(NamedTuple):
-    """A compiled form that callers are linked against.
+    """A compiled form that callers are linked against."""
 
-    Attributes
-    ----------
-    kernel : tuple of str
-        Module, qualified name and first line of its function.
-    arguments : tuple
-        Types of the arguments (numba).
-    symbol : str
-        Name of its machine code.
-    """
-
-    kernel: tuple[str, str, int]
-    arguments: tuple[Any, ...]
-    symbol: str
+    kernel: tuple[str, str, int]  # Module, qualified name and first line of its function
+    arguments: tuple[Any, ...]  # Types of the arguments (numba)
+    symbol: str  # Name of its machine code
 
 
 # Kernels by the names in `Unit`: whoever loads a caller has imported its units.

@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.pipeline.checks.geometry.rays import Reading
-
-Array = NDArray[np.float64]
 
 # From OpenGL camera axes (x right, y up, z back) to those of OpenCV.
 OPENGL = np.diag([1.0, -1.0, -1.0])
@@ -31,26 +29,13 @@ RADIAL = (-0.4, -0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
 
 @dataclass(frozen=True)
 class Alternative:
-    """A mistake, and the correction of a camera.
+    """A mistake, and the correction of a camera."""
 
-    Attributes
-    ----------
-    cause : str
-        Short name, for programs.
-    text : str
-        The mistake in words, as in "cam1: the rotation is transposed".
-    remedy : str
-    apply : callable (Camera) -> Reading or None
-        Corrects the stated camera; None if it cannot be this mistake.
-    alone : bool
-        Whether the mistake shows only if one camera is affected, not all of them.
-    """
-
-    cause: str
-    text: str
+    cause: str  # Short name, for programs
+    text: str  # The mistake in words, as in "cam1: the rotation is transposed"
     remedy: str
-    apply: Callable[[Camera], Reading | None]
-    alone: bool = False
+    apply: Callable[[Camera], Reading | None]  # Corrects the stated camera; None if it cannot be this mistake
+    alone: bool = False  # Whether the mistake shows only if one camera is affected, not all of them
 
 
 def _posed(camera: Camera, rotation: Array, center: Array) -> Reading:

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
 from stereophd.pipeline.checks.geometry.measure import LEAST_SCORE, Geometry, pairs_of
 from stereophd.pipeline.checks.geometry.rays import (
@@ -22,8 +22,6 @@ from stereophd.pipeline.checks.geometry.rays import (
     pixels_at,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
-
-Array = NDArray[np.float64]
 
 # An alternative is named if it raises the excess by this much, to this multiple.
 LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
@@ -47,21 +45,13 @@ QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
 
 @dataclass(frozen=True)
 class Explanation:
-    """An alternative that explains the log better than the cameras as stated.
+    """An alternative that explains the log better than the cameras as stated."""
 
-    Attributes
-    ----------
-    cameras : tuple of int
-        Cameras that it changes.
-    cause, text, remedy : str
-    excess, given, chance, share, score : float
-        Means over the pairs concerned: with it, as stated, by chance; and its share and score.
-    """
-
-    cameras: tuple[int, ...]
+    cameras: tuple[int, ...]  # Cameras that it changes
     cause: str
     text: str
     remedy: str
+    # Means over the pairs concerned: with it, as stated, by chance; and its share and score.
     excess: float
     given: float
     share: float
@@ -125,24 +115,14 @@ def _is_decisive(one: Explanation) -> bool:
 
 @dataclass(frozen=True)
 class Trial:
-    """Cameras or clocks with one mistake undone.
+    """Cameras or clocks with one mistake undone."""
 
-    Attributes
-    ----------
-    scope : tuple of int
-        Cameras that are changed.
-    cause, text, remedy : str
-    views : list of Reading
-    samples : list of CameraSample or None
-        With other times; None: as they are.
-    """
-
-    scope: tuple[int, ...]
+    scope: tuple[int, ...]  # Cameras that are changed
     cause: str
     text: str
     remedy: str
     views: list[Reading]
-    samples: list[CameraSample] | None = None
+    samples: list[CameraSample] | None = None  # With other times; None: as they are
 
     def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
         """Return how much the change explains of the pairs concerned; None if it concerns none."""

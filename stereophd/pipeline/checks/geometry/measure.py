@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stereophd.core.arrays import Array
 from stereophd.pipeline.checks.geometry.rays import (
     TOLERANCES,
     Candidates,
@@ -20,8 +18,6 @@ from stereophd.pipeline.checks.geometry.rays import (
     rays_of,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
-
-Array = NDArray[np.float64]
 
 # A pair below this share of what the configuration promises, or below this score, is suspicious.
 SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.6, 4.0
@@ -41,22 +37,12 @@ MOST_PAIRS = 300
 
 @dataclass(frozen=True)
 class Geometry:
-    """How often the rays of each pair of cameras meet.
-
-    Attributes
-    ----------
-    samples : list of CameraSample
-    pairs : tuple of Candidates
-    given : tuple of Meeting
-        How well rays meet for every pair, with the cameras as stated.
-    expected : tuple of float
-        Excess that the configuration promises, pair by pair.
-    """
+    """How often the rays of each pair of cameras meet."""
 
     samples: list[CameraSample]
     pairs: tuple[Candidates, ...]
-    given: tuple[Meeting, ...]
-    expected: tuple[float, ...]
+    given: tuple[Meeting, ...]  # How well rays meet for every pair, with the cameras as stated
+    expected: tuple[float, ...]  # Excess that the configuration promises, pair by pair
 
     @property
     def views(self) -> list[Reading]:

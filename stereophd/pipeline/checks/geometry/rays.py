@@ -17,14 +17,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 from stereophd.pipeline.checks.log.sample import CameraSample
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 # Of the detections of both cameras of a pair; None: not computed.
 Rays = tuple[Array | None, Array | None]
 
@@ -43,16 +41,10 @@ def unchanged(camera: Camera, pixels: Array) -> Array:
 
 @dataclass(frozen=True)
 class Reading:
-    """A camera, and how the pixels of the log are to be read.
-
-    Attributes
-    ----------
-    camera : Camera
-    read : callable (Camera, (n, 2) array) -> (n, 2) array
-        From pixels of the log to pixels of the camera.
-    """
+    """A camera, and how the pixels of the log are to be read."""
 
     camera: Camera
+    # callable (Camera, (n, 2) array) -> (n, 2) array: From pixels of the log to pixels of the camera.
     read: Callable[[Camera, Array], Array] = unchanged
 
     def rays(self, pixels: Array) -> Array:
@@ -62,27 +54,15 @@ class Reading:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Detections of A, and the detections of B at their times and at shifted times.
+    """Detections of A, and the detections of B at their times and at shifted times."""
 
-    Attributes
-    ----------
-    a, b : int
-        The cameras.
-    detections : array (n,) of int
-        Indices of the detections of A.
-    times : array (n,)
-        True times of these, s.
-    pixels_a : array (n, 2)
-    pixels_b : array (1 + s, n, k, 2)
-        At the same times, then at shifted ones; NaN where there are fewer than k.
-    """
-
+    # `a`, `b`: The cameras.
     a: int
     b: int
-    detections: Integers
-    times: Array
-    pixels_a: Array
-    pixels_b: Array
+    detections: Integers  # (n,) of int: Indices of the detections of A
+    times: Array  # (n,): True times of these, s
+    pixels_a: Array  # (n, 2)
+    pixels_b: Array  # At the same times, then at shifted ones; NaN where there are fewer than k
 
     def thinned(self, count: int, shifts: int = SHIFTS) -> Candidates:
         """Return fewer of the detections, and fewer shifted times."""
@@ -95,28 +75,15 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Meeting:
-    """How many of A's detections have a partner in B.
+    """How many of A's detections have a partner in B."""
 
-    Attributes
-    ----------
-    share, chance : float
-        Share with a partner, and at shifted times.
-    excess : float
-        ``(share - chance) / (1 - chance)``: the share that meets for a reason.
-    score : float
-        `share` minus `chance` in standard deviations of chance.
-    tolerance : float
-        In standard deviations of the distance.
-    count : int
-        Detections.
-    """
-
+    # `share`, `chance`: Share with a partner, and at shifted times.
     share: float
     chance: float
-    excess: float
-    score: float
-    tolerance: float
-    count: int
+    excess: float  # ``(share - chance) / (1 - chance)``: the share that meets for a reason
+    score: float  # `share` minus `chance` in standard deviations of chance
+    tolerance: float  # In standard deviations of the distance
+    count: int  # Detections
 
 
 def candidates(

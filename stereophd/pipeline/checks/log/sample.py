@@ -11,14 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import Frame
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 # Frames of each camera that are kept.
 MOST_FRAMES = 3000
@@ -37,26 +33,13 @@ LEAST_LENGTH = 6
 
 @dataclass(frozen=True)
 class CameraSample:
-    """Frames of one camera.
-
-    Attributes
-    ----------
-    camera : Camera
-    times : array (f,)
-        True times of the frames (by the clock of the configuration), s, rising.
-    frames : array (f,) of int
-        Frame numbers.
-    first : array (f + 1,) of int
-        The detections of frame k are those from ``first[k]`` to ``first[k + 1]``.
-    pixels : array (n, 2)
-        Distorted pixels.
-    """
+    """Frames of one camera."""
 
     camera: Camera
-    times: Array
-    frames: Integers
-    first: Integers
-    pixels: Array
+    times: Array  # (f,): True times of the frames (by the clock of the configuration), s, rising
+    frames: Integers  # (f,) of int: Frame numbers
+    first: Integers  # The detections of frame k are those from ``first[k]`` to ``first[k + 1]``
+    pixels: Array  # (n, 2): Distorted pixels
 
     @property
     def detections_per_frame(self) -> float:

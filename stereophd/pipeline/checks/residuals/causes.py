@@ -6,15 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.pipeline.checks.geometry.rays import signed_distances
 from stereophd.pipeline.checks.residuals.partners import Partners
-
-Array = NDArray[np.float64]
 
 # Least share of the squared distances that a cause must explain, its least size in standard deviations of a detection,
 # and in standard errors.
@@ -28,24 +26,12 @@ STEP_S, STEP_ANGLE, STEP_K1 = 1e-3, 1e-6, 1e-5
 
 @dataclass(frozen=True)
 class CauseFit:
-    """How much of the distances of a pair of cameras a cause explains.
+    """How much of the distances of a pair of cameras a cause explains."""
 
-    Attributes
-    ----------
-    value : float
-        The number of a cause that has one: s, or k1.
-    error : float
-        Its standard error, from the spread between pairs of tracks.
-    explained : float
-        Share of the squared distances.
-    effect : float
-        Root mean square of what is explained, standard deviations of a detection.
-    """
-
-    value: float
-    error: float
-    explained: float
-    effect: float
+    value: float  # The number of a cause that has one: s, or k1
+    error: float  # Its standard error, from the spread between pairs of tracks
+    explained: float  # Share of the squared distances
+    effect: float  # Root mean square of what is explained, standard deviations of a detection
 
     @property
     def is_decisive(self) -> bool:
@@ -59,14 +45,10 @@ class CauseFit:
 
 @dataclass(frozen=True)
 class PairFits:
-    """How much each cause explains of the distances of a pair of cameras.
+    """How much each cause explains of the distances of a pair of cameras."""
 
-    Attributes
-    ----------
-    clock, lens_a, lens_b, pose : CauseFit
-        An offset of B's clock; the first radial coefficient of A and of B; turns and shifts of B.
-    """
-
+    # `clock`, `lens_a`, `lens_b`, `pose`: An offset of B's clock; the first radial coefficient of A and of B; turns
+    # and shifts of B.
     clock: CauseFit
     lens_a: CauseFit
     lens_b: CauseFit

@@ -12,16 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.measure import pairs_of
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.pipeline.checks.residuals.causes import PairFits, explain
 from stereophd.pipeline.checks.residuals.partners import Partners, partners, track_velocities
 from stereophd.wording import percent
-
-Array = NDArray[np.float64]
 
 # A cause with one number is preferred to a pose that explains less than this many times as much.
 PREFERENCE = 1.35

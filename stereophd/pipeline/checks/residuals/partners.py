@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.pipeline.checks.geometry.rays import signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 # Detections of a camera that are examined, and candidates of all of them together.
 MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
@@ -24,29 +22,17 @@ FARTHEST, LEAST_COMMON, LEAST_SHARE = 6.0, 8, 0.5
 
 @dataclass(frozen=True)
 class Partners:
-    """Detections of two cameras that belong to the same object.
+    """Detections of two cameras that belong to the same object."""
 
-    Attributes
-    ----------
-    a, b : int
-        The cameras.
-    pixels_a, pixels_b : array (n, 2)
-        At the same times, those of B between its frames.
-    velocity_b : array (n, 2)
-        Image velocity of B's detections, px/s.
-    distance : array (n,)
-        Signed distance of the rays, standard deviations.
-    tracks : array (n,) of int
-        Number of the pair of one-camera tracks.
-    """
-
+    # `a`, `b`: The cameras.
     a: int
     b: int
+    # `pixels_a`, `pixels_b`: (n, 2): At the same times, those of B between its frames.
     pixels_a: Array
     pixels_b: Array
-    velocity_b: Array
-    distance: Array
-    tracks: Integers
+    velocity_b: Array  # (n, 2): Image velocity of B's detections, px/s
+    distance: Array  # (n,): Signed distance of the rays, standard deviations
+    tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
 
     @property
     def track_count(self) -> int:

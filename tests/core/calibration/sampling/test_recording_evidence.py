@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.association import inflated, with_cameras
 from stereophd.core.calibration.sampling.likelihood import Evidence
@@ -18,7 +19,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from stereophd.core.multi.pmb.filter import PmbFilter
-from tests.core.calibration.problems import Array, make_events, make_parameters, make_template
+from tests.core.calibration.problems import make_events, make_parameters, make_template
 
 EVENTS = 24
 STDS = {

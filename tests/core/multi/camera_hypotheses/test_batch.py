@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.likelihood import Evidence, at_nominal_scale, hypothesis_spaces
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
@@ -20,7 +21,7 @@ from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.camera_hypotheses.batch import BatchState, FilterBatch
 from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.multi.pmb.filter import PmbFilter
-from tests.core.calibration.problems import Array, make_events, make_parameters, make_template
+from tests.core.calibration.problems import make_events, make_parameters, make_template
 from tests.core.multi.scenes import make_mixture
 
 REGION = np.array([-60.0, 60.0, -50.0, 50.0, 20.0, 260.0, 10.0, 300.0])

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.settings import LARGEST_LENGTH
-
-Array = NDArray[np.float64]
 
 LENGTH, RADIANS, RATIO, PIXELS, SECONDS = "length", "rad", "1", "px", "s"
 LENGTH_PER_SECOND, RADIANS_PER_SECOND = "length/s", "rad/s"
@@ -38,47 +37,27 @@ MOVES, IMAGES, TIMES = "moves", "images", "times"
 
 @dataclass(frozen=True)
 class CameraView:
-    """The view of one camera on n points of trajectories at the times of its detections.
+    """The view of one camera on n points of trajectories at the times of its detections."""
 
-    Attributes
-    ----------
-    camera : Camera
-        At the current values.
-    visible : array (n,) of bool
-        Whether the point lies before the camera and within the lens's `max_radius`; other rows are meaningless.
-    elapsed : array (n,)
-        Time since ``camera.pose.time_s``, s.
-    log_times : array (n,)
-        Times on the camera's own clock, s.
-    rows : array (n,)
-        Row of the detection over the height of the image.
-    points : array (n, 3)
-        The points in the camera's axes at those times, length.
-    turns : array (n, 3, 3) or None
-        Turn of a moving camera since ``camera.pose.time_s``; None of a camera that does not turn.
-    undistorted, distorted : arrays (n, 2)
-        Normalised image coordinates before and after the lens.
-    by_point, by_world : arrays (n, 2, 3)
-        Derivative of the raw pixel with respect to the point in the camera's axes, and in the world's.
-    by_time : array (n, 2)
-        Derivative of the raw pixel with respect to the true time of the detection, px/s.
-    pixels : array (n, 2)
-        Raw pixels.
-    """
-
-    camera: Camera
+    camera: Camera  # At the current values
+    # (n,) of bool: Whether the point lies before the camera and within the lens's `max_radius`; other rows are
+    # meaningless.
     visible: NDArray[np.bool_]
-    elapsed: Array
-    log_times: Array
-    rows: Array
-    points: Array
+    elapsed: Array  # (n,): Time since ``camera.pose.time_s``, s
+    log_times: Array  # (n,): Times on the camera's own clock, s
+    rows: Array  # (n,): Row of the detection over the height of the image
+    points: Array  # (n, 3): The points in the camera's axes at those times, length
+    # (n, 3, 3) or None: Turn of a moving camera since ``camera.pose.time_s``; None of a camera that does not turn.
     turns: Array | None
+    # `undistorted`, `distorted`: arrays (n, 2): Normalised image coordinates before and after the lens.
     undistorted: Array
     distorted: Array
+    # `by_point`, `by_world`: arrays (n, 2, 3): Derivative of the raw pixel with respect to the point in the camera's
+    # axes, and in the world's.
     by_point: Array
     by_world: Array
-    by_time: Array
-    pixels: Array
+    by_time: Array  # (n, 2): Derivative of the raw pixel with respect to the true time of the detection, px/s
+    pixels: Array  # (n, 2): Raw pixels
 
 
 def all_of(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
@@ -106,59 +85,27 @@ def _by_path(components: tuple[str, ...], follows: bool, camera: Camera) -> tupl
 
 @dataclass(frozen=True)
 class Quantity:
-    """One kind of unknown of a camera.
+    """One kind of unknown of a camera."""
 
-    Attributes
-    ----------
-    name : str
-        The name of its file.
-    components : tuple of str
-        Names of its values, unique among all quantities.
-    unit : str
-        Unit of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``.
-    prior : str
-        Key of its standard deviation in ``calibration.priors``.
-    prior_unit : float
-        The unit of that key in units of the values (degrees: pi / 180).
-    largest_std : float
-        Largest value of that key: beyond what any set-up can mean.
-    description : str
-        Description of that key.
-    apply : callable
-        (camera, values (k,)) -> the camera moved by them.
-    difference : callable
-        (camera, other) -> values (k,) that move `camera` to `other`.
-    derivative : callable
-        (view, values (k,)) -> derivative (n, 2, k) of the raw pixels with respect to the values.
-    entry : callable
-        camera -> what of ``cameras.yaml`` it determines, as nested plain values.
-    affects : {"moves", "images", "times"}
-        What of an event depends on it.
-    of_the_frame : bool
-        Whether the reference camera must not have it: it fixes the frame and the clock of the results.
-    named : bool
-        Whether the prior names the components (``{k1: 0.1}``) instead of one value or one for each.
-    available : callable
-        camera -> components that this camera has.
-    pack : callable, optional
-        (packed cameras (h, 28 or more), camera, values (h, k)): apply values to h packed copies of a camera in place.
-    """
-
-    name: str
-    components: tuple[str, ...]
-    unit: str
-    prior: str
-    description: str
-    apply: Callable[[Camera, Array], Camera]
-    difference: Callable[[Camera, Camera], Array]
+    name: str  # The name of its file
+    components: tuple[str, ...]  # Names of its values, unique among all quantities
+    unit: str  # Unit of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``
+    prior: str  # Key of its standard deviation in ``calibration.priors``
+    description: str  # Description of that key
+    apply: Callable[[Camera, Array], Camera]  # (camera, values (k,)) -> the camera moved by them
+    difference: Callable[[Camera, Camera], Array]  # (camera, other) -> values (k,) that move `camera` to `other`
+    # (view, values (k,)) -> derivative (n, 2, k) of the raw pixels with respect to the values.
     derivative: Callable[[CameraView, Array], Array]
+    # camera -> what of ``cameras.yaml`` it determines, as nested plain values.
     entry: Callable[[Camera], Mapping[str, Any]]
-    affects: str
-    available: Callable[[Camera], tuple[str, ...]]
+    affects: str  # What of an event depends on it
+    available: Callable[[Camera], tuple[str, ...]]  # camera -> components that this camera has
+    # Whether the reference camera must not have it: it fixes the frame and the clock of the results.
     of_the_frame: bool = False
-    named: bool = False
-    prior_unit: float = 1.0
-    largest_std: float = LARGEST_LENGTH
+    named: bool = False  # Whether the prior names the components (``{k1: 0.1}``) instead of one value or one for each
+    prior_unit: float = 1.0  # The unit of that key in units of the values (degrees: pi / 180)
+    largest_std: float = LARGEST_LENGTH  # Largest value of that key: beyond what any set-up can mean
+    # (packed cameras (h, 28 or more), camera, values (h, k)): apply values to h packed copies of a camera in place.
     pack: Callable[[Array, Camera, Array], None] | None = None
 
     def key(self, component: str) -> str:

@@ -7,14 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH, MOVES, CameraView, Quantity, without_path
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
-
-Array = NDArray[np.float64]
 
 CENTER = ("center_x", "center_y", "center_z")
 

@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import SECONDS, TIMES, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.settings import LARGEST_TIME_S
-
-Array = NDArray[np.float64]
 
 OFFSET = ("clock_offset",)
 

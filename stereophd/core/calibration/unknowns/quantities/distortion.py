@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import IMAGES, RATIO, CameraView, Quantity
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS
-
-Array = NDArray[np.float64]
 
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 

@@ -7,12 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import IMAGES, RATIO, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera
-
-Array = NDArray[np.float64]
 
 FOCAL = ("focal",)
 

@@ -7,14 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH, MOVES, CameraView, Quantity, on_path
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.geometry.trajectory import MountedPath
-
-Array = NDArray[np.float64]
 
 MOUNT_CENTER = ("mount_center_x", "mount_center_y", "mount_center_z")
 

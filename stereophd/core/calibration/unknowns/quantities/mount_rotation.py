@@ -10,16 +10,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import MOVES, RADIANS, CameraView, Quantity, on_path
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.trajectory import MountedPath
 from stereophd.core.settings import LARGEST_DEGREES
-
-Array = NDArray[np.float64]
 
 MOUNT_ROTATION = ("mount_rotation_x", "mount_rotation_y", "mount_rotation_z")
 

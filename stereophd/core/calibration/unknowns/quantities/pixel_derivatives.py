@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import CameraView
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole
 from stereophd.core.geometry.rotations import cross_matrices, rotations
-
-Array = NDArray[np.float64]
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:

@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import IMAGES, PIXELS, CameraView, Quantity, all_of
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.settings import LARGEST_PX
-
-Array = NDArray[np.float64]
 
 PRINCIPAL_POINT = ("principal_point_u", "principal_point_v")
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import MOVES, RADIANS, CameraView, Quantity, without_path
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import left_jacobians, turned
 from stereophd.core.geometry import layout
@@ -19,8 +19,6 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.rotations import rotations
 from stereophd.core.settings import LARGEST_DEGREES
-
-Array = NDArray[np.float64]
 
 ROTATION = ("rotation_x", "rotation_y", "rotation_z")
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import (
     MOVES,
     RADIANS_PER_SECOND,
@@ -19,8 +19,6 @@ from stereophd.core.calibration.unknowns.quantities.base import (
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
-
-Array = NDArray[np.float64]
 
 ROTATION_RATE = ("rotation_rate_x", "rotation_rate_y", "rotation_rate_z")
 

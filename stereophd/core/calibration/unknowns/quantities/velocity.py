@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import (
     LENGTH_PER_SECOND,
     MOVES,
@@ -18,8 +18,6 @@ from stereophd.core.calibration.unknowns.quantities.base import (
 )
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
-
-Array = NDArray[np.float64]
 
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 
