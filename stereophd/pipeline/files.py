@@ -106,7 +106,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     ----------
     path : path
     table : mapping of str to array_like, pandas.DataFrame or similar
-        The columns of ``docs/formats.md``: ``time_s, camera, frame, u_px, v_px``, and optionally
+        The columns of a detection log: ``time_s, camera, frame, u_px, v_px``, and optionally
         ``sigma_u_px, sigma_v_px, object_id``. A frame without detections is one row with NaN in the other columns
         than the first three. Rows may be in any order: they are sorted by time.
     force : bool

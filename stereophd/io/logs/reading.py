@@ -1,6 +1,6 @@
 """Detection logs, read frame by frame in the order of true time (writing: `log_writing`).
 
-A log is a Parquet file with one row a detection (see ``docs/formats.md``). It is read in pieces, so
+A log is a Parquet file with one row per detection (`docs/reference/formats.md`). It is read in pieces, so
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
 """
 
