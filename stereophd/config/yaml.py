@@ -17,6 +17,7 @@ import yaml
 from stereophd.errors import InputError
 from stereophd.io.documents import MAX_DOCUMENT_BYTES, SAFE_LOADER, compose_yaml
 from stereophd.io.file_kinds import CONFIGURATION, CSV, HDF5, HEAD_BYTES, PARQUET, kind_of_content, remedy
+from stereophd.io.outputs.commit import refuse_unsettled
 
 KeyPath = tuple[str | int, ...]
 
@@ -266,6 +267,7 @@ def read_yaml(path: Path, what: str = CONFIGURATION) -> tuple[Tree, bytes]:
         The file is not there or not readable, or a table; or as `parse_yaml`.
     """
     try:
+        refuse_unsettled(path)
         with open(path, "rb") as stream:
             content = stream.read(MAX_DOCUMENT_BYTES + 1)
     except FileNotFoundError as error:

@@ -63,7 +63,7 @@ def write_cameras(path: Path | str, cameras: Sequence[Camera], length_unit: str,
     """
     target = _target(path, force)
     described = {camera.name: camera_config(camera) for camera in cameras}
-    with atomic_write(target) as temporary:
+    with atomic_write(target, replace=force) as temporary:
         camera_files.write_cameras(temporary, described, length_unit)
 
 
@@ -131,7 +131,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     order = np.argsort(np.ma.getdata(columns["time_s"]), kind="stable")
     extra = [pa.field(name, OPTIONAL[name], nullable=True) for name in OPTIONAL if name in names]
     schema = pa.schema([*DETECTIONS, *extra])
-    with atomic_write(target) as temporary, TableWriter(temporary, schema) as writer:
+    with atomic_write(target, replace=force) as temporary, TableWriter(temporary, schema) as writer:
         writer.append({name: columns[name][order] for name in schema.names})
 
 

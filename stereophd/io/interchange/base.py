@@ -152,7 +152,7 @@ class Format:
     # `write_tracks`, `write_cameras`: Write files; None: the format has no such thing.
     write_tracks: TracksWriter | None = None
     write_cameras: CamerasWriter | None = None
-    is_folder: bool = False  # Whether `write_cameras` writes a folder
+    folder_files: tuple[str, ...] = ()  # What `write_cameras` writes into a folder; of other formats it writes a file
 
 
 def need_extra(package: str, extra: str, purpose: str) -> InputError:

@@ -85,7 +85,7 @@ def _append(spool: Spool, piece: Piece) -> None:
     spool.in_order &= bool(key[0] >= spool.last and (np.diff(key) >= 0).all())
     spool.last = float(key[-1])
     spool.rows += count
-    rows.tofile(spool.stream)
+    spool.stream.write(rows.data)  # `tofile` would not say why the disk refuses it
 
 
 def read_rows(spool: Spool) -> Iterator[Array]:

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from stereophd.errors import InputError
 from stereophd.io.documents import check_parquet
 from stereophd.io.file_kinds import HEAD_BYTES, PARQUET, kind_of_content, remedy
-from stereophd.io.outputs.commit import complete
+from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.disk import for_arrow
 
 # What pyarrow raises for a damaged Parquet file; the last where the name of a column is no text.
@@ -36,7 +36,7 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
     """
     file = Path(path)
     try:
-        complete(file.parent)
+        refuse_unsettled(file)
         if file.is_dir():
             raise InputError(f"{file}: expected a {what} (Parquet file), found a folder")
         size = file.stat().st_size
