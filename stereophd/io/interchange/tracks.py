@@ -17,11 +17,11 @@ from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import from_metadata
 from stereophd.io.outputs.provenance import length_unit as unit_of
 from stereophd.io.tables.reading import cast_column, check_columns, damaged_is_input_error, open_parquet
-from stereophd.io.tables.schemas import CONFIRMED, STD, STRING, TRACKS
+from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, STRING, TRACKS
 
 TEXTS = ("camera", "status")
 # Columns that a table of tracks may lack.
-OPTIONAL = {"status": STRING, **{field.name: field.type for field in STD}}
+OPTIONAL = {"status": STRING, **{field.name: field.type for field in (*STD, *EXTENTS)}}
 COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "vz", "covariance", "existence")
 # Times within this share of the period count as multiples of it.
 REGULAR = 1e-3
