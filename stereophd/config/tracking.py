@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
-from stereophd.config.base import Model, OneOf, Range3
 from stereophd.core.bodies.shapes import DEFAULT, shapes
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.bodies.shapes.point import PointSettings

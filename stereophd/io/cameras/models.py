@@ -8,9 +8,6 @@ from typing import Annotated, Any, Literal
 from annotated_types import Interval
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from stereophd.core.geometry.camera import Camera, Clock, Detector
-from stereophd.config.base import Model, OneOf, Units
-from stereophd.config.poses import PoseConfig
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.lenses import lens_models
