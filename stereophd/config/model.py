@@ -12,9 +12,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 from pydantic import Field
 
-from stereophd.config.base import Model, Units
 from stereophd.config.calibration import CalibrationConfig
-from stereophd.config.cameras import CameraConfig
 from stereophd.config.experiment import ExperimentConfig
 from stereophd.config.motion import Motion
 from stereophd.config.report import EvaluationConfig, InputConfig, ReportConfig
@@ -23,6 +21,8 @@ from stereophd.config.tracking import DisparityConfig, Filter, RegionConfig, Sha
 from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
 from stereophd.core.numerics.samples import MomentsSettings
+from stereophd.io.cameras.models import CameraConfig
+from stereophd.validated import Model, Units
 
 
 class Config(Model):

@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
-from stereophd.config.base import Model, OneOf, Range3
 from stereophd.core.bodies.shapes import DEFAULT, shapes
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.bodies.shapes.point import PointSettings
@@ -14,6 +13,7 @@ from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.settings import Length, PositiveLength, parameter
 from stereophd.core.single.settings import SingleSettings
+from stereophd.validated import Model, OneOf, Range3
 
 
 class DisparityConfig(Model):

@@ -16,6 +16,7 @@ from stereophd.core.disparity.events import make_rig
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import LEAST_PRUNING
+from stereophd.core.multi.build import make_filter
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
@@ -69,7 +70,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     _check_birth_rate(settings, cameras, path)
-    return settings.build(rig, motion, sets, threads)
+    return make_filter(settings, rig, motion, sets, threads)
 
 
 def build_labelled_filter(

@@ -26,6 +26,9 @@ COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "
 # Times within this share of the period count as multiples of it.
 REGULAR = 1e-3
 
+# Without these a row is no estimate.
+REQUIRED_VALUES = ("time_s", "track_id")
+
 
 def optional_columns(path: Path) -> list[str]:
     """Return the names of the columns that a table of tracks has beside `COLUMNS`: status, standard deviations."""
@@ -52,6 +55,8 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
                 rows: dict[str, Any] = {}
                 for name in kinds:
                     column = cast_column(batch.column(name), name, kinds[name], path)
+                    if column.null_count and name in REQUIRED_VALUES:
+                        raise InputError(f"{path}: column {name}: expected a value in every row, found a row without")
                     if name in TEXTS:
                         rows[name] = column.to_pylist()
                     elif name == "covariance":

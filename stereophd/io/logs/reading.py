@@ -1,6 +1,6 @@
 """Detection logs, read frame by frame in the order of true time (writing: `log_writing`).
 
-A log is a Parquet file with one row a detection (see ``docs/formats.md``). It is read in pieces, so
+A log is a Parquet file with one row per detection (`docs/reference/formats.md`). It is read in pieces, so
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
 """
 
@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError
+from stereophd.io.documents import check_instant
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.checks import (
     KINDS,
@@ -189,6 +190,7 @@ class LogReader:
             # The last time may continue in the next piece: its rows wait until it is complete.
             complete = int(np.searchsorted(rows.time_s, rows.time_s[-1], side="left"))
             carry = rows.take(slice(complete, None))
+            check_instant(len(carry), float(carry.time_s[0]), str(self.path))
             yield from self._split(rows.take(slice(0, complete)), state)
         if carry is not None:
             yield from self._split(carry, state)

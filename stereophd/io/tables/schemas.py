@@ -1,4 +1,4 @@
-"""Parquet tables: the schemas of the native files (`docs/formats.md`)."""
+"""Parquet tables: the schemas of the native files (`docs/reference/formats.md`)."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereophd.config.cameras import CameraConfig, DetectorConfig
 from stereophd.config.report import GridTimes, ReportConfig
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event
@@ -17,6 +16,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
