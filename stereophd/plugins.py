@@ -25,6 +25,7 @@ GROUPS = {
     "stereophd.core.motion": "stereophd.motion",
     "stereophd.core.multi.filter_settings": "stereophd.filters",
     "stereophd.core.geometry.lenses": "stereophd.lenses",
+    "stereophd.core.bodies.shapes": "stereophd.shapes",
 }
 
 
