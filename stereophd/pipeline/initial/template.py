@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
+from stereophd.io.cameras.models import CameraConfig
 
 Kind = Literal["animals", "drones", "lab"]
 

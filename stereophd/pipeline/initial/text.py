@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from stereophd.io.cameras import CONVENTIONS, cameras_text
+from stereophd.io.cameras.writing import CONVENTIONS, cameras_text
 from stereophd.pipeline.initial.template import Draft
 from stereophd.site import page
 

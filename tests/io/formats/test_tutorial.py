@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
+from stereophd.io.cameras.models import CameraConfig
 
 from .conftest import assert_same_cameras, cameras_of, log_rows
 

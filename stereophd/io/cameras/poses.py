@@ -8,11 +8,11 @@ import numpy as np
 from annotated_types import Interval
 from pydantic import AfterValidator, field_validator, model_validator
 
-from stereophd.config.base import Model
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 from stereophd.core.settings import FINITE, Degrees, DegreesPerSecond, Time, Vector3, parameter
 from stereophd.io.tables.trajectories import read_trajectory, unpack_poses
+from stereophd.validated import Model
 
 Entry = Annotated[float, Interval(ge=-2, le=2), FINITE]
 Row = tuple[Entry, Entry, Entry]

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.recording import Scans
 
 # An alternative is ambiguous within this many times the distance of the nearest, and this many times the noise.
 RATIO, NOISE = 2.0, 4.0
-# Largest distance from the prediction, in heights of the image, and most successive frames without a detection.
-REACH, MOST_MISSED = 1.0 / 12.0, 2
+# Most successive frames without a detection.
+MOST_MISSED = 2
 # `_continued` returns these for tracks without a detection in reach, and for ambiguous ones.
 MISSED, AMBIGUOUS = -1, -2
 
@@ -39,18 +38,6 @@ class _Track:
         self.velocity = (point - self.point) / (time_s - self.time_s)
         self.rows.append(row)
         self.point, self.time_s, self.missed = point, time_s, 0
-
-
-def image_tracks(scans: Scans, least: int) -> list[tuple[int, Integers]]:
-    """Link each camera's detections; return (camera, detections of the recording) of the longer tracks."""
-    out = []
-    for camera in np.unique(scans.cameras).tolist():
-        alone = scans.of_camera(camera)
-        noise = 1.0 / np.sqrt(alone.precisions[:, 0, 0])
-        reach = REACH * float(scans.recording.heights[camera])
-        tracks = linked(alone.times, alone.first, alone.points, noise, reach)
-        out += [(camera, alone.source[rows]) for rows in tracks if len(rows) >= least]
-    return out
 
 
 def linked(times: Array, first: Integers, points: Array, noise: Array, reach: float) -> list[Integers]:

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.geometry.camera import Camera
 
 # Tracks are interpolated over at most this many of their median steps.
@@ -29,22 +28,6 @@ class RawTracks:
     log_times: Array  # (n,): s, increasing within a track
     pixels: Array  # (n, 2): Raw pixels
     rows: Array  # (n,): Row of each detection over the height of the image
-
-    @staticmethod
-    def of(recording: Recording, tracks: Sequence[tuple[int, Integers]]) -> RawTracks:
-        """Collect the tracks of a recording: camera and detections of each."""
-        detections = np.concatenate([np.empty(0, dtype=np.int64), *(rows for _, rows in tracks)])
-        cameras = np.array([camera for camera, _ in tracks], dtype=np.int64)
-        lengths = [len(rows) for _, rows in tracks]
-        heights = np.repeat(recording.heights[cameras], lengths)
-        pixels = recording.pixels[detections]
-        return RawTracks(
-            cameras,
-            np.concatenate([[0], np.cumsum(np.array(lengths, dtype=np.int64))]),
-            recording.log_times[recording.frame_of[detections]],
-            pixels,
-            pixels[:, 1] / heights,
-        )
 
     @cached_property
     def _spacing(self) -> float:
@@ -79,52 +62,41 @@ class RawTracks:
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays (r, 2, 3) in the axes of both cameras, third component 1; their times (r,), poses and validity.
+    """Rays of two cameras at common times, row by row, in the axes of the cameras."""
 
-    `rotations` (r, 2, 3, 3) and `centers` (r, 2, 3) are those of the cameras at the times; `seen` (r,) is false where
-    track b was not seen, or a pixel cannot be undistorted.
-    """
-
-    rays: Array
-    times: Array
-    rotations: Array
-    centers: Array
-    seen: Booleans
+    rays: Array  # (r, 2, 3): third component 1
+    times: Array  # (r,): true times, s
+    cameras: Integers  # (r, 2) of int
+    seen: Booleans  # (r,): false where track b was not seen, or a pixel cannot be undistorted
 
     def take(self, rows: Integers) -> Rays:
         """Return some of the rays."""
-        return Rays(self.rays[rows], self.times[rows], self.rotations[rows], self.centers[rows], self.seen[rows])
+        return Rays(self.rays[rows], self.times[rows], self.cameras[rows], self.seen[rows])
 
 
-def rays_of(
-    cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, others: Integers, known: Rays | None = None
-) -> Rays:
-    """Rays of the entries (r,) of tracks a, and of tracks b (r,) at the same true times, by these cameras.
-
-    `known` rays of the same clocks and lenses are taken as they are; only the poses are those of `cameras`.
-    """
+def rays_of(cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, others: Integers) -> Rays:
+    """Rays of the entries (r,) of tracks a, and of tracks b (r,) at the same true times, by these cameras."""
     of_entry = np.searchsorted(tracks.first, entries, side="right") - 1
     index = np.stack([tracks.cameras[of_entry], tracks.cameras[others]], axis=1)
-    if known is None:
-        times, found, seen = _common_times(cameras, tracks, entries, others, index)
-        rays = np.ones((len(entries), 2, 3))
-    else:
-        times, rays, seen = known.times, known.rays, known.seen
-    turns, centers = np.empty((len(entries), 2, 3, 3)), np.empty((len(entries), 2, 3))
-    for side in (0, 1):
-        for number, camera in enumerate(cameras):
-            here = np.flatnonzero(index[:, side] == number)
-            if not len(here):
-                continue
-            turns[here, side], centers[here, side] = poses_at(camera, times[here])
-            if known is None:
-                pixels = tracks.pixels[entries[here]] if side == 0 else found[here]
-                undistorted = camera.undistort_pixels(pixels)[0]
-                rays[here, side, :2] = (undistorted - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    if known is None:
-        seen &= np.isfinite(rays).all(axis=(1, 2))
-        rays[~seen] = 1.0
-    return Rays(rays, times, turns, centers, seen)
+    times, pixels_b, seen = _common_times(cameras, tracks, entries, others, index)
+    rays = np.ones((len(entries), 2, 3))
+    for side, pixels in enumerate((tracks.pixels[entries], pixels_b)):
+        for number in np.unique(index[:, side]).tolist():
+            rows = np.flatnonzero(index[:, side] == number)
+            rays[rows, side] = cameras[number].rays(pixels[rows])
+    seen &= np.isfinite(rays).all(axis=(1, 2))
+    rays[~seen] = 1.0
+    return Rays(rays, times, index, seen)
+
+
+def ray_poses(cameras: Sequence[Camera], rays: Rays) -> tuple[Array, Array]:
+    """Rotations (r, 2, 3, 3) and centres (r, 2, 3) of the cameras of rays at their times."""
+    turns, centers = np.empty((len(rays.times), 2, 3, 3)), np.empty((len(rays.times), 2, 3))
+    for number, camera in enumerate(cameras):
+        rows, side = np.nonzero(rays.cameras == number)
+        motions = camera.pose.motions(rays.times[rows])
+        turns[rows, side], centers[rows, side] = motions.rotations, motions.centers
+    return turns, centers
 
 
 def _common_times(
@@ -141,9 +113,3 @@ def _common_times(
         delay = readout[index[:, 1]] * found[:, 1] / heights[index[:, 1]]
         found, seen = tracks.at(others, log_times - delay / rate[index[:, 1]])
     return times, found, seen
-
-
-def poses_at(camera: Camera, times: Array) -> tuple[Array, Array]:
-    """Rotations (n, 3, 3) and centres (n, 3) of a camera at true times (n,)."""
-    found = camera.pose.motions(times)
-    return found.rotations, found.centers

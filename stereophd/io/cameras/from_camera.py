@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS
 from stereophd.core.geometry.pose import Pose
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.tables.trajectories import pack_poses
 
 

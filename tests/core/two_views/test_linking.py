@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.pairing.image_tracks import linked
+from stereophd.core.two_views.linking import linked
 
 
 def frames_of(paths, times, seen=None):

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from stereophd.config.cameras import CameraConfig
+from stereophd.io.cameras.models import CameraConfig
 
 CONVENTIONS = (
     "# Pose: x_camera = rotation_matrix @ (x_world - center); x right, y down, z forward; "
