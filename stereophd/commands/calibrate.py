@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import CSV, HDF5, PARQUET, kind_of_file
 from stereophd.io.interchange.base import ExportOptions, Format
-from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.consulted import consulted, refuse_unread
 from stereophd.io.interchange.registry import find, names
 from stereophd.io.outputs.atomic import OutputFolder, atomic_write

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import CSV, HDF5, LOG, kind_of_file, remedy
-from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.pipeline.inspection.log import summarise_log

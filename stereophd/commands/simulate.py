@@ -17,7 +17,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.logs.writing import LogWriter
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.provenance import provenance, to_metadata

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
@@ -190,7 +190,7 @@ class _Run:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         metadata = to_metadata(self.record)
-        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, journal)
+        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, journal, tracking.boxes)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

@@ -8,7 +8,6 @@ import numpy as np
 from annotated_types import Interval, Len
 from pydantic import ValidationInfo, field_validator, model_validator
 
-from stereophd.config.base import Model, Range3
 from stereophd.config.motion import Motion
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.settings import (
@@ -22,6 +21,7 @@ from stereophd.core.settings import (
     Vector3,
     parameter,
 )
+from stereophd.validated import Model, Range3
 
 # A float bound: typing keeps one of two annotations that are equal, and 1e9 is printed unlike 1000000000.
 BirthsPerSecond = Annotated[float, Interval(ge=0, le=float(LARGEST_COUNT)), FINITE]

@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from stereophd.config.from_camera import camera_config
 from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
-from stereophd.io import cameras as camera_files
+from stereophd.io.cameras import writing as camera_files
+from stereophd.io.cameras.from_camera import camera_config
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED
 from stereophd.io.outputs.atomic import atomic_write
@@ -106,7 +106,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     ----------
     path : path
     table : mapping of str to array_like, pandas.DataFrame or similar
-        The columns of ``docs/formats.md``: ``time_s, camera, frame, u_px, v_px``, and optionally
+        The columns of a detection log: ``time_s, camera, frame, u_px, v_px``, and optionally
         ``sigma_u_px, sigma_v_px, object_id``. A frame without detections is one row with NaN in the other columns
         than the first three. Rows may be in any order: they are sorted by time.
     force : bool

@@ -236,11 +236,13 @@ def test_two_writers_of_one_file_do_not_meet(tmp_path: Path) -> None:
 
 
 def test_a_file_that_came_meanwhile_stays_where_it_must_not_be_replaced(tmp_path: Path) -> None:
-    writing = atomic_write(tmp_path / "a", replace=False)
-    writing.__enter__().write_text("first")
-    (tmp_path / "a").write_text("came")
+    def write() -> None:
+        with atomic_write(tmp_path / "a", replace=False) as first:
+            first.write_text("first")
+            (tmp_path / "a").write_text("came")
+
     with pytest.raises(InputError, match="the file exists"):
-        writing.__exit__(None, None, None)
+        write()
     assert (tmp_path / "a").read_text() == "came"
     with atomic_write(tmp_path / "b", replace=False) as other:
         other.write_text("new")
