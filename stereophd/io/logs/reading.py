@@ -63,6 +63,8 @@ class Frame:
         Standard deviations (m, 2), px, or None where the log states none.
     object_id
         True objects (m,), -1 clutter, or None where the log states none. For evaluation only.
+    rows
+        Rows of the log (m,), or None for a frame that is not from a log.
     """
 
     time_s: float
@@ -71,6 +73,7 @@ class Frame:
     pixels: Array
     sigma: Array | None = None
     object_id: Integers | None = None
+    rows: Integers | None = None
 
 
 class LogReader:
@@ -268,6 +271,7 @@ class LogReader:
                 rows.pixels[i:j],
                 None if rows.sigma is None else rows.sigma[i:j],
                 None if rows.object_id is None else rows.object_id[i:j],
+                rows.row[i:j],
             )
 
     def _true_times(self, time_s: Array, camera: Integers) -> Array:
