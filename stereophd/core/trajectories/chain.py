@@ -30,8 +30,9 @@ GATE = 13.8
 LEAST_RATE = 1e-6
 # Standard deviations of the prior: of the position in distances from the camera, of the velocity in the track's speeds.
 WIDE, FAST = 10.0, 3.0
-# Passes after which a smoothed track no longer moves: the detections are nearly linear.
-PASSES = 2
+# Passes of a smoother, each linear about the last one, until no position moves by more than this many of its standard
+# deviations: two of most tracks, more where detections are few or the track was far off.
+MOST_PASSES, SETTLED = 10, 0.1
 # In the place of a detection where a track has none.
 NONE = -1
 
@@ -207,6 +208,11 @@ class Chain:
         backward, _ = self._filtered(steps, measured, -1)
         return backward.states[::-1], backward.covariances[::-1]
 
+    @property
+    def n_detections(self) -> int:
+        """Number of detections of the track."""
+        return int(np.count_nonzero(self.detections != NONE))
+
     def around(self, first_event: int, last_event: int, reach: int) -> tuple[int, int]:
         """Places in the trajectory (last one excluded) of events and of so many to either side."""
         first, last = np.searchsorted(self.trajectory.events, [first_event, last_event + 1])
@@ -230,13 +236,19 @@ class Chain:
         return replace(self, trajectory=replace(whole, states=states, covariances=covariances))
 
     def smoothed(self) -> Chain:
-        """Return the track smoothed from its detections."""
+        """Return the track smoothed from its detections, unless the passes lead nowhere."""
         chain = self
-        for _ in range(PASSES):
+        for _ in range(MOST_PASSES):
+            before = chain.trajectory
             forward, _ = chain._filtered(chain._steps, chain._measured, 0)
             states, covariances = np.empty_like(forward.states), np.empty_like(forward.covariances)
             smooth_chain(chain._steps, chain._measured, forward, states, covariances)
-            chain = replace(chain, trajectory=replace(chain.trajectory, states=states, covariances=covariances))
+            variances = np.diagonal(covariances, axis1=1, axis2=2)
+            if not (variances > 0.0).all():
+                break
+            chain = replace(chain, trajectory=replace(before, states=states, covariances=covariances))
+            if (np.abs(states - before.states)[:, :3] <= SETTLED * np.sqrt(variances[:, :3])).all():
+                break
         return chain
 
     @cached_property

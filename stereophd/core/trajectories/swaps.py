@@ -87,23 +87,25 @@ def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> list[Chain]:
     """
     book = _Book(tracks, _owners(tracks, run), run)
     interval = _frame_interval(run)
-    quiet = 0
+    everywhere = np.ones(len(run.times), dtype=np.bool_)
+    touched = [everywhere] * len(WINDOWS)
     for number in range(ROUNDS * len(WINDOWS)):
         width = WINDOWS[number % len(WINDOWS)] * interval
-        accepted = book.decide_parts(list(proposed_changes(book.tracks, run, width)), 2.0 * width + interval)
-        book.smooth_changed()
-        quiet = 0 if accepted else quiet + 1
-        if quiet == len(WINDOWS):
+        # elsewhere the last round has decided the same proposals
+        where = np.logical_or.reduce(touched[-len(WINDOWS) :])
+        book.decide_parts(list(proposed_changes(book.tracks, run, width, where)), 2.0 * width + interval)
+        touched.append(book.settle())
+        if not np.logical_or.reduce(touched[-len(WINDOWS) :]).any():
             if not sum(book.exchange_ends(width * interval) for width in WINDOWS if width):
                 break
-            quiet = 0
+            touched.append(book.settle())
     return book.tracks
 
 
-def proposed_changes(
-    tracks: Sequence[Chain], run: WholeRun, width: float, span: tuple[float, float] | None = None
-) -> Iterator[Change]:
-    """Changes of the joint assignment of every event, in order of events; only of events in a span of time."""
+def proposed_changes(tracks: Sequence[Chain], run: WholeRun, width: float, where: Booleans) -> Iterator[Change]:
+    """Changes of the joint assignment of every event among those (r,) to look at, in order of events."""
+    if not where.any():
+        return
     parts: list[tuple[Integers, Integers, Array, Array]] = []
     for number, track in enumerate(tracks):
         states, covariances = track.without_window(width)
@@ -111,11 +113,7 @@ def proposed_changes(
     events, numbers, states, covariances = (np.concatenate(part) for part in zip(*parts, strict=True))
     taken = np.concatenate([track.detections for track in tracks])
     order = np.argsort(events, kind="stable")
-    busy = run.starts[events[order] + 1] > run.starts[events[order]]
-    if span is not None:
-        times = run.times[events[order]]
-        busy &= (times >= span[0]) & (times <= span[1])
-    order = order[busy]
+    order = order[(where & (np.diff(run.starts) > 0))[events[order]]]
     ends = np.flatnonzero(np.diff(events[order], append=-1)) + 1
     for first, last in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
         rows = order[first:last]
@@ -162,6 +160,7 @@ class _Book:
         # how often each track has changed, and the groups that were refused, with these numbers then
         self._versions = [0] * len(self.tracks)
         self._changed: set[int] = set()
+        self._touched = np.zeros(len(run.times), dtype=np.bool_)
         self._refused: set[tuple[Any, ...]] = set()
 
     def decide_parts(self, changes: Sequence[Change], apart_s: float) -> int:
@@ -181,11 +180,13 @@ class _Book:
                     taken += self.decide_parts([c for c in group if (c.event <= middle) == early], apart_s)
         return taken
 
-    def smooth_changed(self) -> None:
-        """Smooth the tracks that changed from their first detection to their last."""
+    def settle(self) -> Booleans:
+        """Smooth the tracks that changed, over all of their events; return the events (r,) about the changes."""
         for number in self._changed:
             self.tracks[number] = self.tracks[number].smoothed()
+        touched, self._touched = self._touched, np.zeros_like(self._touched)
         self._changed.clear()
+        return touched
 
     def exchange_ends(self, width: float) -> int:
         """Exchange the ends of tracks that continue each other better than themselves; return how many pairs did.
@@ -204,23 +205,22 @@ class _Book:
             best = int(np.argmax(totals))
             if totals[best] > totals[0] + LEAST_GAIN:
                 for number, track in zip(pair, tried[best - 1], strict=True):
-                    self._replace(number, track)
+                    self._replace(number, track, (cut.event, cut.event))
                 done |= {*pair}
         return len(done) // 2
 
     def _cut_at(self, pair: Sequence[Chain], numbers: tuple[int, int], event: int, width: float) -> list[Chain]:
         """Return two tracks with their ends after an event exchanged, and the detections about it chosen anew."""
         run = self._run
-        at_s = float(run.times[event])
         parts = [(one, int(np.searchsorted(one.trajectory.events, event, side="right"))) for one in pair]
         (a, at_a), (b, at_b) = parts
         owners = np.where(np.isin(self._owners, [*numbers, NONE]), NONE, ANOTHER)
         tracks = [_joined(a, at_a, b, at_b).smoothed(), _joined(b, at_b, a, at_a).smoothed()]
         book = _Book(tracks, _owners(tracks, run, owners), run)
+        near = np.abs(run.times - run.times[event]) <= AROUND * width
         for again in (width, 0.0, width):
-            span = (at_s - AROUND * width, at_s + AROUND * width)
-            book.decide_parts(list(proposed_changes(book.tracks, run, again, span)), AROUND * width)
-            book.smooth_changed()
+            book.decide_parts(list(proposed_changes(book.tracks, run, again, near)), AROUND * width)
+            book.settle()
         return book.tracks
 
     def _decide(self, group: Sequence[Change]) -> bool:
@@ -248,7 +248,7 @@ class _Book:
             self._refused.add(key)
             return False
         for number, track in tried:
-            self._replace(number, track)
+            self._replace(number, track, (min(events), max(events)))
         return True
 
     def _are_free(self, group: Sequence[Change]) -> bool:
@@ -257,8 +257,8 @@ class _Book:
         wanted = [change.after for change in group if change.after != NONE]
         return all(self._owners[one] == NONE or one in given for one in wanted)
 
-    def _replace(self, number: int, track: Chain) -> None:
-        """Enter a track that changed."""
+    def _replace(self, number: int, track: Chain, events: tuple[int, int]) -> None:
+        """Enter a track that changed from an event to another."""
         for detections, owner in ((self.tracks[number].detections, NONE), (track.detections, number)):
             known = detections[detections != NONE]
             # another track of the group may have taken what this one gave
@@ -267,6 +267,7 @@ class _Book:
         self.tracks[number] = track
         self._versions[number] += 1
         self._changed.add(number)
+        self._touched[max(events[0] - REACH, 0) : events[1] + REACH] = True
 
 
 def _owners(tracks: Sequence[Chain], run: WholeRun, owners: Integers | None = None) -> Integers:

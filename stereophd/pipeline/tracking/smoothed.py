@@ -79,7 +79,10 @@ def smoothed_records(
             for one, more in zip(extended, reached, strict=True)
         ]
         after = choose_anew(before, run)
-        trajectories = [one.trajectory for one in after]
+        # a track that gave all of its detections away is none
+        trajectories = [
+            new.trajectory for old, new in zip(before, after, strict=True) if new.n_detections or not old.n_detections
+        ]
         gone, given = _changes(before, after)
         claims, further = (one.without(gone.track_ids, run.event_of(gone.detections), run) for one in (claims, further))
         claims = claims.join(given)

@@ -148,7 +148,7 @@ class TestStitching:
         assert stitch(pieces, MOTION, 1.0) == {2: 0, 3: 1}
 
     def test_a_pair_that_is_not_allowed_costs_no_pair_that_is(self) -> None:
-        """Two ends and two starts of which only one start fits: the pair that does not must not outbid those that do."""
+        """Two ends and two starts of which one start fits no end: its pairs must not outbid those that fit."""
         still = ConstantVelocity([0.0] * 3)
         pieces = [
             self.piece(0, 0.0, 5.0, [0.0] * 6),
