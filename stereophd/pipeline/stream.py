@@ -86,7 +86,9 @@ class EventStream:
             # frames in memory state no rows of a log: detections are numbered as they come
             rows = np.arange(count, count + len(frame.pixels)) if frame.rows is None else frame.rows
             count += len(frame.pixels)
-            event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, rows)
+            event = make_event(
+                camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes, rows
+            )
             self.not_invertible += event.not_invertible
             yield event
             if number % PROGRESS_EVERY == 0:

@@ -41,6 +41,7 @@ class Event:
     # (m, 3), optional: Displacement of the camera's centre in the world from `time_s` until each detection was made,
     # of a rolling shutter that moves; None: it stands still meanwhile.
     travels: Array | None = None
+    sizes: Array | None = None  # (m, 2), optional: Width and height of the detections' boxes, distorted px
     rows: Integers | None = None  # (m,), optional: Row of each detection in the log, or its number in the run
 
     def readings(self, space: Array) -> Array | None:
@@ -114,6 +115,7 @@ def make_event(
     pixels: Array,
     sigma: Array | None = None,
     frame: int = -1,
+    sizes: Array | None = None,
     rows: Integers | None = None,
 ) -> Event:
     """Undistort the detections of a frame, carrying their noise through the Jacobian.
@@ -132,6 +134,8 @@ def make_event(
         Standard deviations of the detections, px; by default the detector's.
     frame : int
         Number of the frame.
+    sizes : array (m, 2), optional
+        Width and height of their boxes, px.
     rows : array (m,) of int, optional
         Row of each detection in the log; default its number in the frame.
 
@@ -147,6 +151,7 @@ def make_event(
     return Event(
         time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
         frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],
+        None if sizes is None else sizes[order],
         order if rows is None else rows[order],
     )  # fmt: skip
 
