@@ -19,7 +19,12 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
 # Pages that lie outside docs/, by their place in the site.
-PAGES = {"CONTRIBUTING.md": "about/contributing.md", "CHANGELOG.md": "about/changelog.md"}
+PAGES = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "about/contributing.md",
+    "CHANGELOG.md": "about/changelog.md",
+    "benchmarks/README.md": "about/benchmarks.md",
+}
 LINK = re.compile(r"(\]\()([^)\s#]+)([^)\s]*\))")
 COMMANDS = (
     "", "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "report", "export",
@@ -31,7 +36,8 @@ def on_files(collection: Files, config: Any, **_: Any) -> Files:
     """Add the files that do not lie in docs/."""
     script = files("mathjax") / "static" / "mathjax" / "es5" / "tex-svg-full.js"
     collection.append(File.generated(config, "assets/tex-svg-full.js", content=script.read_bytes()))
-    plain = [*ROOT.glob("configs/**/*.yaml"), ROOT / "configs/schema.json", ROOT / "sample_data/hall.yaml"]
+    names = ("configs/schema.json", "sample_data/hall.yaml", "LICENSE", "CITATION.cff")
+    plain = [*ROOT.glob("configs/**/*.yaml"), *(ROOT / name for name in names)]
     for path in sorted(plain):
         collection.append(File.generated(config, path.relative_to(ROOT).as_posix(), content=path.read_bytes()))
     for source, page in PAGES.items():
@@ -49,8 +55,6 @@ def on_page_markdown(text: str, page: Any, files: Files, **_: Any) -> str:
         if ":" in match[2]:
             return match[0]
         target = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2]))
-        if target == "README.md":
-            target = "docs/index.md"
         inside = PAGES.get(target, target.removeprefix("docs/"))
         if files.get_file_from_path(inside) is None:
             return match[0]
