@@ -1,6 +1,6 @@
 """What the site holds beside the pages of docs/: MathJax, the configurations, generated pages, and links to them.
 
-MkDocs calls `on_files` and `on_page_markdown`. Files outside docs/ that pages link to (configurations, the changelog)
+MkDocs calls `on_config`, `on_files` and `on_page_markdown`. Files outside docs/ that pages link to (configurations, the changelog)
 become files of the site, so that a link works both in the repository and in the site.
 """
 
@@ -30,6 +30,16 @@ COMMANDS = (
     "", "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "report", "export",
     "experiment", "compile", "config show", "config check", "config schema",
 )  # fmt: skip
+
+
+def on_config(config: Any) -> Any:
+    """List the sections of the configuration in the navigation: one page each, in the order of the index."""
+    folder = ROOT / "docs/reference/configuration"
+    sections = re.findall(r"\((\w+)\.md\) \|", (folder / "index.md").read_text(encoding="utf-8"))
+    pages = ["reference/configuration/index.md", *({name: f"reference/configuration/{name}.md"} for name in sections)]
+    reference = next(part["Reference"] for part in config.nav if "Reference" in part)
+    next(part for part in reference if "Configuration" in part)["Configuration"] = pages
+    return config
 
 
 def on_files(collection: Files, config: Any, **_: Any) -> Files:
