@@ -22,7 +22,7 @@ Report = dict[str, Any]
 # Parameters that only one of the two uses has.
 OF_TRACKS = (
     "order", "cutoff", "base", "from_s", "to_s", "max_gap", "at", "log", "seen_by", "within", "ospa2_window",
-    "tentative", "align", "align_clock", "match_distance", "plots", "jobs", "dask",
+    "tentative", "align", "align_clock", "match_distance", "plane", "region", "switch_cost", "plots", "jobs", "dask",
 )  # fmt: skip
 OF_CAMERAS = ("config",)
 # Options that only folders of runs have.
@@ -49,6 +49,9 @@ def evaluate_command(
     align: of.Align = of.Alignment.NONE,
     align_clock: of.AlignClock = False,
     match_distance: of.MatchDistance = None,
+    plane: of.Plane = None,
+    region: of.Region = None,
+    switch_cost: of.SwitchCost = None,
     cameras: of.Cameras = None,
     true_cameras: of.TrueCameras = None,
     config: of.Config = None,
@@ -99,7 +102,8 @@ def evaluate_command(
         "at": at.value, "log_path": log, "seen_by": seen_by, "within_s": within, "ospa2_window": ospa2_window,
         "cameras_path": cameras, "plots": plots, "fail_above": above, "fail_below": below,
         "tentative": tentative, "align": align.value, "align_clock": align_clock,
-        "match_distance": match_distance,
+        "match_distance": match_distance, "plane": of.parse_plane(plane), "region": of.parse_region(region),
+        "switch_cost": switch_cost,
     }  # fmt: skip
     if tracks.is_dir():
         report_jobs_beside_dask(context, dask)

@@ -93,6 +93,20 @@ MatchDistance = Annotated[
         "default: the cutoff. Choose it below the distance between objects.",
     ),
 ]
+Plane = Annotated[
+    str | None,
+    option("--plane", "X,Y,Z", "Compare positions on the plane of this normal, such as 0,0,1 for the ground."),
+]
+Region = Annotated[
+    str | None,
+    option("--region", "AXIS=FROM:TO,...", "Score only objects in this region, such as x=0:5,y=0:4."),
+]
+SwitchCost = Annotated[
+    float | None,
+    option(
+        "--switch-cost", "G", "Add the trajectory GOSPA distance with this cost of a switch, in the unit of length."
+    ),
+]
 Cameras = Annotated[
     Path | None,
     option(
@@ -142,3 +156,29 @@ def parse_limits(option: str, texts: list[str]) -> dict[str, float]:
             raise InputError(f"{option} {text}: expected each key once, found {key} again")
         limits[key] = limit
     return limits
+
+
+def parse_plane(text: str | None) -> tuple[float, float, float] | None:
+    """Return the normal X,Y,Z of ``--plane``."""
+    if text is None:
+        return None
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        raise InputError(f"--plane {text}: expected X,Y,Z, such as 0,0,1") from None
+    return x, y, z
+
+
+def parse_region(text: str | None) -> dict[str, tuple[float, float]] | None:
+    """Return {axis: (from, to)} of the words AXIS=FROM:TO of ``--region``."""
+    if text is None:
+        return None
+    region: dict[str, tuple[float, float]] = {}
+    for word in text.split(","):
+        axis, _, limits = word.partition("=")
+        try:
+            low, high = map(float, limits.split(":"))
+        except ValueError:
+            raise InputError(f"--region {text}: expected AXIS=FROM:TO,..., such as x=0:5,y=0:4") from None
+        region[axis.strip()] = low, high
+    return region

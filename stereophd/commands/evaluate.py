@@ -57,6 +57,9 @@ def evaluate(
     align: Literal["none", "rigid", "similarity"] = "none",
     align_clock: bool = False,
     match_distance: float | None = None,
+    plane: tuple[float, float, float] | None = None,
+    region: Mapping[str, tuple[float, float]] | None = None,
+    switch_cost: float | None = None,
     fail_above: Mapping[str, float] | None = None,
     fail_below: Mapping[str, float] | None = None,
     cameras_path: Path | str | None = None,
@@ -102,6 +105,14 @@ def evaluate(
         Tracks and objects nearer than this, in the unit of c, may be matched: for all figures but OSPA, OSPA(2), GOSPA
         and HOTA. Default c. Where objects are nearer to each other than this, a match may be wrong from the first time
         on and yet be kept.
+    plane : (float, float, float), optional
+        Normal of a plane on which positions are compared, such as the ground: all figures are then of two dimensions,
+        and there is no NEES.
+    region : mapping, optional
+        Least and greatest value of some axes, such as ``{"x": (0, 5)}``: objects outside, the estimates assigned to
+        them, and estimates outside that are near no object are left out.
+    switch_cost : float, optional
+        Cost of a switch of tracks, in the unit of length: adds the trajectory GOSPA distance.
     fail_above, fail_below : mapping, optional
         Limits of figures, such as ``{"ospa.mean": 0.8}``.
     cameras_path : path, optional
@@ -129,7 +140,7 @@ def evaluate(
     chosen = PAPER_CUTOFF if cutoff is None else cutoff
     options = Options(
         order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window, tentative, align,
-        align_clock, match_distance,
+        align_clock, match_distance, plane, region, switch_cost,
     )  # fmt: skip
     check_options(options, log_path)
     run = partial(

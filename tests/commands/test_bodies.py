@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from stereophd.commands.evaluate import evaluate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
@@ -121,3 +122,33 @@ def test_walkers_need_a_ground(tmp_path: Path) -> None:
         simulate(load_config(CONFIG, ["object.ground=null"]), tmp_path / "scene")
     with pytest.raises(InputError, match=r"simulate\.walkers: expected object.shape ellipsoid"):
         simulate(load_config(CONFIG, ["object={shape: point}"]), tmp_path / "scene")
+
+
+def test_tracks_are_scored_on_the_ground_and_in_a_region(log: Path, tmp_path: Path) -> None:
+    track(load_config(CONFIG, SMALL), log, tmp_path / "out")
+    tracks, truth = tmp_path / "out" / "tracks.parquet", log.parent / "truth.parquet"
+    whole = evaluate(tracks, truth, cutoff=1.0, switch_cost=1.0)
+    assert whole["clear_mot"]["mota"] > 0.95
+    assert whole["clear_mot"]["mostly_tracked"] == 4
+    assert 0.0 < whole["tgospa"]["mean"] < 1.0
+    flat = evaluate(tracks, truth, cutoff=1.0, plane=(0.0, 0.0, 1.0))
+    assert flat["rmse"]["position"] < whole["rmse"]["position"]
+    assert flat["nees"]["position"] is None
+    assert "tgospa" not in flat
+    part = evaluate(tracks, truth, cutoff=1.0, region={"x": (0.0, 5.0)})
+    assert 0 < part["pairs"]["matched"] < whole["pairs"]["matched"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"plane": (0.0, 0.0, 0.0)}, "`plane`: expected a normal"),
+        ({"region": {"w": (0.0, 1.0)}}, "`region`: expected x, y or z"),
+        ({"region": {"x": (1.0, 0.0)}}, "`region`: expected x, y or z"),
+        ({"switch_cost": 0.0}, "`switch_cost`: expected a finite number above 0"),
+        ({"plane": (0.0, 0.0, 1.0), "base": "mahalanobis"}, "`plane`: expected `base` euclidean"),
+    ],
+)
+def test_places_that_cannot_be_are_refused(words: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        evaluate("tracks.parquet", "truth.parquet", cutoff=1.0, **words)

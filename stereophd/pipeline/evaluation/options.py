@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from stereophd.core.metrics.truth.places import AXES
 from stereophd.errors import InputError
 
 # What may be changed of the tracks before they are scored: nothing, their frame, their frame and scale.
@@ -31,6 +33,9 @@ class Options:
     align: Literal["none", "rigid", "similarity"] = "none"
     align_clock: bool = False
     match_distance: float | None = None
+    plane: tuple[float, float, float] | None = None  # Normal of the plane on which distances are measured
+    region: Mapping[str, tuple[float, float]] | None = None  # Least and greatest value of some axes
+    switch_cost: float | None = None  # Of the trajectory GOSPA distance; None: it is not computed
 
 
 def check_options(options: Options, log_path: Path | str | None) -> None:
@@ -40,6 +45,7 @@ def check_options(options: Options, log_path: Path | str | None) -> None:
     distance = options.match_distance
     if distance is not None and not (math.isfinite(distance) and distance > 0.0):
         raise InputError(f"`match_distance`: expected a finite number above 0, found {distance}")
+    _check_places(options)
     for name, low in (("order", 1.0), ("max_gap_s", 0.0), ("within_s", 0.0)):
         value = getattr(options, name)
         if value is not None and not (math.isfinite(value) and value >= low):
@@ -60,3 +66,18 @@ def check_options(options: Options, log_path: Path | str | None) -> None:
         raise InputError(f"`seen_by`: expected at least one camera, found {options.seen_by}")
     if options.ospa2_window < 1:
         raise InputError(f"`ospa2_window`: expected at least one scan, found {options.ospa2_window}")
+
+
+def _check_places(options: Options) -> None:
+    """Raise InputError for a plane, a region or a cost of switches that cannot be."""
+    cost = options.switch_cost
+    if cost is not None and not (math.isfinite(cost) and cost > 0.0):
+        raise InputError(f"`switch_cost`: expected a finite number above 0, found {cost}")
+    if options.plane is not None and not (all(map(math.isfinite, options.plane)) and any(options.plane)):
+        raise InputError(f"`plane`: expected a normal of three finite numbers, not all 0, found {options.plane}")
+    for axis, (low, high) in (options.region or {}).items():
+        if axis not in AXES or not low < high:
+            raise InputError(f"`region`: expected x, y or z with least < greatest, found {axis} from {low} to {high}")
+    for name in ("plane", "region"):
+        if getattr(options, name) is not None and options.base == "mahalanobis":
+            raise InputError(f"`{name}`: expected `base` euclidean, found mahalanobis")
