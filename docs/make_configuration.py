@@ -1,4 +1,4 @@
-"""Write the reference part of docs/configuration.md from the declarations of the parameters (`make reference`).
+"""Write the reference part of docs/reference/configuration.md from the declarations (`make reference`).
 
     python docs/make_configuration.py [--check]
 
@@ -18,7 +18,7 @@ from typing import Any
 
 from stereophd.config.loading import json_schema
 
-PAGE = Path(__file__).resolve().parent / "configuration.md"
+PAGE = Path(__file__).resolve().parent / "reference" / "configuration.md"
 MARKER = "<!-- Everything below is written by `make reference`. -->"
 WIDTH = 120
 

@@ -174,7 +174,7 @@ class _Run:
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         tables = journal if isinstance(journal, TableJournal) else None
         metadata = to_metadata(self.record)
-        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, tables)
+        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, tables, tracking.boxes)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

@@ -6,6 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
+from stereophd.core.bodies.shapes import DEFAULT, shapes
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
+from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.settings import Length, PositiveLength, parameter
@@ -47,6 +50,9 @@ class RegionConfig(Model):
         if self.depth is not None and self.depth[0] >= self.depth[1]:
             raise ValueError(f"depth: expected near < far, found {list(self.depth)}")
         return self
+
+
+Shape = Annotated[PointSettings | EllipsoidSettings, OneOf(shapes, "shape", DEFAULT)]
 
 
 def _filters() -> dict[str, Any]:

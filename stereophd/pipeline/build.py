@@ -59,6 +59,11 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
     if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
+    if config.object.shape != "point":
+        raise InputError(
+            f"{path}: object.shape: expected point (only track with given detectors and a stated acceleration takes "
+            f"boxes), found {config.object.shape}"
+        )
     motion = build_motion(config, path)
     seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments

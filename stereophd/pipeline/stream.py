@@ -80,7 +80,7 @@ class EventStream:
             if frame.time_s < self._from_s:
                 continue
             camera = self.cameras[frame.camera].at(frame.time_s)
-            event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame)
+            event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes)
             self.not_invertible += event.not_invertible
             yield event
             if number % PROGRESS_EVERY == 0:

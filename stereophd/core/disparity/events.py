@@ -41,6 +41,7 @@ class Event:
     # (m, 3), optional: Displacement of the camera's centre in the world from `time_s` until each detection was made,
     # of a rolling shutter that moves; None: it stands still meanwhile.
     travels: Array | None = None
+    sizes: Array | None = None  # (m, 2), optional: Width and height of the detections' boxes, distorted px
 
     def readings(self, space: Array) -> Array | None:
         """Return when and from where the detections were read (m, 3): `stereophd.core.disparity.rolling.readings`.
@@ -107,7 +108,13 @@ def make_rig(
 
 
 def make_event(
-    camera: Camera, index: int, time_s: float, pixels: Array, sigma: Array | None = None, frame: int = -1
+    camera: Camera,
+    index: int,
+    time_s: float,
+    pixels: Array,
+    sigma: Array | None = None,
+    frame: int = -1,
+    sizes: Array | None = None,
 ) -> Event:
     """Undistort the detections of a frame, carrying their noise through the Jacobian.
 
@@ -125,6 +132,8 @@ def make_event(
         Standard deviations of the detections, px; by default the detector's.
     frame : int
         Number of the frame.
+    sizes : array (m, 2), optional
+        Width and height of their boxes, px.
 
     Returns
     -------
@@ -138,6 +147,7 @@ def make_event(
     return Event(
         time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
         frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],
+        None if sizes is None else sizes[order],
     )  # fmt: skip
 
 

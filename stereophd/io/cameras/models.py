@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Interval
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from stereophd.core.geometry.camera import Camera, Clock, Detector
+from stereophd.core.geometry.camera import BOX_NOISE, Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.lenses import lens_models
 from stereophd.core.geometry.lenses.none import NoDistortion
@@ -82,6 +82,12 @@ class DetectorConfig(Model):
         "mean number of false detections a frame, uniform in the image",
         advice="false detections divided by frames; do not write 0 unless there are none.",
     )
+    box_noise: tuple[PositiveFraction, PositiveFraction, PositiveFraction, PositiveFraction] | None = parameter(
+        "standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height, "
+        f"beside 3 px; default: {', '.join(f'{part:g}' for part in BOX_NOISE)}",
+        default=None,
+        advice="measured for detectors of people; only where object.shape is ellipsoid, in place of sigma_px.",
+    )
     estimate: bool = parameter(
         "estimate these from the log, starting from the values given (track); see also detector", default=False
     )
@@ -98,9 +104,9 @@ def _parse_detector(value: Any) -> Any:
         return UNKNOWN_DETECTOR
     if isinstance(value, str):
         raise ValueError(f"expected estimate or sigma_px, p_detect and clutter_per_frame, found {value}")
-    if isinstance(value, dict) and isinstance(value.get("sigma_px"), list):
+    if isinstance(value, dict):
         # behind a validator of our own pydantic no longer knows that lists are JSON's tuples
-        return {**value, "sigma_px": tuple(value["sigma_px"])}
+        return {**value, **{name: tuple(given) for name, given in value.items() if isinstance(given, list)}}
     return value
 
 
@@ -165,6 +171,7 @@ class CameraConfig(Model):
                 sigma=self.detector.sigma_px,
                 p_detect=self.detector.p_detect,
                 clutter_per_frame=self.detector.clutter_per_frame,
+                box_noise=self.detector.box_noise or BOX_NOISE,
             ),
             frame_rate_hz=self.frame_rate_hz,
             phase_s=self.phase_s,

@@ -204,5 +204,5 @@ FORMAT = Format(
     read=read,
     recognises_cameras=recognises_cameras,
     write_cameras=write_cameras,
-    is_folder=True,
+    folder_files=("cameras.txt", "images.txt", "points3D.txt"),
 )

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from stereophd.config.report import ReportConfig
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.io.tables.schemas import CONFIRMED, STD, TENTATIVE
+from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, TENTATIVE
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking.figures import RunFigures, SavedFigures
 from stereophd.pipeline.tracking.loop import Record
@@ -109,5 +111,11 @@ def _columns(estimates: Estimates, std_columns: bool) -> dict[str, Any]:
         **{name: estimates.states[:, axis] for axis, name in enumerate(STATE_COLUMNS)},
         "covariance": estimates.covariances,
         "existence": estimates.existence,
-        **({} if std is None else {field.name: std[:, axis] for axis, field in enumerate(STD)}),
+        **({} if estimates.extents is None else _named(EXTENTS, estimates.extents)),
+        **({} if std is None else _named(STD, std)),
     }
+
+
+def _named(fields: Sequence[pa.Field], values: Array) -> dict[str, Any]:
+    """Return the columns of an array (n, c) by the names of their fields."""
+    return {field.name: values[:, number] for number, field in enumerate(fields)}

@@ -128,7 +128,8 @@ def _numbered(state: Any, events: int) -> Any:
     """Return the first state of an estimator for a run whose first event has this number."""
     if isinstance(state, SingleTrackerState):
         return replace(state, estimator=replace(state.estimator, n_events=events))
-    return replace(state, n_events=events)
+    # a filter that draws no samples counts no events
+    return replace(state, n_events=events) if hasattr(state, "n_events") else state
 
 
 class _PieceStream(EventStream):

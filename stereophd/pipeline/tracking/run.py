@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.report import GridTimes, ReportConfig
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
+from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.tables.schemas import ASSOCIATIONS, SCANS, STD, TRACKS
+from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
@@ -48,6 +50,7 @@ class Tracking:
     report: ReportConfig  # What is reported, and when
     # For ``report.json``: how the detectors were estimated from the log, if they were.
     detectors: dict[str, Any] | None = None
+    boxes: bool = False  # Whether detections are boxes, and tracks have a height and a width
 
     def records(
         self,
@@ -57,6 +60,10 @@ class Tracking:
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
+        if self.boxes and isinstance(stream.frames, LogReader) and not stream.frames.has_boxes:
+            raise InputError(
+                f"{stream.source}: expected the columns width_px and height_px (object.shape is ellipsoid), found none"
+            )
         events = at_most_one(stream) if single else stream
         return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
 
@@ -111,6 +118,14 @@ def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: in
     """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
     config = loaded.config
     _check_reassociation(loaded)
+    if isinstance(config.object, EllipsoidSettings):
+        if estimated_cameras(loaded):
+            raise InputError(f"{loaded.path}: detector: expected given where object.shape is ellipsoid, found estimate")
+        # imported here: what it needs of SciPy is costly to import
+        from stereophd.pipeline.tracking.bodies import build_bodies
+
+        body_filter = build_bodies(loaded, config.object, cameras)
+        return Tracking(body_filter, body_filter.motion, cameras, config.report, boxes=True)
     if not isinstance(config.filter, SingleSettings):
         multi_filter = replace(build_filter(config, cameras, loaded.path, threads), claims=True)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
@@ -178,17 +193,20 @@ def write_tracks(
     cameras: Sequence[Camera],
     report: ReportConfig,
     journal: TableJournal | None = None,
+    extents: bool = False,
 ) -> dict[str, Any]:
     """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
 
-    With a `journal`, which gives the `records`, the tables continue those of a killed run.
+    With `extents` the tracks are those of bodies. With a `journal`, which gives the `records`, the tables continue
+    those of a killed run.
 
     Returns
     -------
     dict
         The figures of the run for ``report.json``.
     """
-    schema = functools.reduce(lambda schema, column: schema.append(column), STD if report.std_columns else (), TRACKS)
+    columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
+    schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
     saved = None if journal is None else journal.load()
     with contextlib.ExitStack() as files:
 

@@ -1,4 +1,4 @@
-"""The files of docs/tutorial_import.md: what its script writes is imported as what it came from."""
+"""The files of docs/start/import.md: what its script writes is imported as what it came from."""
 
 from __future__ import annotations
 
