@@ -125,14 +125,19 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 @contextlib.contextmanager
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
-    """Yield a function (done, total) for the steps of a run: it moves a bar on stderr if that is a terminal."""
+    """Yield a function (done, total) for the steps of a run: it moves a bar on stderr if that is a terminal.
+
+    The bar shows the time that remains, and the time since the start.
+    """
     if session.quiet or not sys.stderr.isatty():
         yield lambda done, total: interrupts.check()
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TimeElapsedColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(
+        *Progress.get_default_columns(), TimeElapsedColumn(), console=Console(stderr=True), transient=True
+    ) as bar:
         task = bar.add_task(label, total=None)
 
         def advance(done: float, total: float) -> None:

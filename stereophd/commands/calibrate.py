@@ -110,8 +110,6 @@ def calibrate(
     ------
     InputError
         Configuration, log, checkpoint or output folder are not usable; the calibration needs too much memory.
-    SizeError
-        It takes very long, and is not confirmed.
     GateError
         The data determine less than `require`. Everything has been written; the error carries the report.
     """
@@ -131,7 +129,7 @@ def calibrate(
         return _accepted(done, options.require, log_path)
     recording = problem.recording
     size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
-    check_size(size, f"{log_path}: calibration", out_dir, options.force_size)
+    check_size(size, f"{log_path}: calibration", out_dir)
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):

@@ -16,7 +16,7 @@ from stereophd.commands.options import ExperimentOptions
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PATTERN, PartStore
-from stereophd.experiments.engine.plan import effort_of, plan_parts
+from stereophd.experiments.engine.plan import memory_of, plan_parts
 from stereophd.experiments.engine.results import (
     RUNS_FILE,
     SUMMARY_FILE,
@@ -78,8 +78,8 @@ def experiment(
         raise InputError(f"`jobs`: expected at least 1, found {options.jobs}")
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
-    size = size_of_experiment(loaded, settings.runs, len(parts), *effort_of(parts, settings.runs))
-    check_size(size, f"{loaded.path}: experiment", out, options.force_size)
+    size = size_of_experiment(loaded, settings.runs, len(parts), memory_of(parts))
+    check_size(size, f"{loaded.path}: experiment", out)
     store = PartStore(out, loaded)
     with output_lock(out):
         try:

@@ -24,13 +24,6 @@ class Replacing:
 
 
 @options
-class Sized(Replacing):
-    """What commands take whose outputs may be large."""
-
-    force_size: bool = option("Run even if that fills much of the disk.", default=False)
-
-
-@options
 class TrackOptions(Replacing):
     """Options of `track`, for one log and for several."""
 
@@ -75,7 +68,7 @@ class TrackOptions(Replacing):
 
 
 @options
-class CalibrateOptions(Sized):
+class CalibrateOptions(Replacing):
     """Options of `calibrate`, for one log and for several."""
 
     jobs: int = option(
@@ -156,15 +149,16 @@ class EvaluateCamerasOptions(Gated):
 
 
 @options
-class SimulateOptions(Sized):
+class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
+    force_size: bool = option("Run even if that fills much of the disk.", default=False)
     runs: int | None = option("Make N runs, in folders run-0000, ...", default=None, metavar="N", least=1)
     jobs: int = option("Processes for several runs.", default=1, metavar="N", least=1, use="several runs")
 
 
 @options
-class ExperimentOptions(Sized):
+class ExperimentOptions(Replacing):
     """Options of `experiment`."""
 
     jobs: int = option(

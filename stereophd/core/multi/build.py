@@ -1,4 +1,4 @@
-"""From the settings of a filter to the filter: the module ``multi/WORD/filter.py`` of its word has it as ``FILTER``.
+"""From settings to the filter: the module that they name (``multi/WORD/filter.py``) has it as ``FILTER``.
 
 Settings are read without compiled code, so that they do not know their filters.
 """
@@ -23,7 +23,7 @@ def make_filter(
     Parameters
     ----------
     settings : FilterSettings
-        Their `kind` names the filter.
+        Their `filter_module` has the filter.
     rig : Rig
     motion : Motion
     sets : SampleSets
@@ -31,6 +31,6 @@ def make_filter(
     threads : int
         Threads that carry them; the estimates do not depend on it.
     """
-    module: Any = import_module(f"stereophd.core.multi.{settings.kind}.filter")
+    module: Any = import_module(settings.filter_module)
     built: DisparityFilter = module.FILTER(rig, motion, sets, settings, threads)
     return built
