@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Beyond this a run must be confirmed.
 LARGEST_DISK_BYTES = 50e9
 
-# Measured with `simulate`: bytes of a detection, of an object at a time of the truth and of a run in the files; bytes in
+# Measured with `simulate`: bytes of a detection, an object at a time of the truth and a run in the files; bytes in
 # memory of an object in a frame, a detection, a drawn object and a run.
 _DETECTION_FILE, _TRUTH_FILE, _RUN_FILE = 16.0, 40.0, 100.0
 _STATE_MEMORY, _DETECTION_MEMORY, _OBJECT_MEMORY, _RUN_MEMORY = 200.0, 150.0, 3000.0, 2000.0
