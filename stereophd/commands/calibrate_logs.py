@@ -17,6 +17,7 @@ from stereophd.options import takes
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -69,7 +70,7 @@ def calibrate_logs(
 
     record = provenance("calibrate", loaded.record)
     work = partial(_calibrate, loaded, replace(options, jobs=1, dask=None))
-    batch = Batch(log_items(logs), work, _values, FILES, COLUMNS, record, beside=["*.checkpoint"])
+    batch = Batch(log_items(logs), work, _values, (*FILES, *UNFINISHED_FILES), COLUMNS, record)
     jobs = effective_n_jobs(options.jobs)
     return run_batch(batch, out_dir, jobs, options.dask, options.force, options.resume, progress)
 

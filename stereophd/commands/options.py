@@ -82,7 +82,7 @@ class CalibrateOptions(Replacing):
     dask: str | None = option(
         "Calibrate several logs on a Dask cluster.", default=None, metavar="ADDRESS", use="several logs"
     )
-    resume: bool = option("Continue from the checkpoint (DIR.checkpoint) of an interrupted run.", default=False)
+    resume: bool = option("Continue an interrupted run from what it has kept (DIR/partial-HASH).", default=False)
     plots: bool | None = option("Make plots (needs the extra 'plot'); default: if it is installed.", default=None)
     require: Literal["determined", "partly"] | None = option(
         "Exit with 1 if the data determine the cameras less than this.", default=None

@@ -161,8 +161,3 @@ class FilterSettings:
     )
     missed: Missed = parameter(MISSED)
     extraction: Hysteresis = parameter("what is reported as an object", default_factory=Hysteresis)
-
-    @property
-    def filter_module(self) -> str:
-        """Full name of the module that has the filter as ``FILTER``; a plug-in names its own."""
-        return f"stereophd.core.multi.{self.kind}.filter"
