@@ -153,7 +153,7 @@ def test_claims_to_one_event_are_kept_once() -> None:
     """A frame of very many detections: the state grows with their number, not with its square."""
     count = 2000
     rows = np.arange(count)
-    event = Associated(1.0, "left", 7, np.zeros((count, 2)), rows, np.ones(count))
+    event = Associated(1.0, "left", 7, np.zeros((count, 2)), rows, rows, np.ones(count))
     pending = {int(label): [(0, int(label))] for label in rows}
     run = RunState(None, associations=Associations({-1: 5}, {0: event}, pending, 1))
     kind: Any = RunState
