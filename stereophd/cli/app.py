@@ -22,6 +22,7 @@ from stereophd.cli import (
     check,
     compile,
     config,
+    demo,
     evaluate,
     experiment,
     export,
@@ -55,6 +56,7 @@ app = typer.Typer(
 )
 # In the order of the work; one line for each command, short enough for a terminal of 80 columns.
 for _name, _command, _purpose in (
+    ("demo", demo.demo_command, "Simulate, track and score a small scene: start here."),
     ("import", importing.import_command, "Convert detections and cameras of another program."),
     ("init", init.init_command, "Write a configuration with values estimated from a log."),
     ("info", info.info_command, "Describe a log, a table, cameras or an output folder."),

@@ -9,6 +9,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
+from stereophd.cli.import_options import FORMAT_HELP
 from stereophd.cli.terminal import begin, print_data, print_report
 
 
@@ -16,7 +17,7 @@ def export_command(
     context: typer.Context,
     form: Annotated[
         str,
-        typer.Argument(metavar="FORMAT", help="Format, such as csv (all: docs/interchange.md).", show_default=False),
+        typer.Argument(metavar="FORMAT", help=FORMAT_HELP, show_default=False),
     ],
     source: Annotated[
         Path,

@@ -68,7 +68,7 @@ def evaluate(
     Parameters
     ----------
     tracks_path, truth_path : path
-        Tables as in ``docs/formats.md``. With ``scans.parquet`` in the folder of the tracks every event is known, also
+        Tables of tracks and truth. With ``scans.parquet`` in the folder of the tracks every event is known, also
         those that reported nothing; without it, the times of the truth stand in for them.
     out_dir : path, optional
         Where to write; nothing is written without it.

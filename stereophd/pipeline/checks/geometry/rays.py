@@ -24,8 +24,9 @@ from stereophd.pipeline.checks.log.sample import CameraSample
 # Of the detections of both cameras of a pair; None: not computed.
 Rays = tuple[Array | None, Array | None]
 
-# Detections of A that are examined, time shifts that measure chance, and candidates in B that are kept at most.
-MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 80
+# Detections of A that are examined, time shifts that measure chance, and distances of all of them at most: where B has
+# many detections, fewer of A are examined, but those with all their candidates.
+MOST_DETECTIONS, SHIFTS, MOST_DISTANCES = 400, 8, 1_500_000
 # Tolerances, in standard deviations of the distance.
 TOLERANCES = (3.0, 8.0, 20.0)
 # Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
@@ -89,13 +90,14 @@ def candidates(
 ) -> Candidates | None:
     """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing."""
     first, second = samples[a], samples[b]
-    if len(first.pixels) == 0 or len(second.times) < 4:
+    if len(first.pixels) == 0 or len(second.times) < 2:
         return None
     low, high = max(first.times[0], second.times[0]), min(first.times[-1], second.times[-1])
     times = first.times[first.frame_of]
     usable = np.flatnonzero((times >= low) & (times <= high))
-    if len(usable) < 10 or high <= low:
+    if len(usable) < 2 or high <= low:
         return None
+    most = min(most, max(1, MOST_DISTANCES // ((1 + shifts) * max(1, int(np.diff(second.first).max())))))
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
     delays = first.camera.row_delays(first.pixels[chosen, 1])
     at, length = times[chosen] if delays is None else times[chosen] + delays, high - low
@@ -122,7 +124,7 @@ def pixels_at(sample: CameraSample, times: Array) -> Array:
         moved = moved - delays[:, :, None] * velocities
     width = max(now.shape[1], later.shape[1])
     alone = np.where(weights <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
-    return np.concatenate([moved, alone], axis=1)[:, :MOST_CANDIDATES]
+    return np.concatenate([moved, alone], axis=1)
 
 
 def _wide(table: Array, width: int) -> Array:
