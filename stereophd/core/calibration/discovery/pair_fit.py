@@ -84,7 +84,9 @@ class PairState:
 
     def rays(self, slopes: Array, side: int) -> Array:
         """Rays (n, 3) of slopes (n, 2) that the intrinsics of the prior mean made."""
-        return np.column_stack([straightened(slopes / self.focal[side], float(self.lenses[side])), np.ones(len(slopes))])
+        return np.column_stack(
+            [straightened(slopes / self.focal[side], float(self.lenses[side])), np.ones(len(slopes))]
+        )
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,9 @@ class PairProblem:
         row, j = np.nonzero((times[:, None] >= begin) & (times[:, None] <= end))
         slopes, seen = raw.at(b[j], times[row])
         row, j, slopes = row[seen], j[seen], slopes[seen]
-        return _Rows(entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a)))
+        return _Rows(
+            entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a))
+        )
 
     def _squared(self, state: PairState, rows: _Rows) -> Array:
         return self._distances(state, rows, rows.slopes_b) ** 2
@@ -240,7 +244,9 @@ class PairProblem:
 
     def _at_clock(self, state: PairState, rows: _Rows) -> _Rows:
         """Return the rows with the slopes of b at the times of a state; the former ones where b was not seen."""
-        slopes, seen = self.found.tracks.at(rows.track_b, state.times_of_second(self.found.tracks.log_times[rows.entry]))
+        slopes, seen = self.found.tracks.at(
+            rows.track_b, state.times_of_second(self.found.tracks.log_times[rows.entry])
+        )
         return replace(rows, slopes_b=np.where(seen[:, None], slopes, rows.slopes_b))
 
     def _linearised(self, state: PairState, rows: _Rows, free: Integers) -> tuple[Array, Array]:

@@ -72,7 +72,9 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str]) -> list[str]:
 def _second_optimum(pair: PairResult, two: str) -> str:
     """Say how the next optimum of two cameras differs."""
     best, other = pair.fits[0], next(fit for fit in pair.fits[1:] if fit.front >= LEAST_FRONT)
-    turn = float(np.rad2deg(np.arccos(np.clip(0.5 * (np.trace(best.state.rotation.T @ other.state.rotation) - 1), -1, 1))))
+    turn = float(
+        np.rad2deg(np.arccos(np.clip(0.5 * (np.trace(best.state.rotation.T @ other.state.rotation) - 1), -1, 1)))
+    )
     apart = other.state.offset_s - best.state.offset_s
     return (
         f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {turn:.0f} degrees and {apart:+.2f} s "
