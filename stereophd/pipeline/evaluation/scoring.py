@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors.confirmation_delay import FirstReports, first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
@@ -81,26 +81,7 @@ def score_tracks(
         normal = np.array(options.plane)
         estimates, points = on_plane(estimates, normal), on_plane(points, normal)
     mahalanobis = options.base == "mahalanobis"
-    if sightings is not None and options.seen_by is not None and options.within_s is not None:
-        cameras = cameras_that_saw(sightings, time_s[points.scan], points.label, options.within_s)
-        estimates, points, emptied = leave_out_unseen(
-            estimates,
-            points,
-            cameras >= options.seen_by,
-            options.order,
-            options.known_cutoff,
-            mahalanobis=mahalanobis,
-        )
-        scans["unseen"] = int(emptied.sum())
-        time_s = time_s[~emptied]
-        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
-    if options.region is not None:
-        estimates, points, emptied = leave_out_outside(
-            estimates, points, options.region, options.order, options.known_cutoff
-        )
-        scans["outside_region"] = int(emptied.sum())
-        time_s = time_s[~emptied]
-        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
+    time_s, estimates, points = _left_out(time_s, estimates, points, sightings, options, scans)
     if len(time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
     scores = score_scans(estimates, points, options.order, options.known_cutoff, mahalanobis=mahalanobis)
@@ -129,6 +110,36 @@ def score_tracks(
         estimates=estimates,
         registration=found,
     )
+
+
+def _left_out(
+    time_s: Array,
+    estimates: PointSets,
+    points: PointSets,
+    sightings: Sightings | None,
+    options: ScoreOptions,
+    scans: dict[str, int],
+) -> tuple[Array, PointSets, PointSets]:
+    """Leave out objects that too few cameras saw, and what is outside the region; count the scans that this empties."""
+    if sightings is not None and options.seen_by is not None and options.within_s is not None:
+        cameras = cameras_that_saw(sightings, time_s[points.scan], points.label, options.within_s)
+        estimates, points, emptied = leave_out_unseen(
+            estimates,
+            points,
+            cameras >= options.seen_by,
+            options.order,
+            options.known_cutoff,
+            mahalanobis=options.base == "mahalanobis",
+        )
+        scans["unseen"] = int(emptied.sum())
+        time_s, estimates, points = time_s[~emptied], estimates.keep_scans(~emptied), points.keep_scans(~emptied)
+    if options.region is not None:
+        estimates, points, emptied = leave_out_outside(
+            estimates, points, options.region, options.order, options.known_cutoff
+        )
+        scans["outside_region"] = int(emptied.sum())
+        time_s, estimates, points = time_s[~emptied], estimates.keep_scans(~emptied), points.keep_scans(~emptied)
+    return time_s, estimates, points
 
 
 def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path) -> PointSets:
