@@ -41,8 +41,8 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 GATE, GATE_SQUARED = 5.0, 36.0
 # Bodies of whose box less is hidden are seen whole.
 LEAST_HIDDEN = 0.05
-# Detections whose best track outweighs clutter by more than these odds give birth to nothing.
-CLEARLY_CLAIMED = 1e6
+# Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
+CLEARLY_CLAIMED = 1e5
 
 
 @dataclass(frozen=True)
