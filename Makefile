@@ -15,7 +15,7 @@ help:
 	@echo "make fuzz   random configurations and damaged files, for hours (EXAMPLES=100000)"
 	@echo "make bench  speed benchmarks (minutes)"
 	@echo "make schema write configs/schema.json anew"
-	@echo "make reference write docs/reference/configuration.md and the index of decisions anew"
+	@echo "make reference write docs/reference/configuration/ and the index of decisions anew"
 	@echo "make clean  remove $(VENV) and out"
 
 demo: $(VENV)/.installed-plot

@@ -34,6 +34,7 @@ from unittest.mock import patch
 
 import pyarrow.parquet as pq
 from scipy.stats import t as student
+from stereophd.pipeline.tracking.table_journal import TableJournal
 
 from stereophd.commands import track as command
 from stereophd.commands.simulate import simulate
@@ -42,7 +43,6 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking import checkpoint
 from stereophd.pipeline.tracking.checkpoint import RecordJournal
 from stereophd.pipeline.tracking.run import open_journal
-from stereophd.pipeline.tracking.table_journal import TableJournal
 
 SCENE = ("simulate.frame_rate_hz=30", "simulate.objects.velocity_std=0.001", "simulate.objects.box.z=[80,200]")
 MOST_SHARE = 0.01

@@ -1,7 +1,7 @@
 """Number the records of decisions in docs/dev/decisions/ and write their index, docs/decisions.md.
 
-A record is a short Markdown file: a title, a line `Status: in force` (or `Status: replaced by NNNN`), then context,
-decision, measurement and cost. Name a new one by its topic (`topic.md`) and run `make reference`.
+A record is a short Markdown file: a title, a line `Status: in force` (which is the default) or `Status: replaced by
+NNNN`, then context, decision, measurement and cost. Name a new one by its topic (`topic.md`) and run `make reference`.
 """
 
 from __future__ import annotations
@@ -46,10 +46,12 @@ def index() -> str:
         text = path.read_text(encoding="utf-8")
         title = re.search(r"^#+ +(.+)$", text, re.MULTILINE)
         status = re.search(r"^\W*status\W+(in force|replaced by \d{4})", text, re.MULTILINE | re.IGNORECASE)
-        if title is None or status is None:
-            sys.exit(f"{path}: expected a title and a line 'Status: in force' or 'Status: replaced by NNNN'")
+        if title is None:
+            sys.exit(f"{path}: expected a title, found none")
         shown = title[1].replace("|", "\\|")
-        rows.append(f"| [{path.name[:4]}](dev/decisions/{path.name}) | {shown} | {status[1].lower()} |\n")
+        rows.append(
+            f"| [{path.name[:4]}](dev/decisions/{path.name}) | {shown} | {status[1].lower() if status else 'in force'} |\n"
+        )
     return HEAD + "".join(rows)
 
 

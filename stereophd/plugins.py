@@ -35,7 +35,7 @@ def module_names(package: str) -> Mapping[str, str]:
     Parameters
     ----------
     package : str
-        Full name of the package, a key of `GROUPS`.
+        Full name of the package; one that is no key of `GROUPS` takes no plug-ins.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def module_names(package: str) -> Mapping[str, str]:
         Two plug-ins have the same name, or one has that of a module of the package.
     """
     names = {info.name: f"{package}.{info.name}" for info in pkgutil.iter_modules(import_module(package).__path__)}
-    for entry in entry_points(group=GROUPS[package]):
+    for entry in _entries(package):
         if entry.name in names:
             raise InputError(
                 f"{_described(entry)}: expected a name that is free, found {entry.name}, which is {names[entry.name]}"
@@ -66,10 +66,14 @@ def import_member(package: str, word: str) -> ModuleType:
     try:
         return import_module(name)
     except Exception as error:
-        entry = next(entry for entry in entry_points(group=GROUPS[package]) if entry.name == word)
+        entry = next(entry for entry in _entries(package) if entry.name == word)
         raise InputError(
             f"{_described(entry)}: expected a module that can be imported, found {type(error).__name__}: {error}"
         ) from error
+
+
+def _entries(package: str) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=GROUPS[package])) if package in GROUPS else ()
 
 
 def _described(entry: EntryPoint) -> str:

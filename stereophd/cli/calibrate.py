@@ -39,7 +39,7 @@ def calibrate_command(
     ] = -1,
     dask: options.Dask = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Continue from the checkpoint (DIR.checkpoint) of an interrupted run.")
+        bool, typer.Option("--resume", help="Continue an interrupted run from what it has kept (DIR/partial-HASH).")
     ] = False,
     plots: options.Plots = None,
     require: Annotated[

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.outputs.checkpoints import is_checkpoint
+from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.arithmetic import within_arithmetic
-from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
 from stereophd.pipeline.calibration.methods import annealed_outcome
@@ -36,6 +34,7 @@ from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_tracking
 from stereophd.pipeline.runs.finished import finished_report
 from stereophd.pipeline.runs.sizes import check_size
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
@@ -66,14 +65,6 @@ ACCEPTED = {
 WITH_CAMERAS = ("geometry.", "settings.")
 
 LOGGER = logging.getLogger("stereophd")
-
-
-def checkpoint_path(out_dir: Path | str) -> Path:
-    """Return the path of the checkpoint of a run: next to its output folder, with the ending ``.checkpoint``."""
-    folder = Path(os.path.abspath(out_dir))  # An absolute path has a name, also that of the current folder.
-    if not folder.name:
-        raise InputError(f"output folder {out_dir}: expected a folder in another, found the root folder")
-    return folder.with_name(f"{folder.name}.checkpoint")
 
 
 def calibrate(
@@ -140,8 +131,6 @@ def calibrate(
     problem = read_problem(loaded, log_path)
     record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
     if resume and (done := finished_report(out_dir, record, force)) is not None:
-        if is_checkpoint(checkpoint_path(out_dir)):  # of a run that was killed at its very end
-            checkpoint_path(out_dir).unlink()
         return _accepted(done, require, log_path)
     recording = problem.recording
     size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
@@ -151,10 +140,12 @@ def calibrate(
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
-    with OutputFolder(out_dir, FILES, force) as out:
-        # Only here, where no other run can be at work on it.
-        checkpoint = Checkpoint(checkpoint_path(out_dir), sha256_of(record), resume, force)
-        outcome = _outcome(loaded, section, problem, checkpoint, jobs, progress)
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
+    with contextlib.ExitStack() as held:
+        held.enter_context(output_lock(out_dir))
+        held.enter_context(unfinished.held(resume, force))
+        out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists))
+        outcome = _outcome(loaded, section, problem, unfinished, jobs, progress)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, problem, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
@@ -173,7 +164,6 @@ def calibrate(
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
-    checkpoint.remove()
     return _accepted(report, require, log_path)
 
 
@@ -193,7 +183,7 @@ def _outcome(
     loaded: LoadedConfig,
     section: CalibrationConfig,
     problem: CalibrationProblem,
-    checkpoint: Checkpoint,
+    unfinished: UnfinishedRun,
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
@@ -201,14 +191,13 @@ def _outcome(
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     try:
         with within_arithmetic(f"{loaded.path}: calibration"):
-            return method(loaded, section, problem, checkpoint, jobs, progress)
+            return method(loaded, section, problem, unfinished, jobs, progress)
     except InputError:
         raise
     except BaseException:
         # of any class: compiled code may turn the exception of a signal into one of its own
-        if checkpoint.holds_anything:
-            checkpoint.save()
-            LOGGER.warning("stopped: continue with `resume=True` from %s", checkpoint.path)
+        if unfinished.save() or unfinished.exists:
+            LOGGER.warning("stopped: continue with `resume=True` from %s", unfinished.folder)
         raise
 
 

@@ -14,6 +14,7 @@ from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -78,7 +79,7 @@ def calibrate_logs(
 
     record = provenance("calibrate", loaded.record)
     work = partial(_calibrate, loaded, force, resume, options)
-    batch = Batch(log_items(logs), work, _values, FILES, COLUMNS, record, beside=["*.checkpoint"])
+    batch = Batch(log_items(logs), work, _values, (*FILES, *UNFINISHED_FILES), COLUMNS, record)
     return run_batch(batch, out_dir, effective_n_jobs(jobs), dask, force, resume, progress)
 
 

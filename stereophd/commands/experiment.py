@@ -7,14 +7,13 @@ all are done.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
-from stereophd.experiments.engine.parts import PATTERN, PartStore
+from stereophd.experiments.engine.parts import PartStore
 from stereophd.experiments.engine.plan import effort_of, plan_parts
 from stereophd.experiments.engine.results import (
     RUNS_FILE,
@@ -31,6 +30,7 @@ from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN
 from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.report.installed import can_draw
 
 if TYPE_CHECKING:
@@ -96,22 +96,17 @@ def experiment(
     check_size(size, f"{loaded.path}: experiment", out, force_size)
     store = PartStore(out, loaded)
     with output_lock(out):
-        try:
-            if is_finished(store, loaded, resume, force, FILES):
-                return read_results(loaded, settings, out)
+        if is_finished(store, loaded, resume, force, FILES):
+            return read_results(loaded, settings, out)
+        with store.unfinished.held(resume, force):
             bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
             wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
             check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
             execute(wanted, store, jobs, dask, progress, check.see)
             results, runs = gather_results(loaded, settings, parts, store.read())
-            with OutputFolder(out, [*FILES, PATTERN], force=True) as files:
+            with OutputFolder(out, [*FILES, *UNFINISHED_FILES], force=True) as files:
                 write_results(results, runs, loaded, files)
                 _draw(results, files)
-        except BaseException:
-            # finished runs stay; a folder that holds none does not
-            with contextlib.suppress(OSError):
-                store.folder.rmdir()
-            raise
     return results
 
 

@@ -189,10 +189,10 @@ def _write_log(
 ) -> dict[str, int]:
     counts = {"frames": 0, "detections": 0, "clutter": 0, "objects": len(scene.objects)}
     names = [camera.name for camera in scene.cameras]
-    with LogWriter(path, metadata, object_id) as writer:
+    with LogWriter(path, metadata, object_id, scene.sized is not None) as writer:
         for frame in simulate_frames(scene, seed):
             labels = frame.object_id if object_id else None
-            writer.write(frame.log_time_s, names[frame.camera], frame.frame, frame.pixels, labels)
+            writer.write(frame.log_time_s, names[frame.camera], frame.frame, frame.pixels, labels, frame.sizes)
             counts["frames"] += 1
             counts["detections"] += len(frame.pixels)
             counts["clutter"] += int(np.count_nonzero(frame.object_id == CLUTTER_ID))

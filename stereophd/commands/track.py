@@ -30,7 +30,7 @@ from stereophd.pipeline.runs.finished import finished_report
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
-from stereophd.pipeline.tracking.checkpoint import RecordJournal
+from stereophd.pipeline.tracking.checkpoint import Journal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
@@ -47,7 +47,6 @@ from stereophd.pipeline.tracking.run import (
     write_tracks,
 )
 from stereophd.pipeline.tracking.single import SingleTracker
-from stereophd.pipeline.tracking.table_journal import TableJournal
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
 
@@ -129,25 +128,25 @@ def track(
         record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
     unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     if resume and (report := finished_report(out_dir, record, force)) is not None:
-        unfinished.remove()
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     kind = loaded.config.filter.kind if loaded.config.filter is not None else ""
     with _compilation(kind), output_lock(out_dir):
         findings = check_log(loaded, log_path, thorough=False)
-        unfinished.prepare(resume, force)
-        with OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out:
+        with (
+            unfinished.held(resume, force),
+            OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out,
+        ):
             tracking = with_estimated_detectors(tracking, loaded, stream, threads)
             stream = stream.with_cameras(tracking.cameras)
             run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
             if pieces_s is None:
-                journal = open_journal(unfinished.folder, unfinished.identity, tracking)
+                journal = open_journal(unfinished, tracking)
                 report = run.write(tracking.records(stream, journal), findings, out, journal=journal)
             else:
                 joined = run.in_pieces(pieces_s, overlap_of(pieces_s, overlap_s), threads, jobs, dask, progress)
                 report = run.write(run.lasting(joined.records()), findings, out, joined)
-        unfinished.remove()
     return report
 
 
@@ -168,8 +167,8 @@ class _Run:
     ) -> JoinedPieces:
         """Track the log in pieces."""
         log = Path(os.path.abspath(self.stream.source))
-        folder = Path(os.path.abspath(self.unfinished.folder))
-        work = PieceWork(self.loaded, self.tracking.cameras, log, folder, self.unfinished.identity, threads)
+        unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)
+        work = PieceWork(self.loaded, self.tracking.cameras, log, unfinished, threads)
         ahead = self.loaded.config.report.smooth is not None
         pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
         track_pieces(work, pieces, jobs, dask, progress)
@@ -184,16 +183,15 @@ class _Run:
 
     def write(
         self, records: Iterator[Record], findings: tuple[Finding, ...], out: OutputFolder,
-        joined: JoinedPieces | None = None, journal: RecordJournal | TableJournal | None = None,
+        joined: JoinedPieces | None = None, journal: Journal | None = None,
     ) -> dict[str, Any]:  # fmt: skip
         """Write all files of the output folder; return the report."""
         loaded, tracking = self.loaded, self.tracking
         if tracking.detectors is not None:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
-        tables = journal if isinstance(journal, TableJournal) else None
         metadata = to_metadata(self.record)
-        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, tables, tracking.boxes)
+        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, journal, tracking.boxes)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

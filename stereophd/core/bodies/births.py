@@ -64,7 +64,8 @@ def newborn_bodies(
         variances = box_variances(heights, boxes.scales, np.asarray(camera.detector.box_noise))
         noises = boxes.selections @ (variances[:, :, None] * boxes.selections.swapaxes(1, 2))
         noises[:, range(4), range(4)] += boxes.hidden
-        weights = np.linalg.inv(np.where(np.isfinite(noises), noises, np.eye(4)))
+        noises = np.where(np.isfinite(noises), noises, np.eye(4))
+        weights = np.linalg.inv(noises)
         rows = boxes.selections @ slopes[:, :, MEASURED]
         residuals = np.einsum("mij,mj->mi", boxes.selections, boxes.values - projected)
         off = states[:, LOG_AXES] - log_mean

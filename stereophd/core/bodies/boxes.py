@@ -22,6 +22,8 @@ from stereophd.core.geometry.camera import Camera
 BORDER_PX = 5.0
 # Noise of each value of a box besides the part in proportion to its height, px.
 FLOOR_PX = 3.0
+# A body of whose box less than this share is in the image is detected the more rarely the less there is.
+WHOLE_SHARE = 0.5
 # Ratio of the largest and the smallest extent of false boxes.
 EXTENT_RANGE = 100.0
 
@@ -115,17 +117,20 @@ def box_variances(heights: Array, scales: Array, parts: Array) -> Array:
 
 def share_in_image(boxes: Array, camera: Camera) -> Array:
     """Return the share (n,) of boxes (n, 4) in undistorted px that lies in the image; 0 for NaN."""
-    middle = (boxes[:, TOP] + boxes[:, BOTTOM]) / 2.0
-    half = boxes[:, WIDTH] / 2.0
+    with np.errstate(invalid="ignore"):
+        low, high = corners(boxes, camera)
+        edge = np.array([camera.width, camera.height]) - 0.5
+        inside = np.minimum(high, edge) - np.maximum(low, -0.5)
+        share = np.clip(inside / np.maximum(high - low, 1e-9), 0.0, 1.0)
+    return np.asarray(np.nan_to_num(share[:, 0] * share[:, 1]))
+
+
+def corners(boxes: Array, camera: Camera) -> tuple[Array, Array]:
+    """Return the corners (n, 2), least and greatest u and v in distorted px, of boxes (n, 4) in undistorted px."""
+    half, middle = boxes[:, WIDTH] / 2.0, (boxes[:, TOP] + boxes[:, BOTTOM]) / 2.0
     u = np.stack([boxes[:, U] - half, boxes[:, U] + half, boxes[:, U], boxes[:, U]], axis=1)
     v = np.stack([middle, middle, boxes[:, TOP], boxes[:, BOTTOM]], axis=1)
     if camera.lens.code != 0:
-        with np.errstate(invalid="ignore"):
-            points = camera.distort_pixels(np.stack([u.ravel(), v.ravel()], axis=1))[0].reshape(*u.shape, 2)
+        points = camera.distort_pixels(np.stack([u.ravel(), v.ravel()], axis=1))[0].reshape(*u.shape, 2)
         u, v = points[..., 0], points[..., 1]
-    share = np.ones(len(boxes))
-    for low, high, size in ((u[:, 0], u[:, 1], camera.width), (v[:, 2], v[:, 3], camera.height)):
-        inside = np.minimum(high, size - 0.5) - np.maximum(low, -0.5)
-        with np.errstate(invalid="ignore"):
-            share = share * np.clip(inside / np.maximum(high - low, 1e-9), 0.0, 1.0)
-    return np.asarray(np.nan_to_num(share))
+    return np.stack([u[:, 0], v[:, 2]], axis=1), np.stack([u[:, 1], v[:, 3]], axis=1)

@@ -22,7 +22,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.births import Newborns, half_extents, newborn_bodies, shares_left
-from stereophd.core.bodies.boxes import Boxes, box_variances, boxes_of, share_in_image
+from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.hypotheses import Hypotheses, reduce_hypotheses
 from stereophd.core.bodies.occlusion import hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, outline_boxes
@@ -41,8 +41,6 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 GATE, GATE_SQUARED = 5.0, 36.0
 # Detections whose best track outweighs clutter by more than these odds give birth to nothing.
 CLEARLY_CLAIMED = 1e6
-# A body of whose box less than this share is in the image is detected the more rarely the less there is.
-WHOLE_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -197,7 +195,7 @@ class BodyFilter:
         if self.shape.hidden_loss == 0.0 or not len(probability):
             return np.asarray(probability)
         first = hypotheses.first()
-        existence = np.bincount(hypotheses.owners, hypotheses.weights)
+        existence = np.bincount(hypotheses.owners, hypotheses.weights).astype(np.float64)
         hidden = hidden_shares(
             projected[first], hypotheses.means[first], hypotheses.covariances[first], existence, camera
         )
@@ -210,11 +208,11 @@ class BodyFilter:
         carried = hypotheses.covariances @ slopes.swapaxes(1, 2)
         spread = slopes @ carried
         heights = projected[:, BOTTOM] - projected[:, TOP]
-        widest = np.sqrt(spread[:, range(4), range(4)] + box_variances(heights, np.ones((len(heights), 4)), parts))
         with np.errstate(invalid="ignore"):
+            widest = np.sqrt(spread[:, range(4), range(4)] + box_variances(heights, np.ones((len(heights), 4)), parts))
             off = np.abs(boxes.values[None] - projected[:, None])
             inside = (off <= GATE * widest[:, None]) | boxes.hidden[None]
-        rows, columns = np.nonzero(inside.all(axis=2))
+        rows, columns = np.nonzero(inside.all(axis=2) & np.isfinite(heights)[:, None])
         selections = boxes.selections[columns]
         noise = box_variances(heights[rows], boxes.scales[columns], parts)
         full = spread[rows]
@@ -294,7 +292,7 @@ class BodyFilter:
     def _extract(self, state: BodyState, info: Info) -> tuple[BodyState, Info, Estimates]:
         """Report tracks by their existence, with hysteresis, and give identities in order of the first report."""
         hypotheses, levels = state.hypotheses, self.settings.extraction
-        existence = np.bincount(hypotheses.owners, hypotheses.weights, len(state.labels))
+        existence = np.bincount(hypotheses.owners, hypotheses.weights, len(state.labels)).astype(np.float64)
         shown = existence >= np.where(state.reported, levels.release, levels.confirm)
         listed = shown | (existence >= levels.tentative)
         identities = state.track_ids.copy()

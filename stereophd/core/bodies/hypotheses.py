@@ -31,7 +31,7 @@ class Hypotheses(NamedTuple):
 
     def take(self, kept: Integers | Booleans) -> Hypotheses:
         """Return some of the hypotheses."""
-        return Hypotheses(*(values[kept] for values in self))
+        return Hypotheses(self.owners[kept], self.weights[kept], self.means[kept], self.covariances[kept])
 
     def first(self) -> Integers:
         """Return the heaviest hypothesis of each track."""
@@ -60,7 +60,7 @@ def reduce_hypotheses(
         Those tracks.
     """
     owners, weights = hypotheses.owners, hypotheses.weights
-    existence = np.bincount(owners, weights, n_tracks)
+    existence = np.bincount(owners, weights, n_tracks).astype(np.float64)
     kept = weights > np.maximum(settings.least_share * existence[owners], 0.0)
     kept &= existence[owners] >= settings.prune_weight
     hypotheses = hypotheses.take(kept)
@@ -97,7 +97,7 @@ def _merged(hypotheses: Hypotheses, tracks: Integers, distance: float) -> Hypoth
 
 def _merged_track(track: Hypotheses, distance: float) -> Hypotheses:
     """Merge the hypotheses of one track, the heaviest first."""
-    rest, groups = np.arange(len(track.weights)), []
+    rest, groups = np.arange(len(track.weights)), list[Integers]()
     inverses = np.linalg.inv(track.covariances)
     while len(rest) and len(groups) < MOST_HYPOTHESES:
         off = track.means[rest] - track.means[rest[0]]

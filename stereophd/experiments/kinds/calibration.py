@@ -30,7 +30,6 @@ from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
-from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, build_scale
 from stereophd.pipeline.calibration.methods import annealed_outcome
@@ -41,6 +40,7 @@ from stereophd.pipeline.calibration.unknowns import build_parameters, calibratio
 from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.runs.sizes import counts_of_scene
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import frames_in_order
 
@@ -74,7 +74,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
-        outcome = method(guessed, section, problem, Checkpoint(Path(folder) / "checkpoint", "", False, False), 1, None)
+        outcome = method(guessed, section, problem, UnfinishedRun(Path(folder), ""), 1, None)
     found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
     limits = _scene_bounds(loaded, number)
     return [found, *_errors(loaded, parameters, reference, true, outcome.history, limits)]

@@ -6,7 +6,6 @@ import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.config.report import GridTimes, ReportConfig
@@ -23,14 +22,14 @@ from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACK
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.checkpoint import RecordJournal
+from stereophd.pipeline.tracking.checkpoint import Journal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
-from stereophd.pipeline.tracking.table_journal import TableJournal
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -55,7 +54,7 @@ class Tracking:
     def records(
         self,
         stream: EventStream,
-        journal: RecordJournal | TableJournal | None = None,
+        journal: Journal | None = None,
         run: RunState[Any] | None = None,
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
@@ -74,7 +73,7 @@ def reported_records(
     events: Iterable[Event],
     report: ReportConfig,
     keep_events: bool = False,
-    journal: RecordJournal | TableJournal | None = None,
+    journal: Journal | None = None,
     run: RunState[Any] | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
@@ -87,20 +86,27 @@ def reported_records(
     if journal is None:
         records = run_estimator(estimator, events, times, keep_events, run)
     else:
-        records = journal.records(estimator, events, times, keep_events)
+        records = journal.records(events, times, keep_events)
     if smooth is not None:
         records = smoothed_records(
             records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate, report.max_position_std
         )
     if report.min_track_length <= 0.0:
         return records
-    return (journal.lasting if isinstance(journal, TableJournal) else lasting)(records, report.min_track_length)
+    return (lasting if journal is None else journal.lasting)(records, report.min_track_length)
 
 
-def open_journal(folder: Path, identity: str, tracking: Tracking) -> RecordJournal | TableJournal:
-    """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end."""
-    kind = TableJournal if tracking.report.smooth is None else RecordJournal
-    return kind(folder, identity, tracking.estimator)
+def open_journal(unfinished: UnfinishedRun, tracking: Tracking) -> Journal:
+    """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
+
+    Raises
+    ------
+    InputError
+        What an earlier process kept is damaged.
+    """
+    journal = Journal(unfinished, tracking.estimator, keeps_records=tracking.report.smooth is not None)
+    journal.load()
+    return journal
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
@@ -192,13 +198,13 @@ def write_tracks(
     metadata: Mapping[bytes, bytes],
     cameras: Sequence[Camera],
     report: ReportConfig,
-    journal: TableJournal | None = None,
+    journal: Journal | None = None,
     extents: bool = False,
 ) -> dict[str, Any]:
     """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
 
-    With `extents` the tracks are those of bodies. With a `journal`, which gives the `records`, the tables continue
-    those of a killed run.
+    With `extents` the tracks are those of bodies. With a `journal` that keeps tables and gives the `records`, the
+    tables begin with those of a killed run.
 
     Returns
     -------
@@ -207,21 +213,17 @@ def write_tracks(
     """
     columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
     schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
-    saved = None if journal is None else journal.load()
     with contextlib.ExitStack() as files:
 
         def table(name: str, schema: pa.Schema) -> TableWriter:
-            make = TableWriter if journal is None else journal.table
+            make = TableWriter if journal is None or journal.keeps_records else journal.table
             return files.enter_context(make(out.path(name), schema, metadata))
 
         third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
         writer = RecordWriter(
-            Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third), cameras, report, saved
-        )
-        if journal is not None:
-            journal.attach(writer)
+            Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third),
+            cameras, report, None if journal is None else journal.writing,
+        )  # fmt: skip
         for record in records:
             writer.add(record)
-    if journal is not None:
-        journal.place()
     return writer.report()

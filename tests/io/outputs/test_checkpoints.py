@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from stereophd.io.outputs.checkpoints import FORMAT, MARK, is_checkpoint, read_checkpoint, write_checkpoint
 
 from stereophd.errors import InputError
-from stereophd.io.outputs.checkpoints import FORMAT, MARK, is_checkpoint, read_checkpoint, write_checkpoint
 
 
 class Point(NamedTuple):

@@ -11,11 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from stereophd.errors import InputError
 from stereophd.io.outputs.checkpoints import read_checkpoint, write_checkpoint
 from stereophd.io.tables.continued_tables import ContinuedTable, WrittenTable
 from stereophd.io.tables.parquet_footers import moved_footer
+
+from stereophd.errors import InputError
 from stereophd.io.tables.schemas import ASSOCIATIONS, DETECTIONS, SCANS, TRACKS
 from stereophd.io.tables.writing import TableWriter
 

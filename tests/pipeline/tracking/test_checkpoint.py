@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stereophd.io.outputs.columns import pack, unpack
 
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
-from stereophd.io.outputs.columns import pack, unpack
 from stereophd.io.outputs.provenance import sha256_of
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.tracking import checkpoint, table_journal

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stereophd.io.outputs.checkpoints import MARK, write_checkpoint
+from stereophd.pipeline.tracking.table_journal import TableJournal
 
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
-from stereophd.io.outputs.checkpoints import MARK, write_checkpoint
 from stereophd.io.tables import continued_tables
 from stereophd.pipeline.tracking import table_journal
 from stereophd.pipeline.tracking.checkpoint import SavedRun
-from stereophd.pipeline.tracking.table_journal import TableJournal
 
 from .test_checkpoint import Killed, files, killed_after, often, scene
 

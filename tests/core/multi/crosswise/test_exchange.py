@@ -10,6 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from stereophd.io.outputs.checkpoints import read_checkpoint, write_checkpoint
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.moments import move
@@ -28,7 +29,6 @@ from stereophd.core.multi.crosswise.history import (
     no_deferred_pairs,
 )
 from stereophd.core.multi.pmb.filter import PmbFilter
-from stereophd.io.outputs.checkpoints import read_checkpoint, write_checkpoint
 from tests.core.multi.pmb.test_pmb import Frames, Step, gaussian, make_pmb, run
 from tests.core.multi.scenes import make_mixture
 
