@@ -120,7 +120,7 @@ def test_constraints_are_exact_versions_of_all_requirements() -> None:
         pinned.add(_normalised(match[1]))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = list(project["dependencies"])
-    for extra in ("plot", "report", "dask", "pose", "c3d", "rerun", "dev"):
+    for extra in ("plot", "report", "dask", "pose", "c3d", "rerun", "live", "dev"):
         wanted += project["optional-dependencies"][extra]
     for requirement in wanted:
         name = re.match(r"[A-Za-z0-9._-]+", requirement)

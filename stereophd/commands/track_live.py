@@ -101,9 +101,7 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
 def _check(loaded: LoadedConfig) -> None:
     """Refuse what needs the whole log."""
     if isinstance(loaded.config.filter, SingleSettings):
-        raise InputError(
-            f"{loaded.path}: filter.kind: expected a filter of several objects for a live run, found single"
-        )
+        raise InputError(f"{loaded.path}: filter.kind: expected a filter of several objects (live), found single")
     if estimated_cameras(loaded):
         raise InputError(
             f"{loaded.path}: detector: expected the detectors of all cameras for a live run, found estimate; estimate "
@@ -220,7 +218,8 @@ def _in_order(loaded: LoadedConfig, messages: Iterable[Message]) -> Iterator[Mes
     span_s = loaded.config.live.span_s
     cameras = {camera.name: (index, camera.clock) for index, camera in enumerate(loaded.build_cameras())}
     waiting: list[tuple[float, int, int, int, Message]] = []
-    written, newest = (-math.inf, 0, 0), -math.inf
+    written: tuple[float, int, int] = (-math.inf, 0, 0)
+    newest = -math.inf
     for number, message in enumerate(messages):
         index, clock = cameras[message.camera]
         key = (clock.to_true(message.time_s), index, message.frame)
@@ -229,7 +228,7 @@ def _in_order(loaded: LoadedConfig, messages: Iterable[Message]) -> Iterator[Mes
         newest = max(newest, key[0])
         heapq.heappush(waiting, (*key, number, message))
         while waiting and waiting[0][0] < newest - span_s:
-            *first, _, oldest = heapq.heappop(waiting)
-            written = (first[0], first[1], first[2])
+            time_s, camera, frame, _, oldest = heapq.heappop(waiting)
+            written = (time_s, camera, frame)
             yield oldest
     yield from (entry[-1] for entry in sorted(waiting, key=lambda entry: entry[:4]))

@@ -18,8 +18,8 @@ class LiveConfig(Model):
         "revised, and all come later.",
     )
     span_s: PositiveDuration = parameter(
-        "a frame may be this much older than the newest one: the filter goes back to the state before it and works what "
-        "followed again, exactly; an older frame is too late",
+        "a frame may be this much older than the newest one: the filter goes back to the state before it and works "
+        "what followed again, exactly; an older frame is too late",
         unit="s",
         default=2.0,
         advice="the longest delay of a camera; states of this span are kept in memory.",

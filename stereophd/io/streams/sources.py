@@ -108,7 +108,7 @@ def follow(path: Path) -> Arrivals:
     head = stream.read(4)
     stream.seek(0)
     if head == _ARROW_HEAD:
-        return _arrow(_Growing(stream), str(path))
+        return _arrow(io.BufferedReader(_Growing(stream)), str(path))
     return _lines(_growing_chunks(stream), str(path))
 
 
@@ -167,7 +167,7 @@ def listen(address: str) -> Arrivals:
         import zmq
     except ImportError as error:
         raise InputError("--listen needs the extra `live`: pip install 'stereophd[live]'") from error
-    socket = zmq.Context.instance().socket(zmq.PULL)
+    socket: Any = zmq.Context.instance().socket(zmq.PULL)
     try:
         socket.bind(address)
     except zmq.ZMQError as error:

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from stereophd.core.disparity.events import Event
-from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes, RunState, finish, work_event
+from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, finish, work_event
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class RewindingRun:
         yield from finish(self._estimator, self._run, self._times)
 
     def _step(self, event: Event) -> Step:
-        before = self._run.copy()
+        before = copy_of(self._run)
         records = tuple(work_event(self._estimator, self._run, event, self._times))
         return Step(_key(event), event, before, records)
 
@@ -91,3 +91,15 @@ class RewindingRun:
 
 def _key(event: Event) -> tuple[float, int, int]:
     return event.time_s, event.camera, event.frame
+
+
+def copy_of(run: RunState[Any]) -> RunState[Any]:
+    """Return a copy of a run that does not change when the run continues; states and records are frozen already."""
+    waiting = run.associations
+    associations = replace(
+        waiting,
+        known=dict(waiting.known),
+        claimed=dict(waiting.claimed),
+        pending={label: list(rows) for label, rows in waiting.pending.items()},
+    )
+    return replace(run, attribution=Attribution(run.attribution.pending), associations=associations)

@@ -102,7 +102,8 @@ class LiveRun:
         for number, message in enumerate(arrivals, start=1):
             if message is not None:
                 self._take(message, f"{source}: frame {message.frame} of camera {message.camera} (message {number})")
-            yield from self._release(time.perf_counter())
+            # while messages come, only their own times count: a backlog is no wait
+            yield from self._release(-np.inf if message is not None else time.perf_counter())
         yield from self._release(np.inf)
         now = time.perf_counter()
         yield from (LiveRecord(record, False, now) for record in self._run.finish())
