@@ -49,9 +49,8 @@ def index() -> str:
         if title is None:
             sys.exit(f"{path}: expected a title, found none")
         shown = title[1].replace("|", "\\|")
-        rows.append(
-            f"| [{path.name[:4]}](dev/decisions/{path.name}) | {shown} | {status[1].lower() if status else 'in force'} |\n"
-        )
+        standing = status[1].lower() if status else "in force"
+        rows.append(f"| [{path.name[:4]}](dev/decisions/{path.name}) | {shown} | {standing} |\n")
     return HEAD + "".join(rows)
 
 

@@ -1,6 +1,7 @@
 """What the site holds beside the pages of docs/: MathJax, the configurations, generated pages, and links to them.
 
-MkDocs calls `on_files` and `on_page_markdown`. Files outside docs/ that pages link to (configurations, the changelog)
+MkDocs calls `on_config`, `on_files` and `on_page_markdown`. Files outside docs/ that pages link to (configurations, the
+changelog)
 become files of the site, so that a link works both in the repository and in the site.
 """
 
@@ -19,7 +20,12 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
 # Pages that lie outside docs/, by their place in the site.
-PAGES = {"CONTRIBUTING.md": "about/contributing.md", "CHANGELOG.md": "about/changelog.md"}
+PAGES = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "about/contributing.md",
+    "CHANGELOG.md": "about/changelog.md",
+    "benchmarks/README.md": "about/benchmarks.md",
+}
 LINK = re.compile(r"(\]\()([^)\s#]+)([^)\s]*\))")
 COMMANDS = (
     "", "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "report", "export",
@@ -27,11 +33,22 @@ COMMANDS = (
 )  # fmt: skip
 
 
+def on_config(config: Any) -> Any:
+    """List the sections of the configuration in the navigation: one page each, in the order of the index."""
+    folder = ROOT / "docs/reference/configuration"
+    sections = re.findall(r"\((\w+)\.md\) \|", (folder / "index.md").read_text(encoding="utf-8"))
+    pages = ["reference/configuration/index.md", *({name: f"reference/configuration/{name}.md"} for name in sections)]
+    reference = next(part["Reference"] for part in config.nav if "Reference" in part)
+    next(part for part in reference if "Configuration" in part)["Configuration"] = pages
+    return config
+
+
 def on_files(collection: Files, config: Any, **_: Any) -> Files:
     """Add the files that do not lie in docs/."""
     script = files("mathjax") / "static" / "mathjax" / "es5" / "tex-svg-full.js"
     collection.append(File.generated(config, "assets/tex-svg-full.js", content=script.read_bytes()))
-    plain = [*ROOT.glob("configs/**/*.yaml"), ROOT / "configs/schema.json", ROOT / "sample_data/hall.yaml"]
+    names = ("configs/schema.json", "sample_data/hall.yaml", "LICENSE", "CITATION.cff")
+    plain = [*ROOT.glob("configs/**/*.yaml"), *(ROOT / name for name in names)]
     for path in sorted(plain):
         collection.append(File.generated(config, path.relative_to(ROOT).as_posix(), content=path.read_bytes()))
     for source, page in PAGES.items():
@@ -49,8 +66,6 @@ def on_page_markdown(text: str, page: Any, files: Files, **_: Any) -> str:
         if ":" in match[2]:
             return match[0]
         target = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2]))
-        if target == "README.md":
-            target = "docs/index.md"
         inside = PAGES.get(target, target.removeprefix("docs/"))
         if files.get_file_from_path(inside) is None:
             return match[0]

@@ -1,6 +1,7 @@
-"""From the settings of a filter to the filter: the module ``multi/WORD/filter.py`` of its word has it as ``FILTER``.
+"""From settings to the filter: the module of their word (``multi/WORD/filter.py``) has it as ``FILTER``.
 
-Settings are read without compiled code, so that they do not know their filters.
+Of a plug-in it is the module ``filter`` inside the package that holds the settings. Settings are read without compiled
+code, so that they do not know their filters.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.numerics.samples import SampleSets
+from stereophd.plugins import module_names
+
+SETTINGS = "stereophd.core.multi.filter_settings"
 
 
 def make_filter(
@@ -31,6 +35,8 @@ def make_filter(
     threads : int
         Threads that carry them; the estimates do not depend on it.
     """
-    module: Any = import_module(f"stereophd.core.multi.{settings.kind}.filter")
+    home = module_names(SETTINGS)[settings.kind]
+    home = home.replace(SETTINGS, "stereophd.core.multi", 1) if home.startswith(f"{SETTINGS}.") else home
+    module: Any = import_module(f"{home}.filter")
     built: DisparityFilter = module.FILTER(rig, motion, sets, settings, threads)
     return built
