@@ -11,8 +11,8 @@ from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.options import ConfigWords, Session, Strict
 from stereophd.cli.options import option as shared_option
 from stereophd.cli.terminal import exit_if_strict, load, print_run, progress_bar
-from stereophd.cli.unused_options import report, report_jobs_beside_dask
-from stereophd.commands.options import TrackOptions
+from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
+from stereophd.commands.options import LiveOptions, TrackOptions
 from stereophd.errors import InputError
 
 Logs = Annotated[
@@ -36,6 +36,7 @@ def track_command(
     session: Session,
     words: ConfigWords,
     options: TrackOptions,
+    live: LiveOptions,
     log: Logs = None,
     out: Out = None,
     smooth: Smooth = False,
@@ -47,18 +48,16 @@ def track_command(
     With several logs, each has a folder in DIR, and DIR/summary.parquet has a row for each. With - as LOG, --follow or
     --listen the recording is still running: a line of JSON for each event on standard output, the files at its end.
     """
-    is_live = options.follow is not None or options.listen is not None or log == [Path("-")]
-    if is_live:
+    if live.follow is not None or live.listen is not None or log == [Path("-")]:
         from stereophd.cli.track_live import run_live
 
-        run_live(session, load(words), log or [], out, options)
+        run_live(session, load(words), live, log or [], out, options.force)
         return
     if not log:
         raise InputError("LOG: expected a detection log, found none (- reads frames from standard input)")
     if out is None:
         raise InputError("--out: expected a folder, found none")
-    if options.record is not None:
-        report(session, ("record",), "for a recording that is still running (-, --follow, --listen)")
+    refuse(session, ("record",), "with -, --follow or --listen, found a recording that has ended")
     if options.overlap_s is not None and options.pieces_s is None:
         raise InputError("--overlap: expected --pieces S too, found none")
     loaded = load(words)

@@ -11,7 +11,7 @@ import typer
 
 from stereophd.cli.options import Session
 from stereophd.cli.unused_options import refuse
-from stereophd.commands.options import TrackOptions
+from stereophd.commands.options import LiveOptions
 from stereophd.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,14 +22,14 @@ WHOLE_LOGS = ("jobs", "dask", "threads", "pieces_s", "overlap_s", "resume", "plo
 
 
 def run_live(
-    session: Session, loaded: LoadedConfig, log: list[Path], out: Path | None, options: TrackOptions
+    session: Session, loaded: LoadedConfig, live: LiveOptions, log: list[Path], out: Path | None, force: bool
 ) -> None:
     """Track frames as they arrive; lines on standard output, a summary on standard error."""
     from stereophd.commands.track_live import LiveOutputs, track_live
 
     refuse(session, WHOLE_LOGS, "for a recording that has ended, found one that is still running")
-    arrivals, source = _source(log, options)
-    outputs = LiveOutputs(sys.stdout, out, options.record, options.force)
+    arrivals, source = _source(log, live)
+    outputs = LiveOutputs(sys.stdout, out, live.record, force)
     try:
         done = track_live(loaded, arrivals, source, outputs)
     except BrokenPipeError:
@@ -47,16 +47,16 @@ def run_live(
     )
 
 
-def _source(log: list[Path], options: TrackOptions) -> tuple[Arrivals, str]:
+def _source(log: list[Path], live: LiveOptions) -> tuple[Arrivals, str]:
     """Return the one source that is stated."""
     from stereophd.io.streams.sources import follow, from_stream, listen
 
-    choices = {"LOG": log, "--follow": options.follow, "--listen": options.listen}
+    choices = {"LOG": log, "--follow": live.follow, "--listen": live.listen}
     stated = [name for name, value in choices.items() if value]
     if len(stated) != 1 or (log and log != [Path("-")]):
         raise InputError(f"expected one of -, --follow and --listen, found {' and '.join(stated)}")
-    if options.follow is not None:
-        return follow(options.follow), str(options.follow)
-    if options.listen is not None:
-        return listen(options.listen), options.listen
+    if live.follow is not None:
+        return follow(live.follow), str(live.follow)
+    if live.listen is not None:
+        return listen(live.listen), live.listen
     return from_stream(sys.stdin.buffer), "standard input"

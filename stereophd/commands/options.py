@@ -12,8 +12,6 @@ from typing import Literal
 from stereophd.options import numbers_by_key, option, options
 from stereophd.pipeline.evaluation.options import ScoreOptions
 
-# The use of `track` before a recording has ended.
-LIVE = "a recording that is still running"
 # The use of `evaluate` with many runs.
 FOLDERS = "folders of runs"
 
@@ -64,27 +62,30 @@ class TrackOptions(Replacing):
         use="pieces of a log",
     )
     resume: bool = option("Continue an interrupted run; keep what is finished.", default=False)
+    plots: bool = option(
+        "Draw views, timelines, residuals (needs the extra 'plot'; adds the associations).", default=False
+    )
+
+
+@options
+class LiveOptions:
+    """Where the frames of a recording that is still running come from, and where they are kept."""
+
     follow: Path | None = option(
         "Track a recording that is still running: a growing file of JSON lines or Arrow IPC, or a folder of Parquet "
         "parts.",
         default=None,
         metavar="LOG",
-        use=LIVE,
     )
     listen: str | None = option(
         "Track frames that arrive at a ZeroMQ address, such as tcp://127.0.0.1:5555 (needs the extra 'live').",
         default=None,
         metavar="ADDRESS",
-        use=LIVE,
     )
     record: Path | None = option(
         "Keep the frames of a running recording as JSON lines while they arrive.",
         default=None,
         metavar="FILE",
-        use=LIVE,
-    )
-    plots: bool = option(
-        "Draw views, timelines, residuals (needs the extra 'plot'; adds the associations).", default=False
     )
 
 
@@ -174,9 +175,6 @@ class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
     force_size: bool = option("Run even if that fills much of the disk.", default=False)
-    realtime: bool = option(
-        "Write no files: each frame goes to standard output as a line of JSON, at its time.", default=False
-    )
     runs: int | None = option("Make N runs, in folders run-0000, ...", default=None, metavar="N", least=1)
     jobs: int = option("Processes for several runs.", default=1, metavar="N", least=1, use="several runs")
 

@@ -73,7 +73,7 @@ def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Mes
     waiting = load_config(
         loaded.path, ["report.times=events", "live.wait_s=0.6"], cameras_path=HALL / "hall" / "cameras.yaml"
     )
-    behind = list(loaded.cameras)[0]
+    behind = next(iter(loaded.cameras))
     delayed = sorted(frames, key=lambda m: m.time_s + (0.5 if m.camera == behind else 0.0))
     assert run(loaded, delayed)[0]["late_frames"] > 10
     report, lines = run(waiting, delayed)
