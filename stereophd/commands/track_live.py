@@ -167,7 +167,7 @@ def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) ->
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / LOG_FILE
         write_log(loaded, recording, log)
-        track(loaded, log, outputs.folder, outputs.force)
+        track(loaded, log, outputs.folder, force=outputs.force)
         # after the other files: the log lies beside them, and is no output of `track`
         with open(log, "rb") as content, open(outputs.folder / LOG_FILE, "wb") as target:
             target.write(content.read())
