@@ -16,7 +16,6 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
-from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
@@ -59,11 +58,14 @@ class Tracking:
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
-        if self.boxes and isinstance(stream.frames, LogReader) and not stream.frames.has_boxes:
-            raise InputError(
-                f"{stream.source}: expected the columns width_px and height_px (object.shape is ellipsoid), found none"
-            )
-        events = at_most_one(stream) if single else stream
+        events: Iterable[Event] = stream
+        if self.boxes:
+            # imported here: what it needs of SciPy is costly to import
+            from stereophd.pipeline.tracking.bodies import with_boxes
+
+            events = with_boxes(stream)
+        elif single:
+            events = at_most_one(stream)
         return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
 
 
