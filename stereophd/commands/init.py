@@ -73,7 +73,7 @@ def init(
     if draft.cameras:
         loaded = load_config(target)
         if log_path is not None:
-            findings = report_findings(check_log(loaded, log_path, thorough=False))
+            findings = report_findings((*draft.findings, *check_log(loaded, log_path, thorough=False)))
     else:
         LOGGER.warning("%s: no cameras are known: put them into %s beside it", target, CAMERAS_FILE)
     return {

@@ -13,7 +13,7 @@ from the others, and without any data the answer is the prior's median.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,14 +23,20 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.pipeline.checks.geometry.measure import pairs_of
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, candidates, distances, rays_of
 from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.detectors.statistics import NoisePrior
 
 # The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
 USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.07, 0.4
+# Detection and false detections of a frame to begin with: no detector is free of them, and births need some to compete
+# with.
+USUAL_P_DETECT, LEAST_CLUTTER = 0.9, 0.02
+# Frames of each camera that are looked at.
+SAMPLE_FRAMES = 1500
 # Noises that are tried, px, and borders between classes of distances, px.
 NOISES = np.geomspace(0.03, 300.0, 90)
 BORDERS = np.concatenate([[0.0], np.geomspace(0.01, 10_000.0, 110)])
 # Detections of a pair that are examined at most.
-MOST_DETECTIONS = 2000
+MOST_DETECTIONS = 1000
 # Rounds of the share of partners, and of the cameras in turn.
 SHARE_ROUNDS, CAMERA_ROUNDS, SETTLED = 40, 20, 1e-3
 # Detections that have a partner, at most.
@@ -50,7 +56,7 @@ class RayNoise:
 
     sigma_px: Array  # (cameras,): posterior mean of its logarithm
     relative_error: Array  # (cameras,): standard deviation of that logarithm
-    gain: float  # log-likelihood of partners over chance, all pairs together
+    partners: float  # detections that met one of another camera beyond chance
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ class _PairEvidence:
     cameras: tuple[int, int]
     shares: Array  # (2,): of that variance, by the squared noise of either camera
     likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
-    gain: float
+    partners: float
 
     def of_camera(self, camera: int, logs: Array) -> Array:
         """Return the log-likelihood (noises,) of the noise of one camera, with the logarithms of the others' noise."""
@@ -101,7 +107,38 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
             values[camera], spreads[camera] = _posterior(total)
         if np.abs(values - before).max() < SETTLED:
             break
-    return RayNoise(np.exp(values), spreads, sum(pair.gain for pair in evidence))
+    return RayNoise(np.exp(values), spreads, sum(pair.partners for pair in evidence))
+
+
+def starting_detectors(
+    cameras: Sequence[Camera], estimated: Collection[str], samples: Sequence[CameraSample]
+) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
+    """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
+
+    Where the rays cannot be compared (one camera, cameras that move), the noise is as the detectors have it.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    estimated : collection of str
+        Names of the cameras whose detectors are estimated.
+    samples : sequence of CameraSample
+        Frames of all cameras.
+    """
+    resting = all(camera.pose.is_static for camera in cameras)
+    noise = noise_from_rays(samples) if resting and len(cameras) > 1 else None
+    used, priors = [], {}
+    for k, camera in enumerate(cameras):
+        given = camera.detector
+        if camera.name in estimated:
+            known = noise is not None and noise.partners > 0.0
+            sigma = np.full(2, noise.sigma_px[k]) if noise is not None and known else np.asarray(given.sigma)
+            spread = float(noise.relative_error[k]) if noise is not None and known else NOISE_SPREAD
+            priors[camera.name] = NoisePrior(sigma, spread)
+            clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
+            camera = replace(camera, detector=Detector(sigma, USUAL_P_DETECT, clutter))
+        used.append(camera)
+    return tuple(used), priors
 
 
 def with_noise(camera: Camera, sigma_px: float) -> Camera:
@@ -142,8 +179,8 @@ def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | No
         return None
     share_a = float(shares[usable].mean())
     size = 0.5 * (max(first.camera.width, first.camera.height) + max(second.camera.width, second.camera.height))
-    likelihoods, gain = _mixture(_classes(missed), _classes(by_chance), len(pair.detections), size)
-    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * _kept(pair, samples[b])]), likelihoods, gain)
+    likelihoods, partners = _mixture(_classes(missed), _classes(by_chance), len(pair.detections), size)
+    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * _kept(pair, samples[b])]), likelihoods, partners)
 
 
 def _kept(pair: Candidates, second: CameraSample) -> float:
@@ -160,7 +197,7 @@ def _classes(missed: Array) -> Array:
 
 
 def _mixture(together: Array, apart: Array, count: int, size: float) -> tuple[Array, float]:
-    """Return the log-likelihood (noises,) of the noise of partners among distances, and what it gains.
+    """Return the log-likelihood (noises,) of the noise of partners among distances, and the number of partners.
 
     Parameters
     ----------

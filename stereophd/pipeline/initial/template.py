@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from stereophd.config.cameras import CameraConfig
 from stereophd.core.multi.filter_settings.common import FilterSettings
+from stereophd.pipeline.checks.finding import Finding
 
 Kind = Literal["animals", "drones", "lab"]
 
@@ -33,6 +34,7 @@ class Draft:
     choices: dict[str, Choice]  # Dotted key -> choice, in the order of the file
     camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # Comments on each camera
     head: tuple[str, ...] = ()  # Comments at the top of the file
+    findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
         """Return the draft with other values."""
