@@ -35,8 +35,8 @@ SAMPLE_FRAMES = 1500
 # Noises that are tried, px, and borders between classes of distances, px.
 NOISES = np.geomspace(0.03, 300.0, 90)
 BORDERS = np.concatenate([[0.0], np.geomspace(0.01, 10_000.0, 110)])
-# Detections of a pair that are examined at most.
-MOST_DETECTIONS = 1000
+# Detections of a pair that are examined at most, and distances of them all, those of chance included.
+MOST_DETECTIONS, MOST_DISTANCES = 1000, 1_500_000
 # Rounds of the share of partners, and of the cameras in turn.
 SHARE_ROUNDS, CAMERA_ROUNDS, SETTLED = 40, 20, 1e-3
 # Detections that have a partner, at most.
@@ -163,7 +163,7 @@ def _posterior(total: Array) -> tuple[float, float]:
 
 def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | None:
     """Return what a pair of cameras with a noise of 1 px says; None where they share no frames."""
-    pair = candidates(samples, a, b, MOST_DETECTIONS)
+    pair = candidates(samples, a, b, MOST_DETECTIONS, most_distances=MOST_DISTANCES)
     if pair is None:
         return None
     first, second = Reading(samples[a].camera), Reading(samples[b].camera)
