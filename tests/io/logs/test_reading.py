@@ -296,7 +296,7 @@ def test_rows_in_blocks_of_cameras_are_merged(
 def test_a_block_that_is_not_in_order_is_an_error(write_rows: Callable[..., Path]) -> None:
     blocks = [row(1.0, "right", 0, 1.0, 1.0), row(0.0, "left", 1, 1.0, 1.0), row(-1.0, "left", 2, 1.0, 1.0)]
     reader = LogReader(write_rows(blocks), [make_camera("left"), make_camera("right")])
-    with pytest.raises(InputError, match="found 0 after 1"):
+    with pytest.raises(InputError, match="found 0 before -1; the longest order leaves out 1 rows"):
         list(reader)
 
 
