@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from stereophd.core.arrays import Array
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.io.file_kinds import LOG

@@ -184,9 +184,7 @@ def _with_acceleration(draft: Draft, cameras: tuple[Camera, ...], parts: list[li
     return draft.with_choices({"motion.acceleration_std": Choice(found.value, f"{why}; {draft.unit}/s^2")})
 
 
-def _with_detectors(
-    draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], stream: EventStream
-) -> Draft:
+def _with_detectors(draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], stream: EventStream) -> Draft:
     """Estimate the detectors that are unknown."""
     config, path = loaded.config, loaded.path
     cameras, report = estimate_detectors(

@@ -48,9 +48,7 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
                 "the usual noise of detectors say"
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
-            yield Finding(
-                "detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed"
-            )
+            yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
         elif _unsure(estimate) > UNSURE:
             text = (
                 f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw are few to estimate "
