@@ -252,4 +252,4 @@ def _half_normal(spreads: Array) -> Array:
     from scipy.special import erf  # costly to import
 
     below = erf(BORDERS / (np.sqrt(2.0) * spreads[:, None]))
-    return np.maximum(np.diff(below, axis=1), 1e-300)
+    return np.asarray(np.maximum(np.diff(below, axis=1), 1e-300))

@@ -93,18 +93,20 @@ class Explained:
         self._cameras = {camera.name: camera for camera in cameras}
         self._sums = {name: CameraSums() for name in self._cameras}
         for name, sums in (saved or {}).items():
-            waiting = {key: list(getattr(sums, key)) for key in ("states", "covariances", "pixels")}
-            self._sums[name] = replace(sums, times=np.asarray(sums.times).tolist(), **waiting)
+            self._sums[name] = replace(
+                sums, times=np.asarray(sums.times).tolist(), states=list(sums.states),
+                covariances=list(sums.covariances), pixels=list(sums.pixels),
+            )  # fmt: skip
 
     def saved(self) -> dict[str, CameraSums]:
         """Return the sums of each camera for a checkpoint; what waits there is in one array each."""
         return {
             name: replace(
-                sums,
-                **{key: np.array(getattr(sums, key)) for key in ("times", "states", "covariances", "pixels")},
+                sums, times=np.array(sums.times), states=np.array(sums.states),
+                covariances=np.array(sums.covariances), pixels=np.array(sums.pixels),
             )
             for name, sums in self._sums.items()
-        }
+        }  # fmt: skip
 
     def add(self, record: Record) -> None:
         """Take in one record."""

@@ -111,7 +111,7 @@ def best_explanation(
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
     """Return how many detections to take: fewer in crowds, where each has many candidates in every table."""
-    return min(count, max(LEAST_DETECTIONS, QUICK_DISTANCES // (tables * pair.pixels_b.shape[2])))
+    return min(count, max(LEAST_DETECTIONS, QUICK_DISTANCES // (tables * int(pair.pixels_b.shape[2]))))
 
 
 def _is_decisive(one: Explanation) -> bool:
