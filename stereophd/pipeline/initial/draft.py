@@ -7,7 +7,7 @@ acceleration, its tracks give depths, speeds and births, and its residuals the d
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,9 @@ from stereophd.pipeline.tracking.run import with_detectors
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
+# Standard deviations of the priors of a calibration that is not asked for: of angles, in degrees at least and over the
+# angle of the noise, and of centres over their distance.
+LEAST_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 5.0, 0.01
 # Frames of all cameras from which a filter shows anything.
 LEAST_FRAMES = 4
 # Margins of what is written about what was seen.
@@ -61,7 +64,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     InputError
         The log is not usable, or is one of other cameras.
     """
-    bare = make_config({"units": {"length": draft.unit}, "cameras": _plain(draft.cameras)}, str(log_path))
+    bare = loaded_draft(draft, str(log_path))
     cameras = bare.build_cameras()
     reader = LogReader(log_path, cameras, bare.config.input.on_bad_row, bare.config.input.image_margin_px)
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
@@ -71,7 +74,35 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     samples = [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
     draft = _with_cameras(draft, cameras, unknown)
     rough = _rough(draft, samples)
-    return draft if rough is None else _with_filter(draft.with_choices(rough), draft, priors, log_path)
+    if rough is not None:
+        draft = _with_filter(draft.with_choices(rough), draft, priors, log_path)
+    return replace(draft, calibration=tuple(_calibration(draft)))
+
+
+def _calibration(draft: Draft) -> Iterator[str]:
+    """Yield a commented section ``calibration``, with priors of the size that the noise and the depths suggest."""
+    names = list(draft.cameras)
+    cameras = [camera.build(name) for name, camera in draft.cameras.items()]
+    if len(names) < 2 or not all(camera.pose.is_static for camera in cameras):
+        return
+    depths = draft.choices["filter.birth.depth_range"].value
+    middle = float(np.sqrt(depths[0] * depths[1]))
+    yield "# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."
+    yield "# calibration:"
+    yield f"#   reference: {names[0]}"
+    yield "#   priors:"
+    for name, camera in zip(names[1:], cameras[1:], strict=True):
+        angle = max(LEAST_ANGLE_DEG, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
+        apart = float(np.linalg.norm(camera.pose.center - cameras[0].pose.center))
+        std = max(np.deg2rad(angle) * middle, LEAST_CENTER * apart)
+        yield f"#     {name}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
+    apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
+    yield "#   # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
+    yield f"#   # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
+    yield (
+        f"#   scale: {{kind: baseline, cameras: [{names[0]}, {names[1]}], distance: {rounded(apart, 4)}, "
+        f"std: {rounded(0.005 * apart)}}}"
+    )
 
 
 def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str]) -> Draft:
