@@ -55,24 +55,31 @@ def samples_of(
     return sample_log(out, tuple(cameras))
 
 
-def worst_factor(noise: float, objects: int, speed: float) -> float:
-    """By which factor the noise of a camera is wrong at most; that of the third is 1.7 times as large."""
+def factors(noise: float, objects: int, speed: float) -> tuple[float, float]:
+    """By which factor the noise of a camera is wrong at most, and on average; that of the third is 1.7 times as large."""
     true = [noise, noise, 1.7 * noise]
     samples = samples_of(cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0)), true, objects, 150, speed)
-    return float(np.exp(np.abs(np.log(noise_from_rays(samples).sigma_px / true)).max()))
+    logs = np.log(noise_from_rays(samples).sigma_px / true)
+    return float(np.exp(np.abs(logs).max())), float(np.exp(np.abs(logs.mean())))
 
 
 @pytest.mark.parametrize("noise", [0.1, 1.0, 8.0, 60.0])
 @pytest.mark.parametrize("objects", [2, 12])
 def test_noise_of_any_size_is_found(noise: float, objects: int) -> None:
-    """A log of 150 frames has at least 200 partners of each pair: a standard error of 5 %, and some for the mixture."""
-    assert worst_factor(noise, objects, 1.0) < 1.5
+    """Within 1.5 on average, and of single cameras within 2, which tracks then tell apart.
+
+    A log of 150 frames has at least 200 partners of each pair. They are not independent: objects that pass near an
+    epipolar line stay there for a while.
+    """
+    worst, mean = factors(noise, objects, 1.0)
+    assert worst < 2.0
+    assert mean < 1.5
 
 
 @pytest.mark.parametrize("noise", [0.1, 1.0])
 def test_noise_of_objects_at_rest(noise: float) -> None:
     """They meet those of other cameras by chance all the time: fewer independent distances."""
-    assert worst_factor(noise, 60, 0.0) < 2.0
+    assert factors(noise, 60, 0.0)[0] < 2.0
 
 
 def test_a_camera_without_data_takes_its_noise_from_the_others() -> None:

@@ -40,12 +40,18 @@ MOST_DETECTIONS, MOST_DISTANCES = 1000, 1_500_000
 # Rounds of the share of partners, and of the cameras in turn.
 SHARE_ROUNDS, CAMERA_ROUNDS, SETTLED = 40, 20, 1e-3
 # Detections that have a partner, at most.
-MOST_PARTNERS = 0.98
+MOST_PARTNERS = 0.95
+# Log-likelihood that one pair of cameras may weigh: detections of one object are not independent, and the chance of a
+# single pair may look like noise of another size.
+MOST_EVIDENCE = 20.0
 # Distances of chance, number and share, below which their density counts as even.
 EVEN_COUNT, EVEN_SHARE = 50, 0.001
 # By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
 # directions. At other times alone the rays of objects that hardly move still meet.
 OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
+# Objects that happen to pass near one another stay so for a while: their distances, over the noise, and their number over
+# that of partners, at most.
+HALO, MOST_HALO = 4.0, 0.5
 # Sizes of clusters of objects over that of the image: they have more chance neighbours than other places have.
 CLUSTERS = (0.15, 0.3)
 
@@ -208,22 +214,23 @@ def _mixture(together: Array, apart: Array, count: int, size: float) -> tuple[Ar
     size : float
         Size of the images, px.
     """
-    normal = _half_normal(NOISES)
+    own = np.stack([_half_normal(NOISES), _half_normal(HALO * NOISES)])
     others = np.stack([_background(apart), *_half_normal(np.array(CLUSTERS) * size)])
     total = max(float(together.sum()), 1.0)
     most = min(MOST_PARTNERS * count / total, 1.0 - 1e-6)
-    share = np.full((len(NOISES), 1), 0.5 * most)
-    mixed = np.tile((1.0 - share) / len(others), len(others))
+    shares = np.full((2, len(NOISES), 1), 0.25 * most)
+    mixed = np.full((len(NOISES), len(others)), (1.0 - 0.5 * most) / len(others))
     for _ in range(SHARE_ROUNDS):
-        background = mixed @ others
-        part = together / (share * normal + background)
+        part = together / ((shares * own).sum(axis=0) + mixed @ others)
         mixed = mixed * (part @ others.T)
-        share = np.minimum((part * share * normal).sum(axis=1, keepdims=True) / total, most)
-        mixed *= (1.0 - share) / mixed.sum(axis=1, keepdims=True)
-    likelihoods = (together * np.log(share * normal + mixed @ others)).sum(axis=1)
+        shares = shares * (part * own).sum(axis=2, keepdims=True) / total
+        shares[0] = np.minimum(shares[0], most)
+        shares[1] = np.minimum(shares[1], MOST_HALO * shares[0])
+        mixed *= (1.0 - shares.sum(axis=0)) / mixed.sum(axis=1, keepdims=True)
+    likelihoods = (together * np.log((shares * own).sum(axis=0) + mixed @ others)).sum(axis=1)
     best = int(likelihoods.argmax())
-    partners = float(share[best, 0] * total)
-    return likelihoods - likelihoods[best], partners
+    partners = float(shares[0, best, 0] * total)
+    return np.logaddexp(likelihoods - likelihoods[best], -MOST_EVIDENCE), partners
 
 
 def _background(apart: Array) -> Array:
