@@ -56,7 +56,7 @@ def samples_of(
 
 
 def factors(noise: float, objects: int, speed: float) -> tuple[float, float]:
-    """By which factor the noise of a camera is wrong at most, and on average; that of the third is 1.7 times as large."""
+    """By which factor the noise is wrong, of a camera at most and on average; the third has 1.7 times as much."""
     true = [noise, noise, 1.7 * noise]
     samples = samples_of(cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0)), true, objects, 150, speed)
     logs = np.log(noise_from_rays(samples).sigma_px / true)

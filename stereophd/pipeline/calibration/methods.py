@@ -32,12 +32,13 @@ from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.unknowns.observability import laplace_draws
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.calibration.unknowns.unknown_sets import candidates
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
-from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
 from stereophd.pipeline.calibration.outcome import HistoryRow, Outcome
 from stereophd.pipeline.calibration.samplers import smc_outcome
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.workers.processes import on_processes
 
 if TYPE_CHECKING:
@@ -54,13 +55,13 @@ def annealed_outcome(
     loaded: LoadedConfig,
     section: CalibrationConfig,
     problem: CalibrationProblem,
-    checkpoint: Checkpoint,
+    unfinished: UnfinishedRun,
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
     """Method annealed, with the posterior that the section names."""
     task = annealed_task(loaded, section, problem)
-    starts = _all_starts(loaded, task, checkpoint, jobs, progress)
+    starts = _all_starts(loaded, task, unfinished, jobs, progress)
     best = best_of(starts)
     details: dict[str, Any] = {
         "starts": [_start_report(problem, start, best) for start in starts],
@@ -113,7 +114,7 @@ def annealed_outcome(
         fits = [mode.fit if task.scale is None else rescaled(task, mode.fit, task.scale) for mode in found if mode.fit]
         modes = modes_of(fits, [mode.score for mode in found])
         outcome = smc_outcome(
-            loaded, section, problem, task.scale, modes, fit, history, details, checkpoint, jobs, progress
+            loaded, section, problem, task.scale, modes, fit, history, details, unfinished, jobs, progress
         )
         return replace(outcome, doubt=doubt)
     rng = np.random.default_rng(POSTERIOR_DRAWS.seed(loaded.config.seed))
@@ -143,18 +144,18 @@ def doubt_of_starts(section: CalibrationConfig, task: Task, starts: list[Start],
 
 
 def _all_starts(
-    loaded: LoadedConfig, task: Task, checkpoint: Checkpoint, jobs: int, progress: Progress | None
+    loaded: LoadedConfig, task: Task, unfinished: UnfinishedRun, jobs: int, progress: Progress | None
 ) -> list[Start]:
     """Run starts until enough agree."""
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(loaded.config.seed), count)
     seeds = CALIBRATION_PAIRING.seed(loaded.config.seed).spawn(count)
-    starts: list[Start] = list(checkpoint.get("starts") or [])
+    starts: list[Start] = unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
     if enough(starts, agreeing):
         return starts
     for start in _run_starts(task, values, seeds, len(starts), jobs):
         starts.append(start)
-        checkpoint.keep("starts", starts)
+        unfinished.keep("starts", starts)
         if progress is not None:
             progress(len(starts), count)
         if enough(starts, agreeing):

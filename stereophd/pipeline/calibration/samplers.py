@@ -13,10 +13,11 @@ from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagree
 from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
-from stereophd.core.calibration.sampling.bridging_state import BridgeResult, BridgeState
+from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence, LogEvidence
 from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
+from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState
 from stereophd.core.calibration.sampling.tempered import TemperedPath, tempered_sampler
 from stereophd.core.calibration.unknowns.gauge import can_be_enlarged
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
@@ -24,27 +25,30 @@ from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
-from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import phd_filter, pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
 from stereophd.pipeline.calibration.outcome import HistoryRow, Outcome
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+
+# What an unfinished run keeps of a sampler: its state, and its steps so far.
+BRIDGE = tuple[BridgeState, list[BridgeInfo]]
 
 
 def sequential_outcome(
     loaded: LoadedConfig,
     section: CalibrationConfig,
     problem: CalibrationProblem,
-    checkpoint: Checkpoint,
+    unfinished: UnfinishedRun,
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
     """Method sequential: the paper's particle filter over cameras, with moves or without."""
     if section.sequential.moves == "none":
-        return _plain_outcome(loaded, section, problem, checkpoint, jobs, progress)
+        return _plain_outcome(loaded, section, problem, unfinished, jobs, progress)
     settings, parameters = section.sequential, problem.parameters
     template = (
         pmb_filter(loaded, parameters.cameras)
@@ -55,11 +59,11 @@ def sequential_outcome(
     sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(loaded.config.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
-        checkpoint.keep("sequential", (state, list(steps)))
+        unfinished.keep("sequential", (state, list(steps)))
         if progress is not None:
             progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
 
-    result = bridging.run(sampler, checkpoint.get("sequential"), after)
+    result = bridging.run(sampler, unfinished.read("sequential", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
     details = {"log_evidence": result.log_evidence, "sampler": _sampler_figures(result, settings.likelihood)}
     last, times = {info.stage: info for info in result.history}, np.sort(problem.recording.times)
@@ -76,7 +80,7 @@ def _plain_outcome(
     loaded: LoadedConfig,
     section: CalibrationConfig,
     problem: CalibrationProblem,
-    checkpoint: Checkpoint,
+    unfinished: UnfinishedRun,
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
@@ -91,7 +95,7 @@ def _plain_outcome(
     events = problem.scans().events
 
     def after(number: int, state: Any, history: Any) -> None:
-        checkpoint.keep("sequential", (state, list(history)))
+        unfinished.keep("sequential", (state, list(history)))
         if progress is not None:
             progress(number, len(events))
 
@@ -101,7 +105,7 @@ def _plain_outcome(
         FilterBatch(template, jobs),
         settings,
         SEQUENTIAL_PARTICLES.seed(loaded.config.seed),
-        checkpoint.get("sequential"),
+        unfinished.read("sequential", tuple[SequentialState, list[SequentialInfo]]),
         after,
         walk if walk.any() else None,
     )
@@ -155,7 +159,7 @@ def smc_outcome(
     fit: Fit,
     history: tuple[HistoryRow, ...],
     details: dict[str, Any],
-    checkpoint: Checkpoint,
+    unfinished: UnfinishedRun,
     jobs: int,
     progress: Progress | None,
 ) -> Outcome:
@@ -168,11 +172,11 @@ def smc_outcome(
     sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(loaded.config.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
-        checkpoint.keep("smc", (state, list(steps)))
+        unfinished.keep("smc", (state, list(steps)))
         if progress is not None:
             progress(int(1000 * state.temperature), 1000)
 
-    result = bridging.run(sampler, checkpoint.get("smc"), after)
+    result = bridging.run(sampler, unfinished.read("smc", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
     details["smc"] = {**_sampler_figures(result, settings.evidence), "modes": len(modes.weights)}
     return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)

@@ -49,8 +49,8 @@ EVEN_COUNT, EVEN_SHARE = 50, 0.001
 # By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
 # directions. At other times alone the rays of objects that hardly move still meet.
 OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
-# Objects that happen to pass near one another stay so for a while: their distances, over the noise, and their number over
-# that of partners, at most.
+# Objects that happen to pass near one another stay so for a while: their distances, over the noise, and their number
+# over that of partners, at most.
 HALO, MOST_HALO = 4.0, 0.5
 # Sizes of clusters of objects over that of the image: they have more chance neighbours than other places have.
 CLUSTERS = (0.15, 0.3)
