@@ -20,7 +20,9 @@ from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
+from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import Journal
@@ -166,8 +168,10 @@ def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: E
     if not estimated:
         return tracking
     config, path = loaded.config, loaded.path
+    samples = sample_log(stream.frames, tracking.cameras, SAMPLE_FRAMES)
+    started, priors = starting_detectors(tracking.cameras, estimated, samples)
     cameras, detectors = estimate_detectors(
-        tracking.cameras, estimated, lambda used: build_labelled_filter(config, used, path, threads), stream
+        started, priors, lambda used: build_labelled_filter(config, used, path, threads), stream
     )
     return replace(tracking_with(loaded, cameras, threads), detectors=detectors)
 
