@@ -50,7 +50,7 @@ class Config(Model):
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
     live: LiveConfig = Field(
-        default_factory=LiveConfig, description="how a recording that is still running is tracked (track -, --follow)"
+        default_factory=LiveConfig, description="how a recording that is still running is tracked (track)"
     )
     evaluation: EvaluationConfig = Field(
         default_factory=EvaluationConfig, description="how tracks are scored (evaluate)"

@@ -166,14 +166,12 @@ def listen(address: str) -> Arrivals:
     try:
         import zmq
     except ImportError as error:
-        raise InputError("--listen needs the extra `live`: pip install 'stereophd[live]'") from error
+        raise InputError("messages over the network need the extra `live`: pip install 'stereophd[live]'") from error
     socket: Any = zmq.Context.instance().socket(zmq.PULL)
     try:
         socket.bind(address)
     except zmq.ZMQError as error:
-        raise InputError(f"--listen {address}: expected an address such as tcp://127.0.0.1:5555, found: {error}") from (
-            error
-        )
+        raise InputError(f"{address}: expected an address such as tcp://127.0.0.1:5555, found: {error}") from error
     return _received(socket, address)
 
 
