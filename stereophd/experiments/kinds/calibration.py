@@ -17,7 +17,7 @@ import numpy as np
 
 from stereophd.config.experiment import CalibrationScenario
 from stereophd.core.arrays import Array
-from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.calibration.unknowns.observability import UNDETERMINED, observability, pose_spread, posed_cameras
@@ -91,15 +91,11 @@ def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
     """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
     scene, guessed, parameters, reference, true = _setting(loaded, number)
     motion, scale = build_motion(loaded.config, loaded.path), build_scale(guessed, parameters)
-    objects, cameras, at, positions = scene_positions(scene)
+    truth = scene_positions(scene)
     bounds = []
     for time_s in _times(loaded).tolist():
-        past = at <= time_s + SAME_TIME_S
-        bounds.append(
-            calibration_bound(
-                parameters, true, reference, motion, objects[past], cameras[past], at[past], positions[past], scale
-            )
-        )
+        past = TruePositions(*(values[truth.times <= time_s + SAME_TIME_S] for values in truth))
+        bounds.append(calibration_bound(parameters, true, reference, motion, past, scale))
     return np.array(bounds)
 
 

@@ -16,12 +16,13 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
-from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
+from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import Journal
@@ -61,11 +62,14 @@ class TrackingRun:
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
-        if self.boxes and isinstance(stream.frames, LogReader) and not stream.frames.has_boxes:
-            raise InputError(
-                f"{stream.source}: expected the columns width_px and height_px (object.shape is ellipsoid), found none"
-            )
-        events = at_most_one(stream) if single else stream
+        events: Iterable[Event] = stream
+        if self.boxes:
+            # imported here: what it needs of SciPy is costly to import
+            from stereophd.pipeline.tracking.bodies import with_boxes
+
+            events = with_boxes(stream)
+        elif single:
+            events = at_most_one(stream)
         return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
 
     def open_journal(self, unfinished: UnfinishedRun) -> Journal:
@@ -86,8 +90,10 @@ class TrackingRun:
         if not estimated:
             return self
         config, path = self.loaded.config, self.loaded.path
+        samples = sample_log(stream.frames, self.cameras, SAMPLE_FRAMES)
+        started, priors = starting_detectors(self.cameras, estimated, samples)
         cameras, detectors = estimate_detectors(
-            self.cameras, estimated, lambda used: build_labelled_filter(config, used, path, self.threads), stream
+            started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stream
         )
         return replace(build_tracking(self.loaded, self.threads, cameras), detectors=detectors)
 
