@@ -62,7 +62,10 @@ class OneOf:
 class Units(Model):
     """Units of all files of a run."""
 
-    length: Literal["mm", "cm", "m", "km"] = parameter("unit of length of positions and baselines", default="m")
+    length: Literal["mm", "cm", "m", "km", "baseline"] = parameter(
+        "unit of length of positions and baselines; baseline: that of two cameras, where calibrate knows no length",
+        default="m",
+    )
 
 
 class Range3(Model):

@@ -84,7 +84,9 @@ class PairState:
 
     def rays(self, slopes: Array, side: int) -> Array:
         """Rays (n, 3) of slopes (n, 2) that the intrinsics of the prior mean made."""
-        return np.column_stack([straightened(slopes / self.focal[side], float(self.lenses[side])), np.ones(len(slopes))])
+        return np.column_stack(
+            [straightened(slopes / self.focal[side], float(self.lenses[side])), np.ones(len(slopes))]
+        )
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,14 @@ class PairFit:
     stds: Array  # (11,): deviations of the components, 0 of what is held
     pairs: Integers  # (p, 2): tracks that are one object
     depths: Array  # (n, 2): depths of their samples before both cameras, in lengths of the baseline
+    points: Array  # (n, 3): where they are, in the axes of a and in lengths of the baseline
     samples: Array  # (n, 3): track of a, time of a, track of b of these
     residual: float  # median distance of the paired samples over their noise
     parallax: float  # median angle between their rays, rad
 
 
 def straightened(slopes: Array, coefficient: float) -> Array:
-    """Slopes (n, 2) without a radial distortion 1 + k1 r^2: a few fixed-point steps, which need not end for far points."""
+    """Slopes (n, 2) without a radial distortion 1 + k1 r^2: a few fixed-point steps."""
     if coefficient == 0.0:
         return slopes
     out = slopes
@@ -133,6 +136,7 @@ class PairProblem:
 
     @property
     def focal_px(self) -> Array:
+        """Focal lengths (2,) of the prior mean, px."""
         return self.found.focal[list(self.cameras)]
 
     @property
@@ -170,7 +174,9 @@ class PairProblem:
         row, j = np.nonzero((times[:, None] >= begin) & (times[:, None] <= end))
         slopes, seen = raw.at(b[j], times[row])
         row, j, slopes = row[seen], j[seen], slopes[seen]
-        return _Rows(entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a)))
+        return _Rows(
+            entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a))
+        )
 
     def _squared(self, state: PairState, rows: _Rows) -> Array:
         return self._distances(state, rows, rows.slopes_b) ** 2
@@ -240,7 +246,9 @@ class PairProblem:
 
     def _at_clock(self, state: PairState, rows: _Rows) -> _Rows:
         """Return the rows with the slopes of b at the times of a state; the former ones where b was not seen."""
-        slopes, seen = self.found.tracks.at(rows.track_b, state.times_of_second(self.found.tracks.log_times[rows.entry]))
+        slopes, seen = self.found.tracks.at(
+            rows.track_b, state.times_of_second(self.found.tracks.log_times[rows.entry])
+        )
         return replace(rows, slopes_b=np.where(seen[:, None], slopes, rows.slopes_b))
 
     def _linearised(self, state: PairState, rows: _Rows, free: Integers) -> tuple[Array, Array]:
@@ -287,7 +295,8 @@ class PairProblem:
         return PairFit(
             replace(state, rotation=rotation, direction=direction), paired.gain, paired.pieces, tolerance, front,
             np.sqrt(np.maximum(np.diag(covariance), 0.0)),
-            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]), depths[good], samples[good],
+            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]), depths[good], a[good] * depths[good, :1],
+            samples[good],
             float(np.median(distances)) / (0.6745 * self.noise_px),
             float(np.arcsin(np.clip(np.median(sines[inlying]), 0.0, 1.0))) if inlying.any() else 0.0,
         )  # fmt: skip
@@ -323,7 +332,7 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Paired:
-    """Samples of the tracks that are paired, the pairs (p, 2), the gain of all, and the pieces that they have in common."""
+    """Samples of the tracks that are paired, the pairs (p, 2), their gain, and the pieces that they have in common."""
 
     rows: _Rows
     pairs: Integers
