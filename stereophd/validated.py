@@ -59,6 +59,10 @@ class OneOf:
         return {**schema, "discriminator": {"propertyName": self.key, "mapping": mapping}}
 
 
+# The unit of length where no length is known: the distance of two cameras.
+NO_LENGTH = "baseline"
+
+
 class Units(Model):
     """Units of all files of a run."""
 

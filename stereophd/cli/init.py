@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, exit_if_strict, print_data, print_report
+from stereophd.cli.terminal import exit_if_strict, print_data, print_report
 from stereophd.cli.unused_options import refuse
 
 
@@ -32,7 +32,7 @@ class LengthUnit(StrEnum):
 
 
 def init_command(
-    context: typer.Context,
+    session: options.Session,
     folder: Annotated[
         Path,
         typer.Argument(metavar="DIR", help="Folder of the new config.yaml; created if missing.", show_default=False),
@@ -58,22 +58,18 @@ def init_command(
             show_default=False,
         ),
     ] = None,
+    overrides: options.Set = None,
     strict: options.Strict = False,
     force: options.Force = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Write a commented configuration, with values estimated from a log and cameras as far as these show them."""
-    session = begin(context)
     if log is None:
-        refuse(context, ("strict",), "with --log FILE, which is checked, found none")
+        refuse(session, ("strict",), "with --log FILE, which is checked, found none")
     from stereophd.commands.init import init
 
     report = init(
         folder, log, cameras, None if length_unit is None else length_unit.value, None if kind is None else kind.value,
-        force,
+        force, tuple(overrides or ()),
     )  # fmt: skip
     if session.json:
         print_report(session, report)
@@ -86,12 +82,21 @@ def _lines(report: dict[str, Any], log: Path | None) -> list[str]:
     """Return the values with their sources, and what to run next."""
     width = max(len(row["key"]) for row in report["values"])
     lines = [f"{row['key']:<{width}}  {_shown(row['value']):<18}  {row['source']}" for row in report["values"]]
+    lines += [_detector(name, detector) for name, detector in report["detectors"].items()]
     config = Path(report["config"])
     # beside the configuration and quoted, so that the line can be copied as it is
     following = shlex.join(
         ["stereophd", "track", str(config), str(log or "LOG"), "--out", str(config.parent / "tracks")]
     )
     return [*lines, f"Written: {config}; next:", f"  {following}"]
+
+
+def _detector(name: str, detector: dict[str, Any]) -> str:
+    noise = " x ".join(f"{sigma:g}" for sigma in detector["sigma_px"])
+    return (
+        f"{name}: noise {noise} px, probability of detection {detector['p_detect']:g}, "
+        f"{detector['clutter_per_frame']:g} false detections a frame  {detector['source']}"
+    )
 
 
 def _shown(value: Any) -> str:

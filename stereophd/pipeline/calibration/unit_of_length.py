@@ -14,18 +14,19 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 
 from stereophd.config.loading import variant
+from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-BASELINE = "baseline"
+
 # Sections whose lengths are settings. Those of cameras and of calibrations are made anew where cameras are found.
 SECTIONS = ("disparity", "motion", "object", "region", "filter", "report", "evaluation")
 
 
 def with_baseline_unit(loaded: LoadedConfig, factor: float) -> LoadedConfig:
     """Return a configuration in the unit `baseline`, in which its lengths have this many times their values."""
-    changes: dict[str, Any] = {"units.length": BASELINE}
+    changes: dict[str, Any] = {"units.length": NO_LENGTH}
     for section in SECTIONS:
         changes.update(_scaled(getattr(loaded.config, section), section, factor))
     return variant(loaded, [("unit of length", changes)])

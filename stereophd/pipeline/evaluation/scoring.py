@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Integers
+from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors.confirmation_delay import FirstReports, first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
@@ -23,10 +25,11 @@ from stereophd.core.metrics.truth.interpolation import (
     in_window,
     last_event_of_each_time,
 )
+from stereophd.core.metrics.truth.places import leave_out_outside, on_plane
 from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
-from stereophd.pipeline.evaluation.options import Options
+from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
 from stereophd.pipeline.evaluation.report import Scored
 from stereophd.pipeline.evaluation.scale import warn_of_wrong_matches
@@ -36,7 +39,7 @@ def score_tracks(
     tracks: Tracks,
     truth: Truth,
     sightings: Sightings | None,
-    options: Options,
+    options: ScoreOptions,
     max_gap_s: float,
     tracks_path: Path,
 ) -> Scored:
@@ -74,6 +77,9 @@ def score_tracks(
     }
     time_s, points = events.time_s[usable], aligned.points.keep_scans(usable)
     estimates = _estimates(tracks, events.take(usable), options, tracks_path)
+    if options.plane is not None:
+        normal = np.array(options.plane)
+        estimates, points = on_plane(estimates, normal), on_plane(points, normal)
     mahalanobis = options.base == "mahalanobis"
     if sightings is not None and options.seen_by is not None and options.within_s is not None:
         cameras = cameras_that_saw(sightings, time_s[points.scan], points.label, options.within_s)
@@ -82,29 +88,42 @@ def score_tracks(
             points,
             cameras >= options.seen_by,
             options.order,
-            options.cutoff,
+            options.known_cutoff,
             mahalanobis=mahalanobis,
         )
         scans["unseen"] = int(emptied.sum())
         time_s = time_s[~emptied]
         estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
+    if options.region is not None:
+        estimates, points, emptied = leave_out_outside(
+            estimates, points, options.region, options.order, options.known_cutoff
+        )
+        scans["outside_region"] = int(emptied.sum())
+        time_s = time_s[~emptied]
+        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
     if len(time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
-    scores = score_scans(estimates, points, options.order, options.cutoff, mahalanobis=mahalanobis)
-    distance = options.cutoff if options.match_distance is None else options.match_distance
+    scores = score_scans(estimates, points, options.order, options.known_cutoff, mahalanobis=mahalanobis)
+    distance = options.known_cutoff if options.match_distance is None else options.match_distance
     scores, matchable = match_within(
-        estimates, points, scores, options.order, options.cutoff, distance, mahalanobis=mahalanobis
+        estimates, points, scores, options.order, options.known_cutoff, distance, mahalanobis=mahalanobis
     )
     beside = beside_another(estimates, points, scores, matchable)
     warn_of_wrong_matches(tracks_path, beside, len(scores.pair_scan), distance)
     near = matchable
-    if distance != options.cutoff:
-        near = near_pairs(estimates, points, options.cutoff, mahalanobis=mahalanobis)
-    ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
+    if distance != options.known_cutoff:
+        near = near_pairs(estimates, points, options.known_cutoff, mahalanobis=mahalanobis)
+    ospa2 = track_ospa(
+        estimates, points, options.ospa2_window, options.order, options.known_cutoff, mahalanobis=mahalanobis
+    )
     errors = pair_errors(estimates, points, scores)
     waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
+    found_figures = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
+    if options.switch_cost is not None:
+        tgospa = trajectory_gospa(estimates, points, near, options.order, options.known_cutoff, options.switch_cost)
+        found_figures["tgospa"] = {"mean": tgospa.mean(options.order), **asdict(tgospa)}
     return Scored(
-        figures=figures(estimates, points, scores, near, matchable, ospa2, errors, waited),
+        figures=found_figures,
         scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
         columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,
@@ -112,7 +131,7 @@ def score_tracks(
     )
 
 
-def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> PointSets:
+def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path) -> PointSets:
     """Return the estimates that were reported after each event."""
     rows, start = _rows(events)
     covariance = tracks.covariance[rows]
@@ -143,7 +162,7 @@ def _first_reports(tracks: Tracks) -> FirstReports:
     return first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
 
 
-def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: Options, path: Path) -> str:
+def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: ScoreOptions, path: Path) -> str:
     def span(time_s: NDArray[Any]) -> str:
         return f"{time_s.min():g} to {time_s.max():g} s" if len(time_s) else "none"
 

@@ -295,8 +295,8 @@ class PairProblem:
         return PairFit(
             replace(state, rotation=rotation, direction=direction), paired.gain, paired.pieces, tolerance, front,
             np.sqrt(np.maximum(np.diag(covariance), 0.0)),
-            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]), depths[good], a[good] * depths[good, :1],
-            samples[good],
+            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]),
+            depths[good], a[good] * depths[good, :1], samples[good],
             float(np.median(distances)) / (0.6745 * self.noise_px),
             float(np.arcsin(np.clip(np.median(sines[inlying]), 0.0, 1.0))) if inlying.any() else 0.0,
         )  # fmt: skip

@@ -79,7 +79,7 @@ def _second_optimum(pair: PairResult, two: str) -> str:
     turn, _ = distance_of(best.state, other.state)
     apart = other.state.offset_s - best.state.offset_s
     return (
-        f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {np.rad2deg(turn):.0f} degrees and "
+        f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {np.rad2deg(turn):.0f} degrees, "
         f"{apart:+.2f} s away: record objects that speed up and turn, or state the clock"
     )
 
