@@ -111,12 +111,8 @@ def calibrate(
         raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     from joblib import effective_n_jobs
 
-<<<<<<< HEAD
-    jobs = effective_n_jobs(jobs)
-    loaded, unknown = with_found_cameras(loaded, log_path)
-=======
     jobs = effective_n_jobs(options.jobs)
->>>>>>> main
+    loaded, unknown = with_found_cameras(loaded, log_path)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
     record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
@@ -133,20 +129,11 @@ def calibrate(
     unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))
-<<<<<<< HEAD
-        held.enter_context(unfinished.held(resume, force))
-        out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists))
-        if unknown is None:
-            outcome = _outcome(loaded, section, problem, unfinished, jobs, progress)
-        else:
-            outcome = unknown.judged(
-                problem, unknown.nothing(problem) or _outcome(loaded, section, problem, unfinished, jobs, progress)
-            )
-=======
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
-        outcome = _outcome(loaded, section, problem, unfinished, jobs, progress)
->>>>>>> main
+        outcome = unknown.outcome_of_none(problem) if unknown is not None else None
+        outcome = outcome or _outcome(loaded, section, problem, unfinished, jobs, progress)
+        outcome = outcome if unknown is None else unknown.judged(problem, outcome)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, problem, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:

@@ -84,7 +84,7 @@ class FoundCameras:
         }  # fmt: skip
         return out
 
-    def nothing(self, problem: CalibrationProblem) -> Outcome | None:
+    def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
         """Return the outcome where no cameras were found; None where some were."""
         if self.rig is not None:
             return None
