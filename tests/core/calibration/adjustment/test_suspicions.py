@@ -80,13 +80,16 @@ def test_the_evidence_is_that_of_a_gaussian_model() -> None:
 
 @pytest.mark.parametrize("factor", [0.2, 1.0, 4.0])
 def test_the_noise_of_a_camera_is_found_whatever_is_stated(factor: float) -> None:
-    problem, _ = posed(Lens(), Lens())
-    observations = problem.observations
-    precisions = observations.precisions.copy()
-    precisions[observations.cameras == 1] *= factor**2
-    problem = replace(problem, observations=replace(observations, precisions=precisions))
-    states = adjust(problem, np.zeros(problem.parameters.size), posed(Lens(), Lens())[1].states)
-    found = noise_factors(problem, states, np.random.default_rng(0))
-    assert found.differs.tolist() == [False, factor != 1.0, False]
-    # to four standard deviations of each, and of what the others' wrong noise leaves
-    np.testing.assert_allclose(found.factors, [1.0, factor, 1.0], rtol=0.2)
+    problem, adjustment = posed(Lens(), Lens())
+    stated = np.array([1.0, 1.0 / factor, 1.0])  # what is stated over the true noise
+    for number in range(4):  # tracks follow the cameras whose noise is stated too small until it is known
+        observations = problem.observations
+        precisions = observations.precisions / stated[observations.cameras, None, None] ** 2
+        noisy = replace(problem, observations=replace(observations, precisions=precisions))
+        adjustment = adjust(noisy, np.zeros(problem.parameters.size), adjustment.states)
+        found = noise_factors(noisy, adjustment, np.random.default_rng(0))
+        if number == 0:
+            assert found.differs.tolist() == [False, factor != 1.0, False]
+        stated = stated * found.factors
+    # 160 to 320 coordinates of each camera tell, to 6 % at most: three standard deviations
+    np.testing.assert_allclose(stated, 1.0, rtol=0.17)
