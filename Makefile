@@ -6,27 +6,22 @@ DEMO := out/quickstart
 PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
 
-.PHONY: help demo test lint fuzz format bench schema reference venv clean
+.PHONY: help demo test lint site release fuzz format bench schema reference venv clean
 
 help:
 	@echo "make demo   simulate, track and evaluate a small scene, with pictures, in $(DEMO)"
 	@echo "make test   run the tests"
 	@echo "make lint   ruff, mypy and the import contracts"
+	@echo "make site   the documentation as a site, in out/site"
+	@echo "make release  wheel and sdist in out/dist, checked, installed and used in an empty environment"
 	@echo "make fuzz   random configurations and damaged files, for hours (EXAMPLES=100000)"
 	@echo "make bench  speed benchmarks (minutes)"
 	@echo "make schema write configs/schema.json anew"
-	@echo "make reference write the reference in docs/configuration.md anew"
+	@echo "make reference write docs/reference/configuration/ and the index of decisions anew"
 	@echo "make clean  remove $(VENV) and out"
 
 demo: $(VENV)/.installed-plot
-	$(BIN)/stereophd simulate configs/quickstart.yaml --out $(DEMO)/simulated --force
-	$(BIN)/stereophd track configs/quickstart.yaml $(DEMO)/simulated/detections.parquet \
-		--cameras $(DEMO)/simulated/cameras.yaml --associations --out $(DEMO)/tracked --force
-	$(BIN)/stereophd evaluate $(DEMO)/tracked/tracks.parquet $(DEMO)/simulated/truth.parquet \
-		--cutoff 1 --cameras $(DEMO)/simulated/cameras.yaml --out $(DEMO)/evaluated --force
-	$(BIN)/stereophd report $(DEMO)/simulated $(DEMO)/tracked $(DEMO)/evaluated --out $(DEMO)/report.html --force
-	@echo "Pictures, and the page to open in a browser:"
-	@find $(DEMO)/evaluated $(DEMO)/report.html -type f | sort | sed 's/^/  /'
+	$(BIN)/stereophd demo $(DEMO) --force
 
 test: $(VENV)/.installed-all
 	$(BIN)/python -m pytest -n 2 --dist worksteal
@@ -36,6 +31,15 @@ lint: $(VENV)/.installed-all
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+site: $(VENV)/.installed-all
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+release: $(VENV)/.installed-all
+	rm -rf out/dist
+	$(BIN)/python -m build --outdir out/dist .
+	$(BIN)/python -m twine check --strict out/dist/*
+	$(BIN)/python .ci/try_wheel.py out/dist
 
 # Random configurations, logs and damaged files, for hours: make fuzz EXAMPLES=100000
 EXAMPLES ?= 2000
@@ -57,6 +61,7 @@ bench: $(VENV)/.installed-all
 
 reference: $(VENV)/.installed-plot
 	$(BIN)/python docs/make_configuration.py
+	$(BIN)/python docs/make_decisions.py
 
 schema: $(VENV)/.installed-plot
 	schema=$$($(BIN)/stereophd config schema) && printf '%s\n' "$$schema" > configs/schema.json

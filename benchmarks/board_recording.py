@@ -35,7 +35,7 @@ from stereophd.config.loading import load_cameras, load_config
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.pipeline.calibration.unknowns import with_quantities
 
 ROOT = Path(__file__).resolve().parents[1]

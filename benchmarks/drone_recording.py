@@ -36,7 +36,7 @@ from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.core.metrics.truth.registration import Freedom, Registration, register
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.pipeline.calibration.unknowns import with_quantities
 
 ROOT = Path(__file__).resolve().parents[1]

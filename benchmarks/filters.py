@@ -4,8 +4,8 @@
     python benchmarks/filters.py --authors DIR
 
 Every scene is a variation of configs/paper/multi_object.yaml, simulated with seeds of its own; all filters see the
-same logs. Prints a Markdown table (docs/filters.md holds one): means over runs with the half-width of their 95 %
-intervals, a median, and the number of failures. Everything runs in memory, as `stereophd experiment` does.
+same logs. Prints a Markdown table (docs/results/filters.md holds one): means over runs with the half-width of their
+95 % intervals, a median, and the number of failures. Everything runs in memory, as `stereophd experiment` does.
 With --authors the logs are those in the folders of DIR (cameras.yaml, detections.parquet, truth.parquet, in cm), one
 run each.
 """
@@ -100,7 +100,7 @@ WITHOUT = {
 
 
 ORDER, CUTOFF, WINDOW = 2.0, 20.0, 10
-# Objects come nearer to each other than the cutoff: see docs/filters.md, NEES.
+# Objects come nearer to each other than the cutoff: see docs/results/filters.md, NEES.
 MATCH_DISTANCE = 10.0
 # The limit of a filter, on scenes without noise of motion.
 KNOWN = "known association"
@@ -156,7 +156,7 @@ def tracked(run: Run, settings: Sequence[str]) -> list[Estimates]:
     cameras = loaded.build_cameras()
     multi_filter = build_filter(loaded.config, cameras, loaded.path)
     stream = EventStream(cameras, run.frames)
-    records = list(reported_records(multi_filter, multi_filter.motion, stream, loaded.config.report, keep_events=True))
+    records = list(reported_records(multi_filter, multi_filter.motion, stream, loaded.config.report, reach_back=True))
     return [records[event].estimates for event in run.last.tolist()]
 
 

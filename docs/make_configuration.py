@@ -1,9 +1,8 @@
-"""Write the reference part of docs/configuration.md from the declarations of the parameters (`make reference`).
+"""Write the reference of all keys of a configuration, one page per section, from the declarations (`make reference`).
 
     python docs/make_configuration.py [--check]
 
-Everything above the marker in the page is written by hand and kept. With --check nothing is written, and the exit
-code is 1 if the page is out of date.
+With --check nothing is written, and the exit code is 1 if a page is out of date.
 """
 
 from __future__ import annotations
@@ -18,11 +17,27 @@ from typing import Any
 
 from stereophd.config.loading import json_schema
 
-PAGE = Path(__file__).resolve().parent / "configuration.md"
-MARKER = "<!-- Everything below is written by `make reference`. -->"
-WIDTH = 120
+FOLDER = Path(__file__).resolve().parent / "reference" / "configuration"
+# Bounds beyond this exclude only what no set-up reaches, and say nothing to a reader.
+LARGEST_SHOWN = 1e6
 
 Node = Mapping[str, Any]
+
+INDEX = """# Configuration
+
+A configuration is one YAML file. [Choosing settings](../../howto/settings.md) explains the values that matter most;
+these pages list every key, section by section.
+
+- `stereophd config check FILE --for track` checks a configuration for a command.
+- `stereophd config show FILE` prints it with all defaults.
+- `--set KEY=VALUE` changes single values on the command line, such as `--set filter.birth.per_s=0.2`.
+- `stereophd config schema` prints the JSON schema. Editors that read it complete and check keys.
+
+Lengths are in the unit that `units.length` names, times in seconds, pixels as floats with (0, 0) at the centre of the
+top-left pixel, angles in degrees where the key ends in `_deg`. Every number has bounds, which exclude only physically
+impossible values: if you see a message about one, you probably used the wrong unit. The tables show the bounds that
+say more than that.
+"""
 
 
 class Reference:
@@ -33,10 +48,27 @@ class Reference:
         self._places: dict[str, str] = {}
         self.lines: list[str] = []
 
-    def write(self) -> str:
-        """Return the text of all sections."""
-        self._section("", self._schema)
-        return "\n".join(self.lines) + "\n"
+    def write(self) -> dict[str, str]:
+        """Return the pages by name: `index` for the top level, and one for each section."""
+        properties = self._schema["properties"]
+        self._table(self._schema)
+        pages = {}
+        index = self._taken()
+        for key, value in properties.items():
+            resolved = self._resolved(value)
+            for place, section, kind in self._below(key, resolved):
+                self._section(place, section, kind)
+            if self.lines:
+                head = f"# Configuration: `{key}`\n\n{_sentence(str(resolved.get('description', '')))}\n"
+                pages[key] = head + self._taken()
+                index = index.replace(f"| `{key}` |", f"| [`{key}`]({key}.md) |")
+        return {"index": INDEX + index, **pages}
+
+    def _taken(self) -> str:
+        """Return the lines so far as text, and begin anew."""
+        text = "\n".join(self.lines) + "\n"
+        self.lines.clear()
+        return text
 
     def _resolved(self, node: Node) -> Node:
         """Follow a reference; what stands beside it has priority."""
@@ -47,8 +79,8 @@ class Reference:
 
     def _section(self, path: str, node: Node, word: str = "") -> None:
         """Write the keys of a mapping, and then the sections below it."""
-        title = f"`{path}`" + (f" with `{word}`" if word else "") if path else "Top level"
-        self.lines += ["", f"### {title}", ""]
+        title = f"`{path}`" + (f" with `{word}`" if word else "")
+        self.lines += ["", f"## {title}", ""]
         text = str(node.get("description", ""))
         name = node.get("is")
         if name in self._places:
@@ -56,35 +88,27 @@ class Reference:
             return
         if name:
             self._places[name] = title
-        if path and text:
-            self._paragraph(_sentence(text))
-            self.lines.append("")
-        below: list[tuple[str, Node, str]] = []
+        if text:
+            self.lines += [*textwrap.wrap(_sentence(text), 120, break_long_words=False, break_on_hyphens=False), ""]
+        self._table(node)
         for key, value in node.get("properties", {}).items():
-            resolved = self._resolved(value)
-            self._key(key, resolved, key in node.get("required", ()))
-            below += self._below(f"{path}.{key}" if path else key, resolved)
-        for place, section, kind in below:
-            self._section(place, section, kind)
+            for place, section, kind in self._below(f"{path}.{key}", self._resolved(value)):
+                self._section(place, section, kind)
 
-    def _key(self, key: str, node: Node, required: bool) -> None:
-        parts = [_sentence(str(node.get("description", "")))]
-        if values := self._values(node):
-            parts.append(f"Values: {values}.")
-        if "unit" in node:
-            parts.append(f"Unit: {node['unit']}.")
-        if required:
-            parts.append("Required.")
-        elif "default" in node:
-            parts.append(f"Default: `{_written(node['default'])}`.")
-        self._paragraph(f"- **`{key}`**: {' '.join(parts)}", "  ")
-        if "advice" in node:
-            self._paragraph(f"  *Choosing:* {node['advice']}", "  ")
-
-    def _paragraph(self, text: str, indent: str = "") -> None:
-        self.lines += textwrap.wrap(
-            text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-        )
+    def _table(self, node: Node) -> None:
+        """Write one row per key of a mapping."""
+        self.lines += ["", "| key | meaning | values | unit | default |", "|---|---|---|---|---|"]
+        for key, value in node.get("properties", {}).items():
+            entry = self._resolved(value)
+            meaning = _sentence(str(entry.get("description", "")))
+            if "advice" in entry:
+                meaning += f"<br>*Choosing:* {entry['advice']}"
+            if key in node.get("required", ()):
+                default = "required"
+            else:
+                default = f"`{_written(entry['default'])}`" if "default" in entry else ""
+            cells = [f"`{key}`", meaning, self._values(entry), str(entry.get("unit", "")), default]
+            self.lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
 
     def _values(self, node: Node) -> str:
         """Return the values that a key takes, in words; empty for a section."""
@@ -138,12 +162,18 @@ def _sentence(text: str) -> str:
 
 
 def _bounds(node: Node) -> str:
+    """Return the bounds of a number in words, as far as they say something."""
     low = node.get("minimum", node.get("exclusiveMinimum"))
     high = node.get("maximum", node.get("exclusiveMaximum"))
-    below = " (excluded)" if "exclusiveMaximum" in node else ""
-    if low is None:
-        return ""
-    return f" from {low:g} to {high:g}{below}" if high is not None else f" from {low:g} on"
+    has_low = low is not None and abs(low) <= LARGEST_SHOWN
+    has_high = high is not None and abs(high) <= LARGEST_SHOWN
+    if has_low and 0 < low < 1 / LARGEST_SHOWN:
+        return f" above 0, at most {high:g}" if has_high else " above 0"
+    if has_low and has_high:
+        return f" from {low:g} to {high:g}" + (" (excluded)" if "exclusiveMaximum" in node else "")
+    if has_low:
+        return f", at least {low:g}"
+    return f", at most {high:g}" if has_high else ""
 
 
 def _written(value: Any) -> str:
@@ -152,19 +182,21 @@ def _written(value: Any) -> str:
     return json.dumps(value)
 
 
-def page(text: str) -> str:
-    """Return the text of the page with its reference part written anew."""
-    by_hand = text.split(MARKER)[0]
-    return f"{by_hand}{MARKER}\n\n## Reference of all keys\n{Reference(json_schema()).write()}"
+def pages() -> dict[str, str]:
+    """Return the text of every page, by its name in the folder."""
+    return {f"{name}.md": text for name, text in Reference(json_schema()).write().items()}
 
 
 def main() -> int:
-    """Write the page, or check it."""
-    old = PAGE.read_text(encoding="utf-8")
-    new = page(old)
+    """Write the pages, or check them."""
+    new = pages()
+    old = {path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.md")}
     if "--check" in sys.argv[1:]:
         return int(new != old)
-    PAGE.write_text(new, encoding="utf-8")
+    for name in old.keys() - new.keys():
+        (FOLDER / name).unlink()
+    for name, text in new.items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
     return 0
 
 

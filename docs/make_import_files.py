@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 import yaml
 
 from stereophd.commands.simulate import simulate
-from stereophd.config.cameras import CameraConfig
 from stereophd.config.loading import load_config
 from stereophd.core.geometry.pose import rotation_to_vector
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.formats.dlt import write_cameras
 from stereophd.io.interchange.cameras import take_apart
 from stereophd.io.interchange.opencv_storage import write_yaml

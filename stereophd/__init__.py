@@ -1,8 +1,8 @@
 """stereophd: 3-D tracks from the detection logs of several cameras.
 
-The names below are the public interface; ``docs/api.md`` shows how to use them. Each is imported when it is
-first used, so that ``import stereophd`` takes almost no time. Modules and names that are not listed here are private:
-they may change without notice.
+The names below are the public interface; the page "Python" of the documentation shows how to use them. Each is imported
+when it is first used, so that ``import stereophd`` takes almost no time. Modules and names that are not listed here are
+private: they may change without notice.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The public interface: every name is there, importing it is light, and the examples of docs/api.md run."""
+"""The public interface: every name is there, importing it is light, and the examples of docs/reference/api.md run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import stereophd
 from stereophd import Camera, Clock, Detector, InputError, Lens, Pose
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = (ROOT / "docs" / "api.md").read_text()
+PAGE = (ROOT / "docs" / "reference" / "api.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
@@ -27,7 +27,7 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
     assert name in dir(stereophd)
     if name != "__version__":
         assert value.__doc__
-        assert re.search(rf"\b{name}\b", PAGE), f"docs/api.md does not name {name}"
+        assert re.search(rf"\b{name}\b", PAGE), f"docs/reference/api.md does not name {name}"
 
 
 def test_the_lazy_table_lists_what_type_checkers_see() -> None:
@@ -62,7 +62,7 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     names: dict[str, object] = {}
     outputs = []
     for number, block in enumerate(BLOCKS):
-        exec(compile(block, f"docs/api.md, block {number + 1}", "exec"), names)
+        exec(compile(block, f"docs/reference/api.md, block {number + 1}", "exec"), names)
         outputs.append(capsys.readouterr().out)
     last = outputs[0].splitlines()[-1]
     assert f"`{last}`" in PAGE

@@ -8,10 +8,12 @@ from typing import Annotated
 import typer
 
 from stereophd.cli.options import option
+from stereophd.site import page
 
+FORMAT_HELP = f"Format, such as csv; all: {page('reference/interchange')}"
 Form = Annotated[
     str,
-    typer.Argument(metavar="FORMAT", help="Format, such as csv (all: docs/interchange.md).", show_default=False),
+    typer.Argument(metavar="FORMAT", help=FORMAT_HELP, show_default=False),
 ]
 Sources = Annotated[
     list[Path], typer.Argument(metavar="SOURCE...", help="Files or folders of that format.", show_default=False)

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.commands.options import CalibrateOptions
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
-from stereophd.io.cameras import write_cameras
-from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.outputs.checkpoints import is_checkpoint
+from stereophd.io.cameras.writing import write_cameras
+from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter
+from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
-from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import read_problem
 from stereophd.pipeline.calibration.methods import annealed_outcome
@@ -37,6 +37,7 @@ from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_tracking
 from stereophd.pipeline.runs.finished import finished_report
 from stereophd.pipeline.runs.sizes import check_size
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
@@ -68,25 +69,14 @@ WITH_CAMERAS = ("geometry.", "settings.")
 LOGGER = logging.getLogger("stereophd")
 
 
-def checkpoint_path(out_dir: Path | str) -> Path:
-    """Return the path of the checkpoint of a run: next to its output folder, with the ending ``.checkpoint``."""
-    folder = Path(os.path.abspath(out_dir))  # An absolute path has a name, also that of the current folder.
-    if not folder.name:
-        raise InputError(f"output folder {out_dir}: expected a folder in another, found the root folder")
-    return folder.with_name(f"{folder.name}.checkpoint")
-
-
+@takes(CalibrateOptions)
 def calibrate(
     loaded: LoadedConfig,
     log_path: Path | str,
     out_dir: Path | str,
-    force: bool = False,
-    jobs: int = 1,
-    resume: bool = False,
-    plots: bool | None = None,
+    *,
+    options: CalibrateOptions,
     progress: Progress | None = None,
-    require: Literal["determined", "partly"] | None = None,
-    force_size: bool = False,
 ) -> dict[str, Any]:
     """Calibrate cameras from a detection log (paper section VII).
 
@@ -99,21 +89,8 @@ def calibrate(
     out_dir : path
         Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
         cameras ``cameras.yaml``, and the tables of ``track`` made with them.
-    force : bool
-        Whether the outputs of an earlier run, and the checkpoint of an unfinished one, may be replaced.
-    jobs : int
-        Processes (threads, of particles; -1: as many as there are cores); the outputs do not depend on it.
-    resume : bool
-        Continue from the checkpoint of an interrupted run, or begin where there is none; the outputs are those of an
-        uninterrupted one. The results of a finished run stay as they are.
-    plots : bool, optional
-        Whether to draw plots; default if matplotlib is installed.
     progress : callable, optional
         Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
-    require : str, optional
-        The least that the data must determine: all directions of the cameras (``determined``) or some (``partly``).
-    force_size : bool
-        Whether a calibration that takes very long is confirmed.
 
     Returns
     -------
@@ -124,37 +101,35 @@ def calibrate(
     ------
     InputError
         Configuration, log, checkpoint or output folder are not usable; the calibration needs too much memory.
-    SizeError
-        It takes very long, and is not confirmed.
     GateError
         The data determine less than `require`. Everything has been written; the error carries the report.
     """
-    if require not in ACCEPTED:
-        raise InputError(f"`require`: expected determined or partly, found {require}")
-    if jobs == 0:
+    if options.require not in ACCEPTED:
+        raise InputError(f"`require`: expected determined or partly, found {options.require}")
+    if options.jobs == 0:
         raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     from joblib import effective_n_jobs
 
-    jobs = effective_n_jobs(jobs)
+    jobs = effective_n_jobs(options.jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
     record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
-    if resume and (done := finished_report(out_dir, record, force)) is not None:
-        if is_checkpoint(checkpoint_path(out_dir)):  # of a run that was killed at its very end
-            checkpoint_path(out_dir).unlink()
-        return _accepted(done, require, log_path)
+    if options.resume and (done := finished_report(out_dir, record, options.force)) is not None:
+        return _accepted(done, options.require, log_path)
     recording = problem.recording
     size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
-    check_size(size, f"{log_path}: calibration", out_dir, force_size)
-    drawn = whether_to_draw(plots)
+    check_size(size, f"{log_path}: calibration", out_dir)
+    drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
-    with OutputFolder(out_dir, FILES, force) as out:
-        # Only here, where no other run can be at work on it.
-        checkpoint = Checkpoint(checkpoint_path(out_dir), sha256_of(record), resume, force)
-        outcome = _outcome(CalibrationRun(loaded, problem, checkpoint, jobs, progress))
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
+    with contextlib.ExitStack() as held:
+        held.enter_context(output_lock(out_dir))
+        held.enter_context(unfinished.held(options.resume, options.force))
+        out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
+        outcome = _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
@@ -173,8 +148,7 @@ def calibrate(
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
             write_calibration_plots(pictures_of(outcome, loaded.config.units.length), paths)
-    checkpoint.remove()
-    return _accepted(report, require, log_path)
+    return _accepted(report, options.require, log_path)
 
 
 def _findings_of(report: dict[str, Any], outcome: Outcome) -> list[dict[str, Any]]:
@@ -198,9 +172,8 @@ def _outcome(run: CalibrationRun) -> Outcome:
         raise
     except BaseException:
         # of any class: compiled code may turn the exception of a signal into one of its own
-        if run.checkpoint.holds_anything:
-            run.checkpoint.save()
-            LOGGER.warning("stopped: continue with `resume=True` from %s", run.checkpoint.path)
+        if run.unfinished.save() or run.unfinished.exists:
+            LOGGER.warning("stopped: continue with `resume=True` from %s", run.unfinished.folder)
         raise
 
 
@@ -245,7 +218,7 @@ def _track(
     report = loaded.config.report
     multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
-    records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
+    records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
     summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
     findings = [
         found

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
+from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import CSV, HDF5, PARQUET, kind_of_file
 from stereophd.io.interchange.base import ExportOptions, Format
-from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.consulted import consulted, refuse_unread
 from stereophd.io.interchange.registry import find, names
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write
-from stereophd.io.outputs.disk import write_error
+from stereophd.io.outputs.atomic import OutputFolder, atomic_write
+from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.provenance import provenance
 
 TRACKS_FILE, CAMERAS_FILE = "tracks.parquet", "cameras.yaml"
@@ -65,11 +63,11 @@ def export(
     if what == "tracks":
         assert written.write_tracks is not None
         noted, read = consulted(options)
-        with atomic_write(target) as temporary:
+        with atomic_write(target, replace=force) as temporary:
             notes = written.write_tracks(path, temporary, noted)
             refuse_unread(options, read, f"a file of format {form}")
     else:
-        notes = _write_cameras(written, path, target)
+        notes = _write_cameras(written, path, target, force)
     inputs = {what: path} if path.is_file() else {}
     return {
         "report_version": REPORT_VERSION,
@@ -86,6 +84,7 @@ def _find_source(written: Format, form: str, path: Path) -> tuple[str, Path]:
     """Return whether a source holds tracks or cameras, and the file."""
     if not path.exists():
         raise InputError(f"{path}: there is no such file or folder")
+    refuse_unsettled(path)
     wants_tracks = written.write_tracks is not None
     if path.is_dir() and wants_tracks and (path / TRACKS_FILE).is_file():
         path = path / TRACKS_FILE
@@ -106,31 +105,23 @@ def _holds(form: Format, what: str) -> bool:
 
 
 def _check_target(target: Path, force: bool, written: Format) -> None:
-    if target.is_dir() and not (written.is_folder and (force or not any(target.iterdir()))):
-        if written.is_folder:
-            raise InputError(f"{target}: expected a new or empty folder; use `force=True` to replace its files")
+    if target.is_dir() and not written.folder_files:
         raise InputError(f"{target}: expected a file to write, found a folder")
-    if target.exists() and not target.is_dir() and not force:
+    if target.exists() and not written.folder_files and not force:
         raise InputError(f"{target} exists already; use `force=True` to replace it")
     if not target.parent.is_dir():
         raise InputError(f"{target.parent}: expected a folder, found none")
 
 
-def _write_cameras(written: Format, path: Path, target: Path) -> list[str]:
+def _write_cameras(written: Format, path: Path, target: Path, force: bool) -> list[str]:
     assert written.write_cameras is not None
     cameras, unit, assumed = read_camera_file(path)
-    if not written.is_folder:
-        with atomic_write(target) as temporary:
+    if not written.folder_files:
+        with atomic_write(target, replace=force) as temporary:
             return [*assumed, *written.write_cameras(cameras, unit, temporary)]
-    try:
-        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=target.parent))
-        try:
-            notes = written.write_cameras(cameras, unit, folder)
-            target.mkdir(exist_ok=True)
-            for file in sorted(folder.iterdir()):
-                file.replace(target / file.name)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-    except OSError as error:
-        raise write_error(error, target) from error
+    with OutputFolder(target, written.folder_files, force) as out:
+        notes = written.write_cameras(cameras, unit, out.path(written.folder_files[0]).parent)
+        for name in written.folder_files:
+            if not out.path(name).stat().st_size and (target / name).is_file() and (target / name).stat().st_size:
+                raise InputError(f"{target / name}: expected none or an empty file, found content; move it away")
     return [*assumed, *notes]

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
+from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
-from stereophd.io.interchange.camera_files import read_camera_file
 from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread, with_source_names
 from stereophd.io.interchange.reading import read_foreign
 from stereophd.io.interchange.registry import find

@@ -6,9 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import CSV, HDF5, LOG, kind_of_file, remedy
-from stereophd.io.interchange.camera_files import read_camera_file
+from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.pipeline.inspection.tables import kind_of, provenance_of, summarise_objects, summarise_table
@@ -36,6 +37,7 @@ def info(path: Path | str) -> dict[str, Any]:
     source = Path(path)
     if not source.exists():
         raise InputError(f"{source}: there is no such file or folder")
+    refuse_unsettled(source)
     if source.is_dir():
         return _folder(source)
     if _begins_with(source, b"PAR1"):

@@ -54,7 +54,7 @@ def report(
         raise InputError(f"{target}: the file exists; use `force=True` to replace it")
     runs = read_runs(folders, logs, truths)
     text = page(runs, title)
-    with atomic_write(target) as temporary:
+    with atomic_write(target, replace=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return {
         "page": str(target),

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from annotated_types import Interval, Len
 from pydantic import Field, create_model, model_validator
 
-from stereophd.config.base import Model
 from stereophd.core.calibration.settings import AnnealedSettings, SequentialSettings, TemperedSettings
 from stereophd.core.calibration.unknowns.quantities.base import Quantity
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.settings import FINITE, PositiveLength, parameter
+from stereophd.validated import Model
 
 # Narrower priors than this are those of a known axis: write 0.
 NARROWEST = 1e-9

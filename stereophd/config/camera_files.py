@@ -49,7 +49,7 @@ def read_camera_tree(path: Path) -> CameraTree:
             assert refused is not None
             raise refused
         return native
-    from stereophd.io.cameras import cameras_text
+    from stereophd.io.cameras.writing import cameras_text
 
     form, recording = foreign
     for sentence in (f"read as {form}", *recording.assumed):

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 from annotated_types import Interval
 from pydantic import Field, model_validator
 
-from stereophd.config.base import Model
 from stereophd.core.settings import (
     FINITE,
     LARGEST_COUNT,
@@ -22,6 +21,7 @@ from stereophd.core.settings import (
     Vector3,
     parameter,
 )
+from stereophd.validated import Model
 
 # How often something is repeated within a run, or drawn for a bound.
 Repeats = Annotated[int, Interval(ge=1, le=1_000_000)]

@@ -14,19 +14,20 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from stereophd.config.camera_files import read_camera_tree
-from stereophd.config.cameras import CameraConfig, CamerasFile
 from stereophd.config.errors import describe
 from stereophd.config.model import Config
 from stereophd.config.overrides import apply_override, key_path, parse_override
 from stereophd.config.report import CameraTimes
 from stereophd.config.yaml import Place, Tree, read_yaml
 from stereophd.errors import InputError, unknown_camera
+from stereophd.io.cameras.models import CameraConfig, CamerasFile
 from stereophd.io.outputs.json_text import infinity_as_text
 from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
 from stereophd.io.tables.trajectories import pack_poses, read_trajectory
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
+    from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
@@ -217,6 +218,30 @@ def load_cameras(path: Path | str) -> CamerasFile:
     tree = read_camera_tree(Path(path)).tree
     _inline_trajectories(tree, Path(path).parent)
     return _validate(CamerasFile, tree)
+
+
+def read_camera_file(
+    path: Path, options: ImportOptions | None = None
+) -> tuple[dict[str, CameraConfig], str, list[str]]:
+    """Return the cameras of a native or foreign file, their unit of length, and what was assumed.
+
+    Raises
+    ------
+    InputError
+        As `load_cameras`, or of the foreign format.
+    """
+    # Imported here: configurations with native cameras do not need the other formats.
+    from stereophd.io.interchange.camera_files import read_foreign_cameras
+
+    foreign = read_foreign_cameras(path, options)
+    if foreign is not None:
+        name, recording = foreign
+        assert recording.length_unit is not None
+        return recording.cameras, recording.length_unit, [f"{path.name}: read as {name}", *recording.assumed]
+    if path.is_dir():
+        raise InputError(f"{path}: expected a file of cameras, or a folder that holds one, found a folder without one")
+    file = load_cameras(path)
+    return dict(file.cameras), file.units.length, []
 
 
 def json_schema() -> dict[str, Any]:

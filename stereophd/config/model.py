@@ -12,16 +12,17 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 from pydantic import Field
 
-from stereophd.config.base import Model, Units
 from stereophd.config.calibration import CalibrationConfig
-from stereophd.config.cameras import CameraConfig
 from stereophd.config.experiment import ExperimentConfig
 from stereophd.config.motion import Motion
 from stereophd.config.report import EvaluationConfig, InputConfig, ReportConfig
 from stereophd.config.simulate import SimulateConfig
-from stereophd.config.tracking import DisparityConfig, Filter, RegionConfig
+from stereophd.config.tracking import DisparityConfig, Filter, RegionConfig, Shape
+from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
 from stereophd.core.numerics.samples import MomentsSettings
+from stereophd.io.cameras.models import CameraConfig
+from stereophd.validated import Model, Units
 
 
 class Config(Model):
@@ -42,6 +43,7 @@ class Config(Model):
     moments: MomentsSettings = Field(
         default_factory=MomentsSettings, description="how Gaussians are carried over (track)"
     )
+    object: Shape = Field(default_factory=PointSettings, description="the shape of the objects (track)")
     region: RegionConfig | None = Field(None, description="where objects can be (track)")
     filter: Filter | None = Field(None, description="the filter (track)")
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from stereophd.config.base import OneOf
 from stereophd.core.motion.settings import DEFAULT, MotionSettings, motion_models
+from stereophd.validated import OneOf
 
 Motion = Annotated[MotionSettings, OneOf(motion_models, "model", DEFAULT)]

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stereophd.config.base import Model
 from stereophd.core.settings import Duration, Pixels, PositiveDuration, PositiveLength, parameter
+from stereophd.validated import Model
 
 
 class SmoothConfig(Model):

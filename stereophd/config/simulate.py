@@ -8,20 +8,22 @@ import numpy as np
 from annotated_types import Interval, Len
 from pydantic import ValidationInfo, field_validator, model_validator
 
-from stereophd.config.base import Model, Range3
 from stereophd.config.motion import Motion
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.settings import (
     FINITE,
     LARGEST_COUNT,
     DegreesSpread,
+    Fraction,
     Length,
     PositiveDuration,
+    PositiveLength,
     Rate,
     Time,
     Vector3,
     parameter,
 )
+from stereophd.validated import Model, Range3
 
 # A float bound: typing keeps one of two annotations that are equal, and 1e9 is printed unlike 1000000000.
 BirthsPerSecond = Annotated[float, Interval(ge=0, le=float(LARGEST_COUNT)), FINITE]
@@ -49,6 +51,17 @@ class DrawnObjects(Model):
     mean_lifetime_s: PositiveDuration | None = parameter(
         "mean of the exponential lifetime; by default objects live until the end of the run", default=None, unit="s"
     )
+
+
+class WalkersConfig(Model):
+    """People who walk between places on the ground, keep clear of one another, and stop to meet (object.ground)."""
+
+    count: Annotated[int, Interval(ge=1, le=100_000)] = parameter("walkers, present from the start to the end")
+    area: Range3 = parameter("where they walk: the ground within this box")
+    speed: PositiveLength = parameter("mean speed; each walker has its own within a quarter of it", unit="length/s")
+    spacing: PositiveLength = parameter("distance that walkers keep from each other", unit="length")
+    rest_s: PositiveDuration = parameter("mean time that a walker rests at a place", default=2.0, unit="s")
+    meet: Fraction = parameter("probability that the next place is beside another walker", default=0.5)
 
 
 class GivenBody(Model):
@@ -89,6 +102,7 @@ class SimulateConfig(Model):
     objects: DrawnObjects | None = parameter("objects drawn at random", default=None)
     given: tuple[GivenObject, ...] = parameter("objects whose paths are given", default=())
     bodies: tuple[GivenBody, ...] = parameter("rigid bodies, each with several objects", default=())
+    walkers: WalkersConfig | None = parameter("people who walk on the ground", default=None)
     acceleration_std: Length | tuple[Length, Length, Length] = parameter(
         "process noise of objects and given, as motion.acceleration_std", default=0.0, unit="length/s^2"
     )
@@ -111,10 +125,10 @@ class SimulateConfig(Model):
             return value
         others = info.data["objects"] is not None or info.data["given"]
         states = value is not None if info.field_name == "motion" else np.any(value)
-        if states and info.data.get("bodies") and not others:
+        if states and (info.data.get("bodies") or info.data.get("walkers")) and not others:
             raise ValueError(
                 "expected objects or given, which it moves (bodies sway by center_std and rotation_std_deg), found "
-                "bodies only"
+                "bodies or walkers only"
             )
         return value
 
@@ -131,8 +145,8 @@ class SimulateConfig(Model):
 
     @model_validator(mode="after")
     def _some_objects(self) -> SimulateConfig:
-        if self.objects is None and not self.given and not self.bodies:
-            raise ValueError("expected objects, given or bodies, found none of them")
+        if self.objects is None and not self.given and not self.bodies and self.walkers is None:
+            raise ValueError("expected objects, given, bodies or walkers, found none of them")
         if self.motion is not None and np.any(self.acceleration_std):
             raise ValueError("expected motion or acceleration_std, which is that of motion, found both")
         return self

@@ -6,11 +6,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
-from stereophd.config.base import Model, OneOf, Range3
+from stereophd.core.bodies.shapes import DEFAULT, shapes
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
+from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.settings import Length, PositiveLength, parameter
 from stereophd.core.single.settings import SingleSettings
+from stereophd.validated import Model, OneOf, Range3
 
 
 class DisparityConfig(Model):
@@ -47,6 +50,9 @@ class RegionConfig(Model):
         if self.depth is not None and self.depth[0] >= self.depth[1]:
             raise ValueError(f"depth: expected near < far, found {list(self.depth)}")
         return self
+
+
+Shape = Annotated[PointSettings | EllipsoidSettings, OneOf(shapes, "shape", DEFAULT)]
 
 
 def _filters() -> dict[str, Any]:

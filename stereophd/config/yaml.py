@@ -15,24 +15,21 @@ from typing import Any
 import yaml
 
 from stereophd.errors import InputError
+from stereophd.io.documents import MAX_DOCUMENT_BYTES, SAFE_LOADER, compose_yaml
 from stereophd.io.file_kinds import CONFIGURATION, CSV, HDF5, HEAD_BYTES, PARQUET, kind_of_content, remedy
+from stereophd.io.outputs.commit import refuse_unsettled
 
 KeyPath = tuple[str | int, ...]
 
-# Far more than any configuration needs; devices and pipes may never end.
-MAX_BYTES = 8_000_000
 # Longer integers are refused by Python itself, and mean nothing here.
 MAX_DIGITS = 100
 # A longer value is shortened in messages.
 MAX_SHOWN = 60
 
-# Aliases can make a small file expand without end ("billion laughs"); no real config comes near this.
-MAX_NODES = 100_000
-
 _TAG = "tag:yaml.org,2002:"
 
 
-class _CoreLoader(yaml.SafeLoader):
+class _CoreLoader(SAFE_LOADER):  # type: ignore[misc]
     """SafeLoader with the scalars of the YAML 1.2 core schema."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, Any]]] = {}  # noqa: RUF012 (PyYAML's own design)
@@ -162,28 +159,19 @@ class _Builder:
     def __init__(self, source: str, numbered: bool) -> None:
         self._source = source
         self._numbered = numbered
-        self._open: set[int] = set()
-        self._count = 0
         self.places: dict[KeyPath, Place] = {}
 
     def _place(self, node: yaml.Node) -> Place:
         return Place(self._source, node.start_mark.line + 1 if self._numbered else None)
 
     def build(self, node: yaml.Node, path: KeyPath, key: yaml.Node | None = None) -> Any:
-        self._count += 1
-        if id(node) in self._open or self._count > MAX_NODES:
-            raise InputError(f"{self._place(node)}: expected a finite document, found aliases that expand without end")
         # The place of a value is that of its key; the value of an alias would be elsewhere.
         self.places[path] = self._place(key or node)
-        self._open.add(id(node))
-        try:
-            if isinstance(node, yaml.MappingNode):
-                return self._mapping(node, path)
-            if isinstance(node, yaml.SequenceNode):
-                return [self.build(item, (*path, i)) for i, item in enumerate(node.value)]
-            return self._scalar(node)
-        finally:
-            self._open.discard(id(node))
+        if isinstance(node, yaml.MappingNode):
+            return self._mapping(node, path)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.build(item, (*path, i)) for i, item in enumerate(node.value)]
+        return self._scalar(node)
 
     def _scalar(self, node: yaml.Node) -> Any:
         kind = node.tag.removeprefix(_TAG)
@@ -220,19 +208,12 @@ class _Builder:
         for source in merged:
             if not isinstance(source, yaml.MappingNode):
                 raise InputError(f"{self._place(source)}: expected a mapping after <<, found something else")
-            if id(source) in self._open:
-                raise InputError(
-                    f"{self._place(source)}: expected a finite document, found a mapping merged into itself"
-                )
             extra = _Builder(self._source, self._numbered)
-            extra._open = self._open | {id(source)}
-            extra._count = self._count
-            for name, value in extra._mapping(source, path).items():
-                if name not in result:
-                    result[name] = value
-                    prefix = (*path, name)
-                    self.places |= {p: q for p, q in extra.places.items() if p[: len(prefix)] == prefix}
-            self._count = extra._count
+            values = extra._mapping(source, path)
+            new = values.keys() - result.keys()
+            result |= {name: value for name, value in values.items() if name in new}
+            depth = len(path)
+            self.places |= {p: q for p, q in extra.places.items() if len(p) > depth and p[depth] in new}
         return result
 
 
@@ -254,10 +235,12 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
         Not YAML, not text, several documents, a duplicate key, or a value that is not plain.
     """
     try:
-        node = yaml.compose(text, Loader=_CoreLoader)
+        node = compose_yaml(text, source, _CoreLoader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        place = Place(source, mark.line + 1 if mark and numbered else None)
+        last = text.count(b"\n" if isinstance(text, bytes) else "\n")  # type: ignore[arg-type]
+        # the end of a document that breaks off is a line after its last
+        place = Place(source, min(mark.line, last) + 1 if mark and numbered else None)
         raise InputError(f"{place}: expected YAML, found a syntax error: {error.problem or error.context}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InputError(f"{source}: expected YAML text, found {str(error).splitlines()[0]}") from error
@@ -284,16 +267,17 @@ def read_yaml(path: Path, what: str = CONFIGURATION) -> tuple[Tree, bytes]:
         The file is not there or not readable, or a table; or as `parse_yaml`.
     """
     try:
+        refuse_unsettled(path)
         with open(path, "rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
+            content = stream.read(MAX_DOCUMENT_BYTES + 1)
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such file") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError:
         raise InputError(f"{str(path)!a}: expected the path of a file, found one with a NUL") from None
-    if len(content) > MAX_BYTES:
-        raise InputError(f"{path}: expected a configuration of at most {MAX_BYTES // 10**6} MB, found more")
+    if len(content) > MAX_DOCUMENT_BYTES:
+        raise InputError(f"{path}: expected a configuration of at most {MAX_DOCUMENT_BYTES // 10**6} MB, found more")
     if (found := kind_of_content(content[:HEAD_BYTES])) in (PARQUET, HDF5, CSV):
         raise InputError(f"{path}: expected a {what} (YAML), found {found}{remedy(what, found)}")
     return parse_yaml(content, str(path)), content

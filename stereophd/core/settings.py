@@ -9,25 +9,25 @@ The settings of an algorithm are a frozen dataclass in its module, written with 
         weight: Positive = parameter("components below this weight are dropped", default=1e-6)
 
 The configuration validates a YAML mapping against that class and gives the algorithm an instance of it; the JSON
-schema and the page docs/configuration.md read the same declaration. Bounds are part of the type: those of the
+schema and the page of the configuration read the same declaration. Bounds are part of the type: those of the
 types below exclude only values that no physical set-up reaches, in any unit of length from mm to km.
 
 What exists in several kinds (filters, lenses, motion models) has a class of settings for each kind, whose field
-`kind` (or `model`) holds its word; `members` finds them by the modules of a package.
+`kind` (or `model`) holds its word; `members` finds them by the modules of a package and of its plug-ins.
 """
 
 from __future__ import annotations
 
 import math
-import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field
 from functools import cache
-from importlib import import_module
 from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, dataclass_transform
 
 from annotated_types import Interval, Predicate
+
+from stereophd.plugins import import_member, module_names
 
 Class = TypeVar("Class")
 
@@ -136,10 +136,10 @@ def settings(cls: type[Class]) -> type[Class]:
 
 @cache
 def members(package: str, attribute: str = "SETTINGS") -> Mapping[str, Any]:
-    """Return what the modules of a package offer under one name, by the name of the module.
+    """Return what the modules of a package and of its plug-ins offer under one name, by the word of the module.
 
-    This is how kinds are registered: a new module in the package is found without an entry in any list. Modules
-    without the attribute are not members.
+    This is how kinds are registered: a new module in the package is found without an entry in any list, and one of
+    another distribution by its entry point (`stereophd.plugins`). Modules without the attribute are not members.
 
     Parameters
     ----------
@@ -148,8 +148,6 @@ def members(package: str, attribute: str = "SETTINGS") -> Mapping[str, Any]:
     attribute : str
         What each module defines.
     """
-    path = import_module(package).__path__
-    names = sorted(info.name for info in pkgutil.iter_modules(path))
-    modules = {name: import_module(f"{package}.{name}") for name in names}
+    modules = {word: import_member(package, word) for word in module_names(package)}
     found = {name: getattr(module, attribute) for name, module in modules.items() if hasattr(module, attribute)}
     return MappingProxyType(found)

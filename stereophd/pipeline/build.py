@@ -16,6 +16,7 @@ from stereophd.core.disparity.events import make_rig
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import LEAST_PRUNING
+from stereophd.core.multi.build import make_filter
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
@@ -58,13 +59,18 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
         raise InputError(f"{path}: filter: expected a filter section for track, found none")
     if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
+    if config.object.shape != "point":
+        raise InputError(
+            f"{path}: object.shape: expected point (only track with given detectors and a stated acceleration takes "
+            f"boxes), found {config.object.shape}"
+        )
     motion = build_motion(config, path)
     seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
     sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     _check_birth_rate(settings, cameras, path)
-    return settings.build(rig, motion, sets, threads)
+    return make_filter(settings, rig, motion, sets, threads)
 
 
 def build_labelled_filter(

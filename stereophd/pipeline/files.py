@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from stereophd.config.from_camera import camera_config
 from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
-from stereophd.io import cameras as camera_files
+from stereophd.io.cameras import writing as camera_files
+from stereophd.io.cameras.from_camera import camera_config
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED
 from stereophd.io.outputs.atomic import atomic_write
@@ -63,7 +63,7 @@ def write_cameras(path: Path | str, cameras: Sequence[Camera], length_unit: str,
     """
     target = _target(path, force)
     described = {camera.name: camera_config(camera) for camera in cameras}
-    with atomic_write(target) as temporary:
+    with atomic_write(target, replace=force) as temporary:
         camera_files.write_cameras(temporary, described, length_unit)
 
 
@@ -106,7 +106,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     ----------
     path : path
     table : mapping of str to array_like, pandas.DataFrame or similar
-        The columns of ``docs/formats.md``: ``time_s, camera, frame, u_px, v_px``, and optionally
+        The columns of a detection log: ``time_s, camera, frame, u_px, v_px``, and optionally
         ``sigma_u_px, sigma_v_px, object_id``. A frame without detections is one row with NaN in the other columns
         than the first three. Rows may be in any order: they are sorted by time.
     force : bool
@@ -131,7 +131,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     order = np.argsort(np.ma.getdata(columns["time_s"]), kind="stable")
     extra = [pa.field(name, OPTIONAL[name], nullable=True) for name in OPTIONAL if name in names]
     schema = pa.schema([*DETECTIONS, *extra])
-    with atomic_write(target) as temporary, TableWriter(temporary, schema) as writer:
+    with atomic_write(target, replace=force) as temporary, TableWriter(temporary, schema) as writer:
         writer.append({name: columns[name][order] for name in schema.names})
 
 

@@ -10,16 +10,19 @@ import numpy as np
 
 from stereophd.config.model import Config
 from stereophd.config.simulate import SimulateConfig
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.bodies import Body, BodyPoint
+from stereophd.core.simulation.boxes import SizedObjects
 from stereophd.core.simulation.detections import Scene
 from stereophd.core.simulation.drawing import Drawing, draw_objects
 from stereophd.core.simulation.objects import MovingObject, SceneObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid
+from stereophd.core.simulation.walkers import Crowd, Walker
 from stereophd.errors import InputError
 
 
@@ -66,7 +69,7 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     truth = None if settings.truth_rate_hz is None else Schedule(settings.truth_rate_hz, start_s, end_s)
     grid = TimeGrid(schedules, truth)
     motion = scene_motion(config)
-    given_seed, drawn_seed, body_seed = seed.spawn(3)
+    given_seed, drawn_seed, body_seed, walker_seed = seed.spawn(4)
     objects: tuple[SceneObject, ...] = _given_objects(settings, grid.start_s, given_seed)
     if settings.objects is not None:
         box = settings.objects.box
@@ -81,7 +84,42 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
         )
         objects += draw_objects(drawing, cameras, grid, motion, drawn_seed, len(objects))
     objects += _body_points(settings, grid.start_s, body_seed, len(objects))
-    return Scene(tuple(cameras), grid, objects, motion)
+    if not isinstance(config.object, EllipsoidSettings):
+        if settings.walkers is not None:
+            raise InputError("simulate.walkers: expected object.shape ellipsoid with a ground, found point")
+        return Scene(tuple(cameras), grid, objects, motion)
+    return _with_sizes(Scene(tuple(cameras), grid, objects, motion), config.object, settings, walker_seed)
+
+
+def _with_sizes(
+    scene: Scene, shape: EllipsoidSettings, settings: SimulateConfig, seed: np.random.SeedSequence
+) -> Scene:
+    """Return a scene whose objects have sizes, and with its walkers."""
+    for camera in scene.cameras:
+        if camera.readout_s != 0.0:
+            where = f"cameras.{camera.name}.readout_s"
+            raise InputError(f"{where}: expected 0 where object.shape is ellipsoid, found {camera.readout_s:g}")
+    generator, walkers = np.random.default_rng(seed), settings.walkers
+    others, count = len(scene.objects), 0 if walkers is None else walkers.count
+    log_axes = generator.multivariate_normal(*shape.log_axes(), others + count, method="cholesky")
+    sized = SizedObjects(shape, log_axes)
+    if walkers is None:
+        return replace(scene, sized=sized)
+    if shape.ground is None:
+        raise InputError("simulate.walkers: expected object.ground, on which they walk, found none")
+    up, area, start_s = shape.direction, walkers.area, scene.grid.start_s
+    # places are given by the two axes of the world that are most along the ground
+    *across, upright = np.argsort(np.abs(up), kind="stable").tolist()
+    limits = np.array([area.x, area.y, area.z])[across]
+    crowd = Crowd(count, limits[:, 0], limits[:, 1], walkers.speed, walkers.spacing, walkers.rest_s, walkers.meet)
+    walked = crowd.walk(settings.duration_s, generator)
+    axes = np.eye(3)[across] - np.outer(up[across] / up[upright], np.eye(3)[upright])
+    heights = (
+        up @ shape.ground.point + np.exp(log_axes[others:, 0]) + shape.ground.std * generator.standard_normal(count)
+    )
+    middles = np.outer(heights / up[upright], np.eye(3)[upright])
+    people = tuple(Walker(others + k, start_s, walked[k], axes, middles[k]) for k in range(count))
+    return replace(scene, objects=(*scene.objects, *people), sized=sized)
 
 
 def _body_points(

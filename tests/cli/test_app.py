@@ -24,8 +24,9 @@ from .conftest import CONFIG, Outcome, start, write_config, write_log
 
 Call = Callable[..., Outcome]
 NAMES = (
-    "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "report", "export", "experiment",
-    "compile", "config",
+    "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "evaluate-cameras",
+    "report", "export",
+    "experiment", "compile", "config",
 )  # fmt: skip
 COMMANDS = [[], *([name] for name in NAMES), *(["config", c] for c in ("show", "check", "schema"))]
 

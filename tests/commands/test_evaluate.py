@@ -354,8 +354,8 @@ def test_ospa2_over_windows_of_scored_scans(tmp_path):
 
 
 def documented_keys(section: str) -> set[str]:
-    """Return what the first column of the tables of a section of docs/formats.md names, without braces."""
-    text = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    """Return what the first column of the tables of a section of docs/reference/formats.md names, without braces."""
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "formats.md").read_text(encoding="utf-8")
     body = text.split(f"### {section}\n")[1].split("\n#")[0]
     keys: set[str] = set()
     for cell in re.findall(r"^\| (`.*?`) \|", body, re.MULTILINE):

@@ -10,9 +10,9 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.info import info
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
-from stereophd.config.from_camera import camera_config
 from stereophd.config.loading import load_cameras, load_config
 from stereophd.errors import InputError
+from stereophd.io.cameras.from_camera import camera_config
 
 CONFIG = """
 units: {length: cm}

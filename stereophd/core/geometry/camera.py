@@ -15,6 +15,9 @@ from stereophd.core.geometry.pose import Pose
 
 Time = TypeVar("Time", float, Array)
 
+# Noise of the boxes of detectors of people: see `Detector.box_noise`.
+BOX_NOISE = (0.06, 0.045, 0.05, 0.09)
+
 
 @dataclass(frozen=True, init=False, eq=False)
 class Detector:
@@ -28,6 +31,8 @@ class Detector:
         Probability that an object in view is detected.
     clutter_per_frame : float
         Mean number of false detections a frame, uniform over the image.
+    box_noise : (4,) array_like
+        Standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height.
 
     Raises
     ------
@@ -38,8 +43,15 @@ class Detector:
     sigma: Array
     p_detect: float
     clutter_per_frame: float
+    box_noise: tuple[float, float, float, float]
 
-    def __init__(self, sigma: ArrayLike, p_detect: float, clutter_per_frame: float) -> None:
+    def __init__(
+        self,
+        sigma: ArrayLike,
+        p_detect: float,
+        clutter_per_frame: float,
+        box_noise: tuple[float, float, float, float] = BOX_NOISE,
+    ) -> None:
         values = np.array(sigma, dtype=np.float64)
         if values.shape != (2,) or not (values > 0.0).all() or not np.isfinite(values).all():
             raise ValueError(f"detector: expected two positive standard deviations, found {sigma!r}")
@@ -51,9 +63,10 @@ class Detector:
         object.__setattr__(self, "sigma", values)
         object.__setattr__(self, "p_detect", float(p_detect))
         object.__setattr__(self, "clutter_per_frame", float(clutter_per_frame))
+        object.__setattr__(self, "box_noise", tuple(box_noise))
 
     def _key(self) -> tuple[float, ...]:
-        return (float(self.sigma[0]), float(self.sigma[1]), self.p_detect, self.clutter_per_frame)
+        return (float(self.sigma[0]), float(self.sigma[1]), self.p_detect, self.clutter_per_frame, *self.box_noise)
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Detector) else NotImplemented

@@ -17,6 +17,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.build import make_filter
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.numerics.random_streams import COMPILED_SAMPLES_SEED
@@ -33,8 +34,7 @@ def small_filter(kind: str) -> DisparityFilter:
     sets = draw_sample_sets("qmc", _SAMPLES, motion.sample_rows, np.random.SeedSequence(COMPILED_SAMPLES_SEED))
     birth = BirthPrior(depth_range=(1.0, 10.0), velocity_std=1.0)
     settings: Any = filters()[kind]
-    built: DisparityFilter = settings(birth=birth).build(make_rig((camera,), 1.0, "horizontal"), motion, sets)
-    return built
+    return make_filter(settings(birth=birth), make_rig((camera,), 1.0, "horizontal"), motion, sets)
 
 
 @cache

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
+from stereophd.core.simulation.boxes import SizedObjects, draw_boxes
 from stereophd.core.simulation.objects import SceneObject, StateWindow, state_windows
 from stereophd.core.simulation.timing import TimeGrid, instants
 
@@ -35,12 +36,15 @@ class Scene:
     objects : tuple of SceneObject
     motion : Motion
         Motion of those objects that a motion model moves.
+    sized : SizedObjects, optional
+        Shape and sizes of objects that detectors report as boxes.
     """
 
     cameras: tuple[Camera, ...]
     grid: TimeGrid
     objects: tuple[SceneObject, ...]
     motion: Motion
+    sized: SizedObjects | None = None
 
     def windows(self) -> Iterator[StateWindow]:
         """Yield the states of the objects, window by window, in order of true time."""
@@ -63,6 +67,8 @@ class SimulatedFrame:
         Detections in distorted pixels, in random order; none is a frame too.
     object_id : (m,)
         Label of the object of each detection, `CLUTTER_ID` for clutter.
+    sizes : (m, 2), optional
+        Width and height of the boxes, px.
     """
 
     log_time_s: float
@@ -70,6 +76,7 @@ class SimulatedFrame:
     frame: int
     pixels: Array
     object_id: NDArray[np.int64]
+    sizes: Array | None = None
 
 
 def simulate_frames(scene: Scene, seed: np.random.SeedSequence) -> Iterator[SimulatedFrame]:
@@ -84,7 +91,8 @@ def simulate_frames(scene: Scene, seed: np.random.SeedSequence) -> Iterator[Simu
     seed : numpy.random.SeedSequence
         One child for each camera.
     """
-    streams = [_camera_frames(scene, index, child) for index, child in enumerate(seed.spawn(len(scene.cameras)))]
+    make = _camera_frames if scene.sized is None else _camera_boxes
+    streams = [make(scene, index, child) for index, child in enumerate(seed.spawn(len(scene.cameras)))]
     return merge(*streams, key=lambda frame: (frame.log_time_s, frame.camera))
 
 
@@ -105,6 +113,26 @@ def _camera_frames(scene: Scene, index: int, seed: np.random.SeedSequence) -> It
         for position, number in enumerate(numbers):
             rows = order[bounds[position] : bounds[position + 1]]
             yield SimulatedFrame(float(log_times_s[position]), index, int(number), pixels[rows], identifiers[rows])
+
+
+def _camera_boxes(scene: Scene, index: int, seed: np.random.SeedSequence) -> Iterator[SimulatedFrame]:
+    """Yield the frames of a camera whose detections are boxes."""
+    assert scene.sized is not None
+    camera, generator = scene.cameras[index], np.random.default_rng(seed)
+    for window in scene.windows():
+        numbers, times_s = scene.grid.frames[index].window(window.lower_s, window.upper_s)
+        columns = np.searchsorted(window.times_s, times_s)
+        log_times_s = np.asarray(camera.clock.to_log(times_s))
+        for position, number in enumerate(numbers):
+            states = window.states[:, columns[position]]
+            exists = ~np.isnan(states[:, 0])
+            pixels, sizes, labels = draw_boxes(
+                camera.at(float(times_s[position])), states[exists], window.object_id[exists], scene.sized, generator
+            )
+            order = generator.permutation(len(labels))
+            yield SimulatedFrame(
+                float(log_times_s[position]), index, int(number), pixels[order], labels[order], sizes[order]
+            )
 
 
 def _detect(

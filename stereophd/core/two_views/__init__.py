@@ -1,1 +1,1 @@
-"""Geometry of two views: distances to epipolar lines."""
+"""Two views of one object: one-camera tracks, their rays at common times, epipolar distances, where rays meet."""

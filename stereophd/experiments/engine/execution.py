@@ -115,7 +115,7 @@ def _work(ledger: _Ledger, store: PartStore, workers: Workers, progress: Progres
             if fruitless == ATTEMPTS:
                 raise StereophdError(
                     f"workers died {ATTEMPTS} times without finishing a run: {error}; finished runs are in "
-                    f"{store.folder}, `resume=True` continues"
+                    f"{store.unfinished.folder}, `resume=True` continues"
                 ) from error
             LOGGER.warning("a worker died; the %d runs that are left go to new ones (%s)", ledger.left, error)
 
@@ -140,7 +140,7 @@ def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
         count = ledger.failures[(*key, outcome.run)] = ledger.failures.get((*key, outcome.run), 0) + 1
         if count == ATTEMPTS:
             raise StereophdError(
-                f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.folder}, "
+                f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.unfinished.folder}, "
                 "`resume=True` continues"
             )
         LOGGER.warning("%s: failed, will be tried again: %s", name, outcome.error)

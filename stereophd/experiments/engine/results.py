@@ -14,7 +14,7 @@ import numpy as np
 from stereophd.config.experiment import ExperimentConfig
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
-from stereophd.experiments.engine.parts import PATTERN, PartStore, RunResult, parquet_metadata
+from stereophd.experiments.engine.parts import PartStore, RunResult, parquet_metadata
 from stereophd.experiments.engine.plan import cases_of
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
 from stereophd.experiments.engine.tables import columns_of, columns_of_summary, read_summaries
@@ -24,6 +24,7 @@ from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata
 from stereophd.io.tables.schemas import RUNS, SUMMARY
 from stereophd.io.tables.writing import TableWriter
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -166,8 +167,8 @@ def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: boo
     InputError
         The folder holds results or runs, and neither `resume` nor `force` allows continuing.
     """
-    out = store.folder.parent
-    output_folder(out, True, [*files, PATTERN])
+    out = store.unfinished.out
+    output_folder(out, True, [*files, *UNFINISHED_FILES])
     if (out / RUNS_FILE).exists() and not force:
         record = from_metadata(parquet_metadata(out / RUNS_FILE)) or {}
         if not resume:
@@ -176,14 +177,4 @@ def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: boo
             raise InputError(f"output folder {out} holds the results of another configuration; use `force=True`")
         LOGGER.info("%s: the experiment is finished: nothing to resume", out)
         return True
-    if not resume and not force and (store.exists() or store.others()):
-        raise InputError(
-            f"output folder {out} holds runs of an unfinished experiment; use `resume=True` or `force=True`"
-        )
-    if store.others() and not force:
-        raise InputError(
-            f"output folder {out} holds runs of another configuration ({store.others()[0].name}): nothing to resume; "
-            "use `force=True` to remove them"
-        )
-    store.remove(others_only=resume)
     return False

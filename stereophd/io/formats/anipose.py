@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.geometry.pose import rotation_to_vector
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import take_apart, unit
 from stereophd.io.interchange.toml_cameras import read_toml, toml_camera

@@ -13,18 +13,18 @@ in metres.
 
 from __future__ import annotations
 
-import gzip
 import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
+from stereophd.io.documents import open_packed_table, read_bytes, read_member
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, put_together
 from stereophd.io.interchange.projection import Decomposed, decompose, is_left_handed
@@ -61,24 +61,14 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     corrections: dict[str, _Correction] = {}
     for path in sources:
         if path not in archives:
-            _read_calibration(path.read_bytes(), str(path), bool(archives), options, recording, corrections)
+            _read_calibration(read_bytes(path), str(path), bool(archives), options, recording, corrections)
     for path in archives:
-        content = None if recording.cameras else _member(path, CALIBRATION)
+        content = None if recording.cameras else read_member(path, CALIBRATION)
         if content is not None:
             _read_calibration(content, f"{path}: {CALIBRATION}", True, options, recording, corrections)
     if archives:
         recording.pieces = _pieces(archives, options, corrections, recording)
     return recording
-
-
-def _member(path: Path, name: str) -> bytes | None:
-    with zipfile.ZipFile(path) as archive:
-        found = set(archive.namelist())
-        if name in found:
-            return archive.read(name)
-        if f"{name}.gz" in found:
-            return gzip.decompress(archive.read(f"{name}.gz"))
-    return None
 
 
 def _read_calibration(
@@ -167,7 +157,7 @@ def _pieces(
     import pyarrow as pa
 
     for path in archives:
-        info = _member(path, CAMERAS)
+        info = read_member(path, CAMERAS)
         if info is None:
             raise InputError(f"{path}: expected {CAMERAS}.gz in the archive, found none")
         kinds = {"camn": pa.float64(), "cam_id": pa.string()}
@@ -189,23 +179,19 @@ def _detections(
     import pyarrow as pa
 
     kinds = dict.fromkeys(("camn", "frame", "timestamp", "cam_received_timestamp", "x", "y"), pa.float64())
-    with zipfile.ZipFile(path) as archive:
-        member = f"{DETECTIONS}.gz"
-        if member not in archive.namelist():
-            raise InputError(f"{path}: expected {member} in the archive, found none")
-        with archive.open(member) as packed, gzip.open(packed) as table:
-            is_triggered: dict[int, bool] = {}
-            for batch in read_batches(cast(IO[bytes], table), ",", kinds, f"{path}: {DETECTIONS}"):
-                row = {name: numbers(batch, name) for name in kinds}
-                for camn in np.unique(row["camn"]).astype(int).tolist():
-                    mine = {name: values[row["camn"] == camn] for name, values in row.items()}
-                    trigger = is_triggered.setdefault(camn, bool(np.isfinite(mine["timestamp"]).all()))
-                    time = mine["timestamp" if trigger else "cam_received_timestamp"]
-                    name = names.get(camn, f"cam{camn}")
-                    pixels = np.stack([mine["x"], mine["y"]], axis=1)
-                    if name in corrections:
-                        pixels = corrections[name].apply(pixels)
-                    yield Piece(name, pixels, mine["frame"], time)
+    with open_packed_table(path, f"{DETECTIONS}.gz") as table:
+        is_triggered: dict[int, bool] = {}
+        for batch in read_batches(table, ",", kinds, f"{path}: {DETECTIONS}"):
+            row = {name: numbers(batch, name) for name in kinds}
+            for camn in np.unique(row["camn"]).astype(int).tolist():
+                mine = {name: values[row["camn"] == camn] for name, values in row.items()}
+                trigger = is_triggered.setdefault(camn, bool(np.isfinite(mine["timestamp"]).all()))
+                time = mine["timestamp" if trigger else "cam_received_timestamp"]
+                name = names.get(camn, f"cam{camn}")
+                pixels = np.stack([mine["x"], mine["y"]], axis=1)
+                if name in corrections:
+                    pixels = corrections[name].apply(pixels)
+                yield Piece(name, pixels, mine["frame"], time)
         source = "the trigger" if all(is_triggered.values()) else "the arrival of the images at the computer"
         recording.assumed.append(f"times are those of {source}")
 

@@ -17,9 +17,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, put_together, take_apart, unit
 
@@ -204,5 +204,5 @@ FORMAT = Format(
     read=read,
     recognises_cameras=recognises_cameras,
     write_cameras=write_cameras,
-    is_folder=True,
+    folder_files=("cameras.txt", "images.txt", "points3D.txt"),
 )

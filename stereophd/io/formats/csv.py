@@ -8,7 +8,7 @@ frame without detections. Without a column of cameras, each file is a camera, na
 
 Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ..., after
 ``existence`` ``status`` and ``std_x``, ``std_y``, ``std_z`` where the table has them. Numbers have 17 digits, which is
-exact; names of cameras are quoted where they need it.
+exact; names of cameras are quoted where they need it, and one that begins like a formula gets an apostrophe before it.
 """
 
 from __future__ import annotations
@@ -48,6 +48,8 @@ USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
     "object_id": ("object_id",),
 }
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# A spreadsheet evaluates text that begins with one of these.
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
 AXES = ("x", "y", "z", "vx", "vy", "vz")
 
 
@@ -142,6 +144,11 @@ def _split(
         yield Piece(camera, native_pixels(pixels, camera, options, recording), mine.get("frame"), time, extra)
 
 
+def _inert(cell: Any) -> Any:
+    """Return a cell that no spreadsheet evaluates: text that begins like a formula gets an apostrophe before it."""
+    return f"'{cell}" if isinstance(cell, str) and cell[:1] in FORMULA else cell
+
+
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:
     """Write tracks as a table."""
     from stereophd.io.interchange.tracks import batches, optional_columns
@@ -164,7 +171,8 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
             columns: list[Any] = [rows[name] for name in ("time_s", "camera", "frame", "track_id", *AXES)]
             columns += [rows["covariance"][:, 6 * i + j] for i, j in upper]
             columns += [rows[name] for name in ("existence", *more)]
-            table.writerows(zip(*(c if isinstance(c, list) else c.tolist() for c in columns), strict=True))
+            columns = [[_inert(cell) for cell in c] if isinstance(c, list) else c.tolist() for c in columns]
+            table.writerows(zip(*columns, strict=True))
     return []
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.documents import check_hdf5
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_extra
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.points import point_rows
@@ -95,6 +96,7 @@ def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
         raise need_extra("h5py", "pose", f"{path}: a file of DeepLabCut in HDF5") from error
     try:
         with h5py.File(path, "r") as file:
+            check_hdf5(file, path)
             group = file["df_with_missing"] if "df_with_missing" in file else file[next(iter(file))]
             axes = _unpickled(group.attrs["non_index_axes"])
             rows = group["table"][:]

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.formats.dltdv import COEFFICIENTS, is_profile, read
 from stereophd.io.interchange.base import Format
 from stereophd.io.interchange.cameras import take_apart

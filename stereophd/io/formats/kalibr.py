@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.documents import load_yaml, read_bytes
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart
 
@@ -53,8 +54,8 @@ def _document(path: Path) -> dict[str, dict[str, Any]] | None:
     import yaml
 
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        document = load_yaml(read_bytes(path).decode("utf-8-sig"), str(path))
+    except (InputError, UnicodeDecodeError, yaml.YAMLError):
         return None
     if not isinstance(document, dict):
         return None

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart, unit
 from stereophd.io.interchange.opencv_storage import read_document, write_yaml

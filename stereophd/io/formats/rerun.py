@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ExportOptions, Format, need_extra
 from stereophd.io.interchange.tracks import metadata_of, trajectories
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
+from stereophd.io.documents import check_hdf5
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_extra
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.points import point_rows
@@ -49,6 +50,7 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
         camera = options.name(stem)
         try:
             with h5py.File(path, "r") as file:
+                check_hdf5(file, path)
                 yield from _file_pieces(file, camera, options, recording)
         except (OSError, KeyError, ValueError) as error:
             if isinstance(error, InputError):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.documents import check_instant
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions
 from stereophd.io.interchange.spool import FRAME, TIME, Spool, U, V, extra_columns, read_rows, spool_pieces
 from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
@@ -132,7 +133,7 @@ class _Camera:
             stride = math.gcd(stride, int(np.gcd.reduce(np.diff(frames)))) if len(frames) > 1 else stride
             before = int(frames[-1])
             count += len(frames)
-        return stride if count >= LEAST_FRAMES_OF_A_STEP else 1
+        return stride if stride and count >= LEAST_FRAMES_OF_A_STEP else 1
 
     def pieces(self) -> Iterator[Array]:
         """Yield the camera's rows as the log has them: whole frames, timed, without gaps, in order."""
@@ -144,6 +145,7 @@ class _Camera:
             key = rows[:, FRAME] if self._spool.has_frames else rows[:, TIME]
             complete = int(np.searchsorted(key, key[-1], side="left"))
             carry = rows[complete:]
+            check_instant(len(carry), float(key[-1]), f"camera {self._name}")
             if complete:
                 yield self._finished(rows[:complete], is_first, False)
                 is_first = False

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 
 Value = TypeVar("Value")
 
@@ -64,6 +65,10 @@ class ImportOptions:
     undistorted: bool = False
     # ``sigma_px``, ``p_detect`` and ``clutter_per_frame`` of all cameras; None: to be estimated from the log.
     detector: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if self.least_score is not None and not math.isfinite(self.least_score):
+            raise InputError(f"`least_score`: expected a finite number, found {self.least_score}")
 
     def name(self, camera: str) -> str:
         """Return the native name of a camera of the source."""
@@ -147,7 +152,7 @@ class Format:
     # `write_tracks`, `write_cameras`: Write files; None: the format has no such thing.
     write_tracks: TracksWriter | None = None
     write_cameras: CamerasWriter | None = None
-    is_folder: bool = False  # Whether `write_cameras` writes a folder
+    folder_files: tuple[str, ...] = ()  # What `write_cameras` writes into a folder; of other formats it writes a file
 
 
 def need_extra(package: str, extra: str, purpose: str) -> InputError:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stereophd.config.cameras import UNKNOWN_DETECTOR, CameraConfig
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import UNKNOWN_DETECTOR, CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
 
 #: Coefficients in OpenCV's order; a shorter list has zeros at its end.

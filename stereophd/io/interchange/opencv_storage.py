@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
+from stereophd.io.documents import SAFE_LOADER, load_npz, load_yaml, read_bytes
 
 # The first line that OpenCV writes is no YAML directive; YAML's own would be "%YAML 1.0".
 _DIRECTIVE = re.compile(r"\A\ufeff?%YAML[: ]1\.\d\s*")
@@ -23,12 +24,9 @@ def read_document(path: Path) -> dict[str, Any]:
     InputError
         The file cannot be read, or is none of these.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    content = read_bytes(path)
     if content[:2] == b"PK":
-        return _read_npz(path)
+        return {name: _unwrapped(array) for name, array in load_npz(path).items()}
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -39,7 +37,7 @@ def read_document(path: Path) -> dict[str, Any]:
         elif text.lstrip().startswith("{"):
             document = _plain(json.loads(text))
         else:
-            document = _plain(_read_yaml(text))
+            document = _plain(_read_yaml(text, str(path)))
     except (ValueError, TypeError, KeyError, SyntaxError) as error:
         raise InputError(f"{path}: expected YAML, XML, JSON or NPZ, found: {str(error).splitlines()[0]}") from error
     if not isinstance(document, dict):
@@ -47,24 +45,14 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _read_npz(path: Path) -> dict[str, Any]:
-    import zipfile
-
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: _unwrapped(archive[name]) for name in archive.files}
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: expected arrays of numbers (NPZ), found: {error}") from error
-
-
 def _unwrapped(array: np.ndarray[Any, Any]) -> Any:
     return array.item() if array.ndim == 0 else array
 
 
-def _read_yaml(text: str) -> Any:
+def _read_yaml(text: str, where: str) -> Any:
     import yaml
 
-    class Loader(yaml.SafeLoader):
+    class Loader(SAFE_LOADER):  # type: ignore[misc]
         """SafeLoader that takes OpenCV's tags for what they are: mappings."""
 
     Loader.add_multi_constructor(
@@ -72,7 +60,7 @@ def _read_yaml(text: str) -> Any:
     )
     body = _DIRECTIVE.sub("", text)
     try:
-        return yaml.load(body, Loader=Loader)
+        return load_yaml(body, where, Loader)
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from error
 

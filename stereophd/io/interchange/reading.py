@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import csv
 import struct
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
+from gzip import BadGzipFile
 from pathlib import Path
+from zipfile import BadZipFile
 
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import PARQUET, kind_of_file
@@ -18,6 +21,8 @@ from stereophd.io.interchange.registry import find
 MALFORMED = (
     ArithmeticError,
     AttributeError,
+    BadGzipFile,
+    BadZipFile,
     EOFError,
     LookupError,
     RuntimeError,
@@ -25,6 +30,7 @@ MALFORMED = (
     TypeError,
     ValueError,
     csv.Error,
+    zlib.error,
     struct.error,
 )
 # A longer reason is cut in the message.

@@ -1,19 +1,19 @@
-"""Foreign formats by name: each is one module of `stereophd.io.formats`, imported only when it is used."""
+"""Foreign formats by name: modules of `stereophd.io.formats` and of plug-ins, imported only when they are used."""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from pathlib import Path
 
-import stereophd.io.formats as formats
 from stereophd.errors import InputError, nearest
 from stereophd.io.interchange.base import Format
+from stereophd.plugins import import_member, module_names
+
+PACKAGE = "stereophd.io.formats"
 
 
 def names() -> list[str]:
     """Return the names of all formats; imports none of them."""
-    return sorted(module.name for module in pkgutil.iter_modules(formats.__path__))
+    return list(module_names(PACKAGE))
 
 
 def find(name: str) -> Format:
@@ -27,8 +27,8 @@ def find(name: str) -> Format:
     known = names()
     if name not in known:
         raise InputError(f"format: expected one of {', '.join(known)}, found {name}{_suggestion(name, known)}")
-    found: Format = importlib.import_module(f"{formats.__name__}.{name}").FORMAT
-    return found
+    form: Format = import_member(PACKAGE, name).FORMAT
+    return form
 
 
 def _suggestion(name: str, known: list[str]) -> str:

@@ -51,6 +51,8 @@ def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
     """Append every piece to the temporary file of its camera."""
     spools: dict[str, Spool] = {}
     for piece in recording.pieces or ():
+        if not len(piece.pixels):
+            continue
         spool = spools.get(piece.camera)
         if spool is None:
             path = folder / f"camera-{len(spools)}.rows"
@@ -61,8 +63,6 @@ def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
 
 def _append(spool: Spool, piece: Piece) -> None:
     count = len(piece.pixels)
-    if not count:
-        return
     rows = np.full((count, WIDTH), np.nan)
     if piece.frame is not None:
         rows[:, FRAME] = piece.frame
@@ -85,7 +85,7 @@ def _append(spool: Spool, piece: Piece) -> None:
     spool.in_order &= bool(key[0] >= spool.last and (np.diff(key) >= 0).all())
     spool.last = float(key[-1])
     spool.rows += count
-    rows.tofile(spool.stream)
+    spool.stream.write(rows.data)  # `tofile` would not say why the disk refuses it
 
 
 def read_rows(spool: Spool) -> Iterator[Array]:

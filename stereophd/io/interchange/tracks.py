@@ -17,14 +17,17 @@ from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import from_metadata
 from stereophd.io.outputs.provenance import length_unit as unit_of
 from stereophd.io.tables.reading import cast_column, check_columns, damaged_is_input_error, open_parquet
-from stereophd.io.tables.schemas import CONFIRMED, STD, STRING, TRACKS
+from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, STRING, TRACKS
 
 TEXTS = ("camera", "status")
 # Columns that a table of tracks may lack.
-OPTIONAL = {"status": STRING, **{field.name: field.type for field in STD}}
+OPTIONAL = {"status": STRING, **{field.name: field.type for field in (*STD, *EXTENTS)}}
 COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "vz", "covariance", "existence")
 # Times within this share of the period count as multiples of it.
 REGULAR = 1e-3
+
+# Without these a row is no estimate.
+REQUIRED_VALUES = ("time_s", "track_id")
 
 
 def optional_columns(path: Path) -> list[str]:
@@ -52,6 +55,8 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
                 rows: dict[str, Any] = {}
                 for name in kinds:
                     column = cast_column(batch.column(name), name, kinds[name], path)
+                    if column.null_count and name in REQUIRED_VALUES:
+                        raise InputError(f"{path}: column {name}: expected a value in every row, found a row without")
                     if name in TEXTS:
                         rows[name] = column.to_pylist()
                     elif name == "covariance":

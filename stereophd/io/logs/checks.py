@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.settings import LARGEST_SIGMA_PX, LARGEST_TIME_S, SMALLEST_SIGMA_PX
+from stereophd.core.settings import LARGEST_PX, LARGEST_SIGMA_PX, LARGEST_TIME_S, SMALLEST_SIGMA_PX
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.logs.rows import Decoded, Rows
 
@@ -22,6 +22,7 @@ KINDS = (
     "half_null",
     "outside_image",
     "invalid_sigma",
+    "invalid_box",
     "time_backwards",
     "frame_out_of_order",
     "duplicate_row",
@@ -104,6 +105,14 @@ def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: f
                 f"sigma_u_px, sigma_v_px: expected numbers from {SMALLEST_SIGMA_PX:g} to {LARGEST_SIGMA_PX:g}, found "
                 f"{sigma[i, 0]}, {sigma[i, 1]}"
             ),
+        )
+    if rows.sizes is not None:
+        boxes = rows.sizes
+        valid = ((boxes > 0.0) & (boxes <= LARGEST_PX)).all(axis=1)
+        yield Fault(
+            "invalid_box",
+            ~rows.empty & ~valid,
+            lambda i: f"width_px, height_px: expected positive numbers, found {boxes[i, 0]}, {boxes[i, 1]}",
         )
 
 

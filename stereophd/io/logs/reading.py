@@ -1,6 +1,6 @@
 """Detection logs, read frame by frame in the order of true time (writing: `log_writing`).
 
-A log is a Parquet file with one row a detection (see ``docs/formats.md``). It is read in pieces, so
+A log is a Parquet file with one row per detection (`docs/reference/formats.md`). It is read in pieces, so
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
 """
 
@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError
+from stereophd.io.documents import check_instant
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.checks import (
     KINDS,
@@ -63,6 +64,10 @@ class Frame:
         Standard deviations (m, 2), px, or None where the log states none.
     object_id
         True objects (m,), -1 clutter, or None where the log states none. For evaluation only.
+    sizes
+        Width and height (m, 2) of the boxes, px, or None where the log states none.
+    rows
+        Rows of the log (m,), or None for a frame that is not from a log.
     """
 
     time_s: float
@@ -71,6 +76,8 @@ class Frame:
     pixels: Array
     sigma: Array | None = None
     object_id: Integers | None = None
+    sizes: Array | None = None
+    rows: Integers | None = None
 
 
 class LogReader:
@@ -101,6 +108,8 @@ class LogReader:
         for each kind of bad row (`stereophd.io.logs.checks.KINDS`), and ``cameras_without_frames``.
     num_rows
         Rows of the file.
+    has_boxes
+        Whether it has the columns ``width_px, height_px``.
 
     Raises
     ------
@@ -131,8 +140,10 @@ class LogReader:
             self.metadata: Mapping[bytes, bytes] = parquet.schema_arrow.metadata or {}
         if self.num_rows == 0:
             raise InputError(f"{self.path}: expected a detection log, found one without rows")
-        if ("sigma_u_px" in present) != ("sigma_v_px" in present):
-            raise InputError(f"{self.path}: expected both of the columns sigma_u_px and sigma_v_px, found one")
+        for first, second in (("sigma_u_px", "sigma_v_px"), ("width_px", "height_px")):
+            if (first in present) != (second in present):
+                raise InputError(f"{self.path}: expected both of the columns {first} and {second}, found one")
+        self.has_boxes = "width_px" in present
         self._columns = [*REQUIRED, *present]
 
     @cached_property
@@ -182,6 +193,7 @@ class LogReader:
             # The last time may continue in the next piece: its rows wait until it is complete.
             complete = int(np.searchsorted(rows.time_s, rows.time_s[-1], side="left"))
             carry = rows.take(slice(complete, None))
+            check_instant(len(carry), float(carry.time_s[0]), str(self.path))
             yield from self._split(rows.take(slice(0, complete)), state)
         if carry is not None:
             yield from self._split(carry, state)
@@ -268,6 +280,8 @@ class LogReader:
                 rows.pixels[i:j],
                 None if rows.sigma is None else rows.sigma[i:j],
                 None if rows.object_id is None else rows.object_id[i:j],
+                None if rows.sizes is None else rows.sizes[i:j],
+                rows.row[i:j],
             )
 
     def _true_times(self, time_s: Array, camera: Integers) -> Array:

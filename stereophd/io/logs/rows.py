@@ -21,7 +21,10 @@ from stereophd.io.tables.reading import cast_column, check_texts
 from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
 
 REQUIRED = {name: DETECTIONS.field(name).type for name in DETECTIONS.names}
-OPTIONAL = {"sigma_u_px": FLOAT, "sigma_v_px": FLOAT, "object_id": INTEGER}
+OPTIONAL = {
+    **dict.fromkeys(("sigma_u_px", "sigma_v_px", "width_px", "height_px"), FLOAT),
+    "object_id": INTEGER,
+}
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class Rows:
     empty: Booleans
     sigma: Array | None
     object_id: Integers | None
+    sizes: Array | None = None  # (n, 2): Width and height of the boxes, px
 
     def take(self, which: Any) -> Rows:
         """Return some of the rows: a mask, indices, or a slice."""
@@ -89,12 +93,7 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: 
     column = {name: cast_column(batch.column(name), name, kinds[name], path, start) for name in batch.schema.names}
     check_texts(column["camera"], "camera", path, start)
     null = {name: _is_null(array) for name, array in column.items()}
-    sigma = object_id = None
-    if "sigma_u_px" in column:
-        sigma = np.stack(
-            [values_of(column["sigma_u_px"], np.float64, np.nan), values_of(column["sigma_v_px"], np.float64, np.nan)],
-            axis=1,
-        )
+    object_id = None
     if "object_id" in column:
         object_id = values_of(column["object_id"], np.int64, -1)
     rows = Rows(
@@ -102,15 +101,19 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: 
         time_s=values_of(column["time_s"], np.float64, np.nan),
         camera=_camera_index(column["camera"], cameras),
         frame=values_of(column["frame"], np.int64, 0),
-        pixels=np.stack(
-            [values_of(column["u_px"], np.float64, np.nan), values_of(column["v_px"], np.float64, np.nan)], axis=1
-        ),
+        pixels=_two_columns(column, "u_px", "v_px"),
         empty=null["u_px"] & null["v_px"],
-        sigma=sigma,
+        sigma=_two_columns(column, "sigma_u_px", "sigma_v_px") if "sigma_u_px" in column else None,
         object_id=object_id,
+        sizes=_two_columns(column, "width_px", "height_px") if "width_px" in column else None,
     )
     nulls = null["time_s"] | null["camera"] | null["frame"]
     return Decoded(rows, nulls, null["u_px"] ^ null["v_px"], column["camera"])
+
+
+def _two_columns(columns: Mapping[str, pa.Array], first: str, second: str) -> Array:
+    """Return two columns side by side (n, 2), NaN for nulls."""
+    return np.stack([values_of(columns[name], np.float64, np.nan) for name in (first, second)], axis=1)
 
 
 def _camera_index(column: pa.Array, cameras: Mapping[str, int]) -> Integers:

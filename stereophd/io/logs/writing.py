@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import pyarrow as pa
+
 from stereophd.core.arrays import Array, Integers
-from stereophd.io.tables.schemas import DETECTIONS, OBJECT_ID
+from stereophd.io.tables.schemas import BOX, DETECTIONS, OBJECT_ID
 from stereophd.io.tables.writing import TableWriter
 
 
@@ -23,13 +26,30 @@ class LogWriter:
         Key-value metadata, as `stereophd.io.outputs.provenance.to_metadata` returns them.
     object_id
         Whether the log has the column ``object_id``.
+    boxes
+        Whether it has the columns ``width_px, height_px``.
     """
 
-    def __init__(self, path: Path | str, metadata: Mapping[Any, Any] | None = None, object_id: bool = False) -> None:
-        self._object_id = object_id
-        self._table = TableWriter(path, DETECTIONS.append(OBJECT_ID) if object_id else DETECTIONS, metadata)
+    def __init__(
+        self,
+        path: Path | str,
+        metadata: Mapping[Any, Any] | None = None,
+        object_id: bool = False,
+        boxes: bool = False,
+    ) -> None:
+        self._object_id, self._boxes = object_id, boxes
+        more = (*(BOX if boxes else ()), *((OBJECT_ID,) if object_id else ()))
+        self._table = TableWriter(path, functools.reduce(pa.Schema.append, more, DETECTIONS), metadata)
 
-    def write(self, time_s: float, camera: str, frame: int, pixels: Array, object_id: Integers | None = None) -> None:
+    def write(
+        self,
+        time_s: float,
+        camera: str,
+        frame: int,
+        pixels: Array,
+        object_id: Integers | None = None,
+        sizes: Array | None = None,
+    ) -> None:
         """Write one frame.
 
         Parameters
@@ -42,12 +62,19 @@ class LogWriter:
             Detections (m, 2), distorted px; with m = 0 the frame becomes one row of nulls.
         object_id
             True objects (m,), -1 clutter; required with ``object_id=True``.
+        sizes
+            Width and height (m, 2) of the boxes, px; required with ``boxes=True``.
         """
         columns: dict[str, Any] = {"time_s": time_s, "camera": camera, "frame": frame}
         if len(pixels):
             columns |= {"u_px": pixels[:, 0], "v_px": pixels[:, 1]}
         else:
             columns |= {"u_px": [None], "v_px": [None]}
+        if self._boxes:
+            if sizes is None:
+                raise ValueError("this log has the columns width_px and height_px: expected a size for each detection")
+            for number, field in enumerate(BOX):
+                columns[field.name] = sizes[:, number] if len(pixels) else [None]
         if self._object_id:
             if object_id is None:
                 raise ValueError("this log has the column object_id: expected an object_id for each detection")

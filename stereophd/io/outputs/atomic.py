@@ -18,16 +18,7 @@ from pathlib import Path
 from types import TracebackType
 
 from stereophd.errors import InputError
-from stereophd.io.outputs.commit import (
-    COMMIT_NAME,
-    NEW,
-    OLD,
-    beside_of,
-    commit_files,
-    commit_folder,
-    complete,
-    files_below,
-)
+from stereophd.io.outputs.commit import MOVING_IN, NEW, OLD, beside_of, commit, files_below, is_folder, settle
 from stereophd.io.outputs.disk import (
     TEMPORARY_PREFIX,
     UNFINISHED_PREFIX,
@@ -37,7 +28,7 @@ from stereophd.io.outputs.disk import (
     sync,
     write_error,
 )
-from stereophd.io.outputs.locks import LOCK_NAME, output_lock
+from stereophd.io.outputs.locks import LOCK_NAME, lock_file, output_lock
 
 __all__ = [
     "TEMPORARY_PREFIX",
@@ -56,14 +47,16 @@ def temporary_beside(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def atomic_write(path: Path | str) -> Iterator[Path]:
+def atomic_write(path: Path | str, replace: bool = True) -> Iterator[Path]:
     """Give a temporary path beside `path`; at a clean exit it replaces `path`, else it is removed.
 
     Parameters
     ----------
     path
-        The file to write. Its folder must exist; an existing file is replaced. One process at a time may write it:
-        the temporary name follows from the file's, so that the next call removes what a killed process left.
+        The file to write. Its folder must exist. One process at a time may write it: the temporary name follows from
+        the file's, so that the next call removes what a killed process left.
+    replace
+        Whether an existing file is replaced, also one that came during the block.
 
     Yields
     ------
@@ -73,20 +66,22 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     Raises
     ------
     InputError
-        The place cannot be written to (disk full, no permission, ...).
+        The place cannot be written to (disk full, no permission, ...), another process is writing it, or it is there
+        already and must not be replaced.
     """
     target = Path(path)
     temporary: Path | None = None
+    descriptor: int | None = None
     try:
         name = temporary_beside(target)
-        name.unlink(missing_ok=True)
-        name.touch(0o600)
+        descriptor = lock_file(name, str(target), "choose another file")
         temporary = name
+        os.truncate(descriptor, 0)
         yield temporary
         sync(temporary)
         with signals_deferred():
             temporary.chmod(0o666 & ~current_umask())
-            os.replace(temporary, target)
+            (os.replace if replace else _put)(temporary, target)
             sync(target.parent)
     except OSError as error:
         if temporary is None or error.errno in USER_ERRNOS:
@@ -95,6 +90,22 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def _put(temporary: Path, target: Path) -> None:
+    """Give a file its name, if no other has it."""
+    try:
+        os.link(temporary, target, follow_symlinks=False)
+        return
+    except FileExistsError:
+        pass
+    except (OSError, NotImplementedError):  # a file system without hard links
+        if not os.path.lexists(target):
+            os.replace(temporary, target)
+            return
+    raise InputError(f"{target}: the file exists; use `force=True` to replace it")
 
 
 def _matches(relative: Path, names: Iterable[str]) -> bool:
@@ -110,7 +121,7 @@ def _matches(relative: Path, names: Iterable[str]) -> bool:
 
 
 def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
-    """Check that an output folder may be used, and create it if missing.
+    """Check that an output folder, which is locked, may be used, and create it if missing.
 
     Parameters
     ----------
@@ -140,9 +151,9 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
         if folder.exists() and not folder.is_dir():
             raise InputError(f"output folder {folder}: expected a folder, found a file")
         folder.mkdir(parents=True, exist_ok=True)
-        complete(folder)
+        settle(folder)
         for relative in files_below(folder):
-            if (folder / relative).is_dir():
+            if is_folder(folder / relative):
                 # Empty folders may be the user's, or those of a run that was killed as it began: they stay.
                 if _matches(relative, names) and not _is_temporary(relative):
                     raise InputError(f"output folder {folder}: {relative}: expected a file or nothing, found a folder")
@@ -190,7 +201,7 @@ def tidy(path: Path | str) -> None:
         return
     if any(folder.glob(f"{TEMPORARY_PREFIX}*")) or beside_of(folder.resolve()).exists():
         with output_lock(folder):
-            complete(folder)
+            settle(folder)
             _remove_leftovers(folder)
 
 
@@ -205,8 +216,8 @@ class OutputFolder:
     Inside the block the files lie in a temporary folder inside `path`, and other runs are kept out of `path`. A clean
     exit flushes them, puts them into place in one step, and removes what an earlier run (under `force`) left behind,
     so that the folder holds one run's files only. Any exception removes everything that was written, and the folders
-    that were made. If even that fails (a disk that refuses every move), nothing is removed, and the next command
-    that uses the folder finishes what was begun.
+    that were made. If even that fails (a disk that refuses every move), nothing is removed, and the next run that
+    writes to the folder finishes what was begun.
 
     Parameters
     ----------
@@ -227,16 +238,14 @@ class OutputFolder:
         self.folder = Path(path)
         self._names = list(names)
         self._force = force
-        self._stale: list[Path] = []
-        self._fresh = False
         self._held = contextlib.ExitStack()
         self._staged: Path | None = None
 
     def __enter__(self) -> OutputFolder:
         with contextlib.ExitStack() as held:
             try:
-                self._fresh = held.enter_context(output_lock(self.folder))
-                self._stale = output_folder(self.folder, self._force, self._names)
+                held.enter_context(output_lock(self.folder))
+                output_folder(self.folder, self._force, self._names)
                 _remove_leftovers(self.folder)
                 self._staged = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=self.folder))
                 held.callback(self._discard)
@@ -291,7 +300,7 @@ class OutputFolder:
         path = self.folder
         if error.filename is not None and self._staged is not None:
             written = Path(os.fsdecode(error.filename))
-            for inside in (self._staged / NEW, self.folder / COMMIT_NAME / NEW):
+            for inside in (self._staged / NEW, self.folder / MOVING_IN / NEW):
                 if inside in written.parents:
                     path = self.folder / written.relative_to(inside)
         return write_error(error, path)
@@ -304,9 +313,7 @@ class OutputFolder:
             for name in (*files, ""):
                 sync(Path(root) / name)
         with signals_deferred():
-            unused = self._fresh and all(_matches(relative, self._names) for relative in files_below(self.folder))
-            if not (unused and commit_folder(staged, self.folder)):
-                commit_files(staged, self.folder, self._stale)
+            commit(staged, self.folder, lambda path: _matches(path, self._names))
             self._staged = None
 
     def _discard(self) -> None:

@@ -11,6 +11,7 @@ import contextlib
 import errno
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,12 +28,18 @@ LOCK_NAME = f"{TEMPORARY_PREFIX}lock"
 # Errors of a file system without locks.
 _NO_LOCKS = frozenset({errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL})
 
-# Folders that this process holds (real paths), and whether it made them: a command may take its folder more than once.
-_HELD: dict[str, bool] = {}
+# What a lock file begins with; a file with another content is not ours.
+_OWNER = b"process "
+
+# Never through a link, and without waiting for the other end of a pipe; 0 where the system has no such flag.
+_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
+# Folders that this process holds (real paths): a command may take its folder more than once.
+_HELD: set[str] = set()
 
 
 @contextlib.contextmanager
-def output_lock(path: Path | str) -> Iterator[bool]:
+def output_lock(path: Path | str) -> Iterator[None]:
     """Make an output folder if need be, and keep other runs out of it.
 
     At the end the folders that were made for it, and hold nothing, are removed.
@@ -41,11 +48,6 @@ def output_lock(path: Path | str) -> Iterator[bool]:
     ----------
     path
         The folder.
-
-    Yields
-    ------
-    bool
-        Whether the folder was made here.
 
     Raises
     ------
@@ -58,23 +60,26 @@ def output_lock(path: Path | str) -> Iterator[bool]:
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     key = os.path.realpath(folder)
     if key in _HELD:
-        yield _HELD[key]
+        yield
         return
     try:
         try:
             if folder.exists() and not folder.is_dir():
                 raise InputError(f"output folder {folder}: expected a folder, found a file")
             folder.mkdir(parents=True, exist_ok=True)
-            descriptor = _locked(folder)
+            descriptor = lock_file(folder / LOCK_NAME, f"output folder {folder}", "choose another folder")
+            with contextlib.suppress(OSError):  # a full disk: the name of the process is for the message only
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, _OWNER + f"{os.getpid()} on {socket.gethostname()}".encode(), 0)
         except PermissionError as error:
             raise InputError(f"output folder {folder}: Permission denied; expected a writable folder") from error
         except OSError as error:
             raise write_error(error, folder) from error
-        _HELD[key] = folder in made
+        _HELD.add(key)
         try:
-            yield folder in made
+            yield
         finally:
-            del _HELD[key]
+            _HELD.discard(key)
             with contextlib.suppress(OSError):
                 (folder / LOCK_NAME).unlink()
             os.close(descriptor)
@@ -84,22 +89,48 @@ def output_lock(path: Path | str) -> Iterator[bool]:
                 parent.rmdir()
 
 
-def _locked(folder: Path) -> int:
-    """Return the descriptor of the lock file of a folder, locked."""
-    path = folder / LOCK_NAME
+def lock_file(path: Path, what: str, remedy: str) -> int:
+    """Open a file that only one process may write, made if missing, and lock it.
+
+    Parameters
+    ----------
+    path
+        The file. Its content stays.
+    what, remedy
+        For the message where another run has locked it.
+
+    Returns
+    -------
+    int
+        Its descriptor; the lock lasts until it is closed.
+
+    Raises
+    ------
+    InputError
+        Another run has locked it, or it is not a file: a link, for instance.
+    OSError
+        It cannot be made.
+    """
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
+            descriptor = os.open(path, _FLAGS, 0o666)
+        except OSError as error:
+            if path.is_symlink() or error.errno in (errno.ELOOP, errno.ENXIO, errno.EISDIR):
+                raise InputError(f"{path}: expected a file of this program or none, found a link or folder") from error
+            raise
+        try:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode):
+                raise InputError(f"{path}: expected a file of this program or none, found no regular file")
+            if path.name == LOCK_NAME and found.st_size and not os.pread(descriptor, 300, 0).startswith(_OWNER):
+                raise InputError(f"{path}: expected the lock of a run, found another file; remove it")
             if not _lock(descriptor):
-                owner = _owner(descriptor) or "unknown process"
+                owner = _owner(descriptor) if path.name == LOCK_NAME else ""
                 raise InputError(
-                    f"output folder {folder}: another run is writing to it ({owner}); "
-                    "wait until it ends, or choose another folder"
+                    f"{what}: another run is writing to it ({owner or 'unknown process'}); wait until it ends, or "
+                    f"{remedy}"
                 )
             if _is_at(descriptor, path):
-                with contextlib.suppress(OSError):  # a full disk: the name of the process is for the message only
-                    os.ftruncate(descriptor, 0)
-                    os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
                 return descriptor
         except BaseException:
             os.close(descriptor)
@@ -126,7 +157,7 @@ def _lock(descriptor: int) -> bool:
 def _is_at(descriptor: int, path: Path) -> bool:
     """Whether an open file is still the one at a path."""
     try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
     except FileNotFoundError:
         return False
 

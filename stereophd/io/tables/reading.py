@@ -10,8 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stereophd.errors import InputError
+from stereophd.io.documents import check_parquet
 from stereophd.io.file_kinds import HEAD_BYTES, PARQUET, kind_of_content, remedy
-from stereophd.io.outputs.commit import complete
+from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.disk import for_arrow
 
 # What pyarrow raises for a damaged Parquet file; the last where the name of a column is no text.
@@ -35,7 +36,7 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
     """
     file = Path(path)
     try:
-        complete(file.parent)
+        refuse_unsettled(file)
         if file.is_dir():
             raise InputError(f"{file}: expected a {what} (Parquet file), found a folder")
         size = file.stat().st_size
@@ -51,11 +52,13 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
         described = found or "something that is not Parquet"
         raise InputError(f"{file}: expected a {what} (Parquet file), found {described}{remedy(what, found)}")
     try:
-        return pq.ParquetFile(for_arrow(file), memory_map=False)
+        parquet = pq.ParquetFile(for_arrow(file), memory_map=False)
     except DAMAGED as error:
         raise InputError(
             f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"
         ) from error
+    check_parquet(parquet.metadata, file)
+    return parquet
 
 
 def _first_line(error: BaseException) -> str:

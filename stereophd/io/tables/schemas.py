@@ -1,4 +1,4 @@
-"""Parquet tables: the schemas of the native files (`docs/formats.md`)."""
+"""Parquet tables: the schemas of the native files (`docs/reference/formats.md`)."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ _VELOCITY = {"vx": FLOAT, "vy": FLOAT, "vz": FLOAT}
 DETECTIONS = _schema({**_KEY, "u_px": FLOAT, "v_px": FLOAT}, nullable=("u_px", "v_px"))
 #: Optional column of a detection log: the true object (-1 clutter); null in a row without detection.
 OBJECT_ID = pa.field("object_id", INTEGER, nullable=True)
+#: Optional columns of a detection log: the box, whose middle u_px, v_px is; null in a row without detection.
+BOX = tuple(pa.field(name, FLOAT, nullable=True) for name in ("width_px", "height_px"))
 #: One row a true object and time.
 TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **_POSITION, **_VELOCITY})
 #: One row a reported object and event; the covariance is 6x6, row-major, in the world frame; status is one of the two.
@@ -40,6 +42,8 @@ TRACKS = _schema(
 CONFIRMED, TENTATIVE = "confirmed", "tentative"
 #: Optional columns of tracks: standard deviations of the position along the axes of the world.
 STD = tuple(pa.field(name, FLOAT, nullable=False) for name in ("std_x", "std_y", "std_z"))
+#: Optional columns of tracks of bodies: extent along and across the vertical, and their standard deviations.
+EXTENTS = tuple(pa.field(name, FLOAT, nullable=False) for name in ("height", "width", "height_std", "width_std"))
 #: One row a detection and reported track that it may belong to.
 ASSOCIATIONS = _schema({**_KEY, "u_px": FLOAT, "v_px": FLOAT, "track_id": INTEGER, "probability": FLOAT})
 #: One row an event.

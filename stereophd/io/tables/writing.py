@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -85,22 +85,6 @@ def _has_rows(value: Any) -> bool:
     return not isinstance(value, (str, float, int)) and np.ndim(value) > 0
 
 
-class GroupWriter(Protocol):
-    """What writes the row groups of a file, such as `pyarrow.parquet.ParquetWriter`."""
-
-    def write_table(self, table: pa.Table, row_group_size: int) -> None:
-        """Write a row group."""
-
-    def close(self) -> None:
-        """Write the footer."""
-
-
-def parquet_writer(sink: Any, schema: pa.Schema) -> pq.ParquetWriter:
-    """Return the Arrow writer of a table to an open file, with the settings of all tables."""
-    texts = [field.name for field in schema if pa.types.is_string(field.type)]
-    return pq.ParquetWriter(sink, schema, compression="zstd", use_dictionary=texts or False, version="2.6")
-
-
 class TableWriter:
     """Write a Parquet table piece by piece, in row groups of a fixed number of rows.
 
@@ -135,19 +119,13 @@ class TableWriter:
         self._buffer: list[tuple[dict[str, Any], int]] = []
         self._buffered = 0
         try:
-            self._stream: BinaryIO | None = self._opened()
+            self._stream: BinaryIO | None = open(self.path, "wb")  # noqa: SIM115 (closed by close)
         except OSError as error:
             raise write_error(error, self.path) from error
-        self._writer = self._writer_to(self._stream)
-
-    def _opened(self) -> BinaryIO:
-        """Open the file."""
-        return open(self.path, "wb")
-
-    def _writer_to(self, stream: BinaryIO) -> GroupWriter:
-        """Return what writes row groups to the file."""
-        writer: GroupWriter = parquet_writer(stream, self.schema)
-        return writer
+        texts = [field.name for field in schema if pa.types.is_string(field.type)]
+        self._writer = pq.ParquetWriter(
+            self._stream, self.schema, compression="zstd", use_dictionary=texts or False, version="2.6"
+        )
 
     def append(self, columns: Mapping[str, Any]) -> None:
         """Add rows.
@@ -195,7 +173,10 @@ class TableWriter:
     def _flush(self) -> None:
         if not self._buffered:
             return
-        table = self._take()
+        self._write(self._take())
+
+    def _write(self, table: pa.Table) -> None:
+        """Write a row group."""
         with self._named_errors():
             self._writer.write_table(table, row_group_size=self._row_group_rows)
 

@@ -72,12 +72,10 @@ class Batch:
     work: Work  # A function of a module, or `functools.partial` of one, that writes the item's folder
     # A function of a module that takes the values of a row from a report.
     values: Callable[[Mapping[str, Any]], Mapping[str, Any]]
-    # `files`, `beside`: Files that `work` may write in the folder of an item, and beside it.
-    files: Sequence[str]
+    files: Sequence[str]  # Files that `work` may write in the folder of an item
     columns: Mapping[str, pa.DataType]  # Names and types of its values; they are null where it fails
     # Provenance of ``summary.parquet``; the hashes of the inputs are added, as ``NAME.role``.
     record: Mapping[str, Any]
-    beside: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ def run_batch(
 
 def _check_folder(batch: Batch, out: Path, force: bool, resume: bool) -> None:
     """Check that an output folder may be used; without its summary the batch there is not finished."""
-    names = [SUMMARY_FILE, *batch.beside, *(f"*/{name}" for name in (*batch.files, f"{TEMPORARY_PREFIX}*"))]
+    names = [SUMMARY_FILE, *(f"*/{name}" for name in (*batch.files, f"{TEMPORARY_PREFIX}*"))]
     found = output_folder(out, True, names)
     if found and not (force or resume):
         raise InputError(

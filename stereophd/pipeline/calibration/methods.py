@@ -1,4 +1,4 @@
-"""Method annealed of `calibrate`: its starts, with checkpoints and processes, and its `Outcome`."""
+"""Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from stereophd.core.calibration.annealing.starts import (
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.unknowns.observability import laplace_draws
+from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.pipeline.calibration.inputs import annealed_task
 from stereophd.pipeline.calibration.outcome import Outcome
@@ -96,12 +97,12 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
     seeds = CALIBRATION_PAIRING.seed(run.seed).spawn(count)
-    starts: list[Start] = list(run.checkpoint.get("starts") or [])
+    starts: list[Start] = run.unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
     if enough(starts, agreeing):
         return starts
     for start in _run_starts(task, values, seeds, len(starts), run.jobs):
         starts.append(start)
-        run.checkpoint.keep("starts", starts)
+        run.unfinished.keep("starts", starts)
         run.report_progress(len(starts), count)
         if enough(starts, agreeing):
             break

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from stereophd.config.calibration import CalibrationConfig
-from stereophd.pipeline.calibration.checkpoint import Checkpoint
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -21,7 +21,7 @@ class CalibrationRun:
 
     loaded: LoadedConfig
     problem: CalibrationProblem
-    checkpoint: Checkpoint
+    unfinished: UnfinishedRun
     jobs: int = 1  # Processes, or threads of particles
     progress: Progress | None = None  # Called with (done, total)
 

@@ -12,10 +12,11 @@ from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
 from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
-from stereophd.core.calibration.sampling.bridging_state import BridgeResult, BridgeState
+from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence, LogEvidence
 from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
+from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState
 from stereophd.core.calibration.sampling.tempered import TemperedPath, tempered_sampler
 from stereophd.core.calibration.unknowns.gauge import can_be_enlarged
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
@@ -28,6 +29,9 @@ from stereophd.pipeline.calibration.inputs import annealed_task
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.run import CalibrationRun
 
+# What an unfinished run keeps of a sampler: its state, and its steps so far.
+BRIDGE = tuple[BridgeState, list[BridgeInfo]]
+
 
 def sequential_outcome(run: CalibrationRun) -> Outcome:
     """Method sequential: the paper's particle filter over cameras, with moves or without."""
@@ -38,10 +42,10 @@ def sequential_outcome(run: CalibrationRun) -> Outcome:
     sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(run.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
-        run.checkpoint.keep("sequential", (state, list(steps)))
+        run.unfinished.keep("sequential", (state, list(steps)))
         run.report_progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
 
-    result = bridging.run(sampler, run.checkpoint.get("sequential"), after)
+    result = bridging.run(sampler, run.unfinished.read("sequential", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
     details = {"log_evidence": result.log_evidence, "sampler": _sampler_figures(result, settings.likelihood)}
     last, times = {info.stage: info for info in result.history}, np.sort(problem.recording.times)
@@ -70,7 +74,7 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
     events = problem.scans().events
 
     def after(number: int, state: Any, history: Any) -> None:
-        run.checkpoint.keep("sequential", (state, list(history)))
+        run.unfinished.keep("sequential", (state, list(history)))
         run.report_progress(number, len(events))
 
     result = sequential.run(
@@ -79,7 +83,7 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
         FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs),
         settings,
         SEQUENTIAL_PARTICLES.seed(run.seed),
-        run.checkpoint.get("sequential"),
+        run.unfinished.read("sequential", tuple[SequentialState, list[SequentialInfo]]),
         after,
         walk if walk.any() else None,
     )
@@ -129,10 +133,10 @@ def smc_outcome(
     sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(run.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
-        run.checkpoint.keep("smc", (state, list(steps)))
+        run.unfinished.keep("smc", (state, list(steps)))
         run.report_progress(int(1000 * state.temperature), 1000)
 
-    result = bridging.run(sampler, run.checkpoint.get("smc"), after)
+    result = bridging.run(sampler, run.unfinished.read("smc", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
     details["smc"] = {**_sampler_figures(result, settings.evidence), "modes": len(modes.weights)}
     return Outcome(

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from stereophd.config.calibration import CalibrationConfig
-from stereophd.config.cameras import CameraConfig
 from stereophd.config.errors import describe
 from stereophd.config.yaml import Place, Tree
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
@@ -18,6 +17,7 @@ from stereophd.core.calibration.unknowns.quantities.base import IMAGES, Quantity
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
+from stereophd.io.cameras.models import CameraConfig
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig

@@ -173,7 +173,7 @@ def cameras_of_record(record: Mapping[str, Any] | None) -> list[Camera] | None:
     """Return the cameras of the configuration in a provenance, None if it holds none that can be read."""
     from pydantic import ValidationError
 
-    from stereophd.config.cameras import CameraConfig
+    from stereophd.io.cameras.models import CameraConfig
 
     described = ((record or {}).get("config") or {}).get("cameras")
     if not isinstance(described, dict) or not described:

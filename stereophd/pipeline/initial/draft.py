@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig, DetectorConfig
 from stereophd.config.loading import LoadedConfig, make_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.geometry.measure import measure

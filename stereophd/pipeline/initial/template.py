@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from stereophd.config.cameras import CameraConfig
+from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
+from stereophd.io.cameras.models import CameraConfig
 
 Kind = Literal["animals", "drones", "lab"]
 
@@ -87,8 +88,9 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
     def guess(value: Any, advice: str) -> Choice:
         return Choice(value, f"{usual}; {advice}", measured=False)
 
+    others = ", ".join(word for word in motion_models() if word != "constant_velocity")
     choices = {
-        "motion.model": Choice("constant_velocity", "with white acceleration; docs/filters.md has the other models"),
+        "motion.model": Choice("constant_velocity", f"with white acceleration; other models: {others}"),
         "motion.acceleration_std": guess(
             length(scale.acceleration_std),
             f"by how much the velocity changes in a second, {unit}/s^2; `estimate` takes it from the log",

@@ -8,8 +8,9 @@ from typing import Any
 
 import yaml
 
-from stereophd.io.cameras import CONVENTIONS, cameras_text
+from stereophd.io.cameras.writing import CONVENTIONS, cameras_text
 from stereophd.pipeline.initial.template import Draft
+from stereophd.site import page
 
 # The first line, by which `init` knows a file of its own.
 MARK = "# Written by stereophd init"
@@ -40,7 +41,8 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     lines = [f"{MARK} {version}, {source}."]
     lines += _comment(
         [
-            "Each comment names the source of the value below it. docs/configuration.md describes every key.",
+            "Each comment names the source of the value below it. Every key is described at",
+            page("reference/configuration"),
             *draft.head,
         ],
         0,
@@ -86,7 +88,8 @@ def _scalar(value: Any) -> str:
 def _cameras(draft: Draft, cameras_file: str) -> Iterator[str]:
     """Yield the section of the cameras."""
     if not draft.cameras:
-        yield "# The file of the cameras, relative to this one; see docs/formats.md for its form."
+        yield "# The file of the cameras, relative to this one; its form is described at"
+        yield f"# {page('reference/formats')}"
         yield f"cameras: {cameras_file}"
         yield ""
         return

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose
+from stereophd.io.cameras.models import CameraConfig
 
 # Optical axes whose directions all lie this close together have no point that they look at, condition number.
 PARALLEL = 1e4

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
+from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.provenance import file_sha256
-from stereophd.io.tables.reading import read_table
+from stereophd.io.tables.reading import damaged_is_input_error, open_parquet, read_table
 from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.tables import kind_of
@@ -137,6 +138,7 @@ def read_runs(
 def _read_folder(folder: Path, found: _Found) -> None:
     if not folder.is_dir():
         raise InputError(f"{folder}: expected an output folder, found {'a file' if folder.exists() else 'nothing'}")
+    refuse_unsettled(folder)
     for kind, files in (("detections", found.logs), ("truth", found.truths)):
         path = folder / f"{kind}.parquet"
         if path.exists() and kind_of(path) == kind:
@@ -224,13 +226,14 @@ def _columns(path: Path, required: Mapping[str, Any]) -> Columns:
 
 def _all_columns(path: Path) -> Columns:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
-    names = pq.read_schema(path)
+    with open_parquet(path) as parquet:
+        names = parquet.schema_arrow
     table = read_table(path, {name: FLOAT for name in names.names if pa.types.is_floating(names.field(name).type)})
     columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names}
     if "covariance" in names.names:
-        flat = pq.read_table(path, columns=["covariance"]).column(0).combine_chunks().flatten()
+        with open_parquet(path) as parquet, damaged_is_input_error(path):
+            flat = parquet.read(columns=["covariance"]).column(0).combine_chunks().flatten()
         size = len(columns) - 1
         columns["covariance"] = flat.to_numpy(zero_copy_only=False).reshape(-1, size, size)
     return columns

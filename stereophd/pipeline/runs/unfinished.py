@@ -1,49 +1,62 @@
-"""Where an unfinished run keeps what it has done: a folder inside its output folder."""
+"""What an unfinished run has done: a folder inside its output folder, from which a later one continues.
+
+`track`, the pieces of a long log, `calibrate` and `experiment` keep their work here in the same way. A whole file holds
+one object and is there or not. A growing file holds what is too much to be written each time, such as the rows of a
+table; it counts as far as the state says that was written after it. States are written about once a minute.
+
+Everything in the folder is data (`stereophd.io.outputs.saved`). It goes when the results come into their places.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from stereophd.errors import InputError
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
-from stereophd.io.outputs.checkpoints import is_checkpoint
-from stereophd.io.outputs.disk import UNFINISHED_PREFIX
+from stereophd.io.outputs.commit import files_below, is_folder
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX, UNFINISHED_PREFIX
+from stereophd.io.outputs.saved import GrowingFile, decoder, is_saved, read_frames, read_saved, write_saved
 
-# Characters of the hash in the name of a folder.
+# Characters of the identity in the name of a folder.
 _LENGTH = 16
 
-# Tables that an unfinished run has begun: Parquet files that have no end yet. They count only beside a checkpoint.
-UNFINISHED_TABLE = "*.part"
+# Endings of whole and of growing files.
+WHOLE, GROWING = ".saved", ".growing"
 
 # Files of an unfinished run, as `stereophd.io.outputs.atomic.OutputFolder` takes them.
-UNFINISHED_FILES = (
-    f"{UNFINISHED_PREFIX}*/*.npz",
-    f"{UNFINISHED_PREFIX}*/*/*.npz",
-    f"{UNFINISHED_PREFIX}*/{UNFINISHED_TABLE}",
-)
+UNFINISHED_FILES = (f"{UNFINISHED_PREFIX}*/*{WHOLE}", f"{UNFINISHED_PREFIX}*/*{GROWING}")
+
+# Seconds between two states that are kept; more where keeping one takes more than a hundredth of it.
+KEEP_EVERY_S = 60.0
+MOST_SHARE = 0.01
 
 
 def can_resume(out: Path | str) -> bool:
     """Whether an output folder, or a folder of a batch in it, holds an unfinished run."""
-    return any(next(Path(out).glob(f"{above}{UNFINISHED_PREFIX}*/"), None) is not None for above in ("", "*/"))
+    return any(next(Path(out).glob(f"{above}{UNFINISHED_PREFIX}*/*{WHOLE}"), None) is not None for above in ("", "*/"))
 
 
 class UnfinishedRun:
-    """The folder of an unfinished run: checkpoints without code (`stereophd.io.outputs.checkpoints`), and tables.
+    """The folder of an unfinished run.
 
     Parameters
     ----------
     out : Path
         Output folder.
     identity : str
-        SHA-256 of configuration, log and version.
+        SHA-256 of what decides about the results: configuration, inputs, version.
     """
 
     def __init__(self, out: Path, identity: str) -> None:
         self.out = out
-        self.folder = out / f"{UNFINISHED_PREFIX}{identity[:_LENGTH]}"
         self.identity = identity
+        self.folder = out / f"{UNFINISHED_PREFIX}{identity[:_LENGTH]}"
+        self._next_s = time.monotonic() + KEEP_EVERY_S
+        self._waiting: dict[str, Any] = {}
 
     def prepare(self, resume: bool, force: bool) -> None:
         """Check what an earlier run left, and remove what is in the way where that is allowed; `out` is locked.
@@ -61,46 +74,110 @@ class UnfinishedRun:
             There is an unfinished run, and neither `resume` nor `force` is given; it is one of another configuration
             or log, and `force` is not given; or a folder of such a name holds other files.
         """
-        folders = sorted(path for path in self.out.glob(f"{UNFINISHED_PREFIX}*") if path.is_dir())
-        for path in (path for folder in folders for path in folder.rglob("*")):
-            if path.is_file() and not _is_ours(path):
-                raise InputError(
-                    f"output folder {self.out} holds {path.relative_to(self.out)}, which is no part of an unfinished "
-                    "run; move it away, or choose another folder"
-                )
-        if folders and not (resume or force):
+        folders = sorted(path for path in self.out.glob(f"{UNFINISHED_PREFIX}*") if is_folder(path))
+        for folder in folders:
+            for relative in files_below(folder):
+                if not _is_ours(folder, relative) and not is_folder(folder / relative):
+                    raise InputError(
+                        f"output folder {self.out} holds {Path(folder.name, relative)}, which is no part of an "
+                        "unfinished run; move it away, or choose another folder"
+                    )
+        holding = [folder for folder in folders if any(folder.glob(f"*{WHOLE}"))]
+        if holding and not (resume or force):
             raise InputError(
                 f"output folder {self.out} holds an unfinished run; use `resume=True` to continue it, or "
                 "`force=True` to begin anew"
             )
-        others = [folder for folder in folders if folder != self.folder]
+        others = [folder for folder in holding if folder != self.folder]
         if others and not force:
             raise InputError(
                 f"output folder {self.out} holds an unfinished run of another configuration or log "
                 f"({others[0].name}): nothing to resume; use `force=True` to remove it"
             )
-        for folder in [*others, *([] if resume else [self.folder])]:
-            _remove(folder)
+        for folder in folders:
+            # Growing files alone are of a run that was killed before its first state; empty folders are not ours.
+            if any(folder.iterdir()) and not (folder == self.folder and resume and folder in holding):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    @contextlib.contextmanager
+    def held(self, resume: bool, force: bool) -> Iterator[None]:
+        """Do a run in the block, after `prepare`; if it fails and has kept no whole file, its folder goes."""
+        self.prepare(resume, force)
+        try:
+            yield
+        except BaseException:
+            if not self.exists:
+                shutil.rmtree(self.folder, ignore_errors=True)
+            raise
 
     @property
     def exists(self) -> bool:
         """Whether there is an unfinished run to continue."""
-        return self.folder.is_dir()
+        return next(self.names(), None) is not None
 
-    def remove(self) -> None:
-        """Remove the folder: the run is done."""
-        _remove(self.folder)
+    def names(self) -> Iterator[str]:
+        """Yield the names of the whole files."""
+        return (path.name.removesuffix(WHOLE) for path in sorted(self.folder.glob(f"*{WHOLE}")))
+
+    def write(self, name: str, value: Any) -> None:
+        """Write a whole file."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_saved(self._whole(name), self.identity, value)
+
+    def read(self, name: str, kind: Any, given: Mapping[type, Any] | None = None) -> Any:
+        """Return the content of a whole file, of the type `kind`; None if there is no such file.
+
+        Parameters
+        ----------
+        name, kind
+        given : mapping, optional
+            As `stereophd.io.outputs.saved.decoder` takes it.
+
+        Raises
+        ------
+        InputError
+            The file is damaged, or of another run.
+        """
+        path = self._whole(name)
+        return read_saved(path, self.identity, decoder(kind, given)) if path.exists() else None
+
+    def keep(self, name: str, value: Any) -> None:
+        """Keep a value, or what a function returns then, in a whole file: now, if the last time was a while ago.
+
+        Else it waits for `save`, or for the next value of that name.
+        """
+        self._waiting[name] = value
+        if time.monotonic() >= self._next_s:
+            self.save()
+
+    def save(self) -> bool:
+        """Write what waits to be kept; return whether anything did."""
+        start = time.monotonic()
+        waiting, self._waiting = self._waiting, {}
+        for name, value in waiting.items():
+            self.write(name, value() if callable(value) else value)
+        now = time.monotonic()
+        self._next_s = now + max(KEEP_EVERY_S, (now - start) / MOST_SHARE)
+        return bool(waiting)
+
+    def grow(self, name: str, length: int | None = None) -> GrowingFile:
+        """Return a growing file, continued from as many bytes as count, or begun anew."""
+        return GrowingFile(self.growing(name), self.identity, length)
+
+    def frames(self, name: str, length: int) -> Iterator[bytes]:
+        """Yield the frames of a growing file, as far as they count; errors as `read`."""
+        return read_frames(self.growing(name), self.identity, length)
+
+    def growing(self, name: str) -> Path:
+        """Return the path of a growing file."""
+        return self.folder / f"{name}{GROWING}"
+
+    def _whole(self, name: str) -> Path:
+        return self.folder / f"{name}{WHOLE}"
 
 
-def _remove(folder: Path) -> None:
-    """Remove a folder of an unfinished run, the checkpoints last: tables without one are not known as ours."""
-    for path in folder.glob(UNFINISHED_TABLE):
-        path.unlink(missing_ok=True)
-    shutil.rmtree(folder, ignore_errors=True)
-
-
-def _is_ours(path: Path) -> bool:
+def _is_ours(folder: Path, relative: Path) -> bool:
     """Whether a file in such a folder is part of an unfinished run."""
-    if path.match(UNFINISHED_TABLE):
-        return any(map(is_checkpoint, path.parent.glob("*.npz")))
-    return path.name.startswith(TEMPORARY_PREFIX) or is_checkpoint(path)
+    if len(relative.parts) != 1:
+        return False
+    return relative.name.startswith(TEMPORARY_PREFIX) or is_saved(folder / relative)

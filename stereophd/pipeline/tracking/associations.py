@@ -6,8 +6,8 @@ then, and are forgotten with the label.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,14 +31,16 @@ class Associated:
     camera: str
     frame: int
     pixels: Array  # (k, 2): As in the log, distorted
+    rows: Integers  # (k,): Those of `Event`: a detection is known by its row
     track_ids: Integers  # (k,) of int: (Labels, as long as they are not reported.)
     probabilities: Array  # (k,): Probability that the object of the track exists and made the detection
 
     def take(self, kept: NDArray[Any]) -> Associated:
         """Return some of the rows."""
         return replace(
-            self, pixels=self.pixels[kept], track_ids=self.track_ids[kept], probabilities=self.probabilities[kept]
-        )
+            self, pixels=self.pixels[kept], rows=self.rows[kept], track_ids=self.track_ids[kept],
+            probabilities=self.probabilities[kept],
+        )  # fmt: skip
 
     def columns(self) -> dict[str, Any]:
         """Columns of ``associations.parquet``."""
@@ -53,87 +55,51 @@ class Associated:
         }
 
 
+@dataclass
 class Associations:
     """Claims of labels until they are reported as tracks."""
 
-    def __init__(
-        self, known: Mapping[int, int] | None = None, pending: Mapping[int, list[tuple[Associated, int]]] | None = None
-    ) -> None:
-        self._known = dict(known or {})
-        # label -> rows of the events that it claimed
-        self._pending = {label: list(rows) for label, rows in (pending or {}).items()}
-
-    def copy(self) -> Associations:
-        """Return a copy that does not change when the run continues."""
-        return Associations(self._known, self._pending)
-
-    @property
-    def known(self) -> Mapping[int, int]:
-        """Label -> track of the labels that have been reported."""
-        return self._known
-
-    @property
-    def pending(self) -> Mapping[int, list[tuple[Associated, int]]]:
-        """Label -> its rows in the claims of events, of the labels that are not reported yet."""
-        return self._pending
+    known: dict[int, int] = field(default_factory=dict)  # Label -> track of the labels that have been reported
+    # Number of an event -> what was claimed in it, of events with claims that wait: thousands of labels may wait with
+    # claims to one event.
+    claimed: dict[int, Associated] = field(default_factory=dict)
+    # Label -> (number of an event, row in it), of the labels that are not reported yet.
+    pending: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
+    events: int = 0
 
     def update(self, event: Event, camera: str, claims: Claims | None) -> tuple[Associated, ...]:
         """Take in the claims of an event; return those of the labels that have been reported before it."""
-        if claims is None or event.pixels is None:
+        if claims is None or event.pixels is None or event.rows is None:
             return ()
-        labels, rows, probabilities = _joined(claims)
+        labels, places, probabilities = _joined(claims)
         if not len(labels):
             return ()
-        found = Associated(event.time_s, camera, event.frame, event.pixels[rows], labels, probabilities)
-        ids = np.array([self._known.get(label, -1) for label in labels.tolist()], dtype=np.int64)
+        found = Associated(
+            event.time_s, camera, event.frame, event.pixels[places], event.rows[places], labels, probabilities
+        )
+        ids = np.array([self.known.get(label, -1) for label in labels.tolist()], dtype=np.int64)
         known = ids >= 0
-        for row in np.flatnonzero(~known).tolist():
-            self._pending.setdefault(int(labels[row]), []).append((found, row))
+        if not known.all():
+            self.claimed[self.events] = found
+            for row in np.flatnonzero(~known).tolist():
+                self.pending.setdefault(int(labels[row]), []).append((self.events, row))
+            self.events += 1
         return (replace(found.take(known), track_ids=ids[known]),) if known.any() else ()
 
     def report(self, estimates: Estimates) -> Iterator[Associated]:
         """Take in which labels are reported; yield the claims of those that had not been reported before."""
         for track_id, label in zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True):
-            self._known[label] = track_id
-            for found, row in self._pending.pop(label, ()):
-                yield replace(found.take(np.array([row])), track_ids=np.array([track_id]))
+            self.known[label] = track_id
+            for event, row in self.pending.pop(label, ()):
+                yield replace(self.claimed[event].take(np.array([row])), track_ids=np.array([track_id]))
 
     def keep(self, labels: Integers) -> None:
         """Forget all labels but these: memory does not grow with the log."""
         alive = set(labels.tolist())
-        self._known = {label: track for label, track in self._known.items() if label in alive}
-        self._pending = {label: found for label, found in self._pending.items() if label in alive}
-
-
-def reduced_to_what_is_left(sure: Sequence[Associated], further: Sequence[Associated]) -> list[Associated]:
-    """Return further rows of an event, reduced so that all rows of a detection add up to at most 1.
-
-    Parameters
-    ----------
-    sure : sequence of Associated
-        Rows of the event that stay as they are.
-    further : sequence of Associated
-        Of each detection these share what the others leave; the negligible ones are left out.
-    """
-    if not further:
-        return []
-    taken, wanted = _totals(sure), _totals(further)
-    out = []
-    for one in further:
-        keys = [tuple(pixel) for pixel in one.pixels.tolist()]
-        room = np.array([max(1.0 - taken.get(key, 0.0), 0.0) / max(wanted[key], LEAST_PROBABILITY) for key in keys])
-        reduced = replace(one, probabilities=one.probabilities * np.minimum(room, 1.0))
-        out.append(reduced.take(reduced.probabilities >= LEAST_PROBABILITY))
-    return [one for one in out if len(one.track_ids)]
-
-
-def _totals(rows: Sequence[Associated]) -> dict[tuple[float, ...], float]:
-    """Return the sum of the probabilities of each detection."""
-    totals: dict[tuple[float, ...], float] = {}
-    for one in rows:
-        for pixel, probability in zip(one.pixels.tolist(), one.probabilities.tolist(), strict=True):
-            totals[tuple(pixel)] = totals.get(tuple(pixel), 0.0) + probability
-    return totals
+        self.known = {label: track for label, track in self.known.items() if label in alive}
+        self.pending = {label: rows for label, rows in self.pending.items() if label in alive}
+        waiting = {event for rows in self.pending.values() for event, _ in rows}
+        self.claimed = {event: found for event, found in self.claimed.items() if event in waiting}
 
 
 def _joined(claims: Claims) -> tuple[Integers, Integers, Array]:

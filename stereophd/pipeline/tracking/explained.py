@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,9 +49,9 @@ class CameraSums:
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     squares: float = 0.0
-    times: Any = field(default_factory=list)
-    states: Any = field(default_factory=list)
-    pixels: Any = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    states: list[Array] = field(default_factory=list)
+    pixels: list[Array] = field(default_factory=list)
 
 
 class Explained:
@@ -60,25 +60,15 @@ class Explained:
     Parameters
     ----------
     cameras : sequence of Camera
-    saved : mapping, optional
-        Where the figures begin, as `saved` returned it.
+    sums : dict, optional
+        Camera -> figures so far, which are kept up to date.
     """
 
-    def __init__(self, cameras: Sequence[Camera], saved: Mapping[str, CameraSums] | None = None) -> None:
+    def __init__(self, cameras: Sequence[Camera], sums: dict[str, CameraSums] | None = None) -> None:
         self._cameras = {camera.name: camera for camera in cameras}
-        self._sums = {name: CameraSums() for name in self._cameras}
-        for name, sums in (saved or {}).items():
-            waiting = np.asarray(sums.times).tolist(), list(sums.states), list(sums.pixels)
-            self._sums[name] = replace(sums, times=waiting[0], states=waiting[1], pixels=waiting[2])
-
-    def saved(self) -> dict[str, CameraSums]:
-        """Return the sums of each camera for a checkpoint; what waits there is in one array each."""
-        return {
-            name: replace(
-                sums, times=np.array(sums.times), states=np.array(sums.states), pixels=np.array(sums.pixels)
-            )
-            for name, sums in self._sums.items()
-        }  # fmt: skip
+        self._sums = {} if sums is None else sums
+        for name in self._cameras:
+            self._sums.setdefault(name, CameraSums())
 
     def add(self, record: Record) -> None:
         """Take in one record."""

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.io.outputs.columns import pack_counts, unpack_counts
 from stereophd.pipeline.tracking.explained import CameraSums, Explained
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.losses import Losses
 
 
 @dataclass
-class _Identity:
+class IdentitySums:
     """Running figures of one track."""
 
     first_s: float
@@ -31,23 +28,19 @@ class _Identity:
     position_std: float = 0.0
 
 
-@dataclass(frozen=True)
-class SavedFigures:
-    """`RunFigures` for a checkpoint."""
+@dataclass
+class FigureSums:
+    """Figures of a run so far, all that `RunFigures` counts."""
 
-    # Of the whole run.
-    events: int
-    confirmed: int
-    log_likelihood: float
-    first_s: float
-    last_s: float
-    losses: Losses
-    explained: dict[str, CameraSums]  # Camera -> sums
-    # `track_ids`, `identities`: (n,), array (n, 6): Running figures of each track.
-    track_ids: NDArray[np.int64]
-    identities: NDArray[np.float64]
-    # Track -> camera -> detections, as `stereophd.io.outputs.columns.pack_counts` returns them.
-    detections: dict[str, Any]
+    events: int = 0
+    confirmed: int = 0
+    log_likelihood: float = 0.0
+    first_s: float = math.nan
+    last_s: float = math.nan
+    losses: Losses = field(default_factory=Losses)
+    cameras: dict[str, CameraSums] = field(default_factory=dict)
+    identities: dict[int, IdentitySums] = field(default_factory=dict)
+    detections: dict[int, dict[str, int]] = field(default_factory=dict)  # Track -> camera -> number
 
 
 class RunFigures:
@@ -57,62 +50,39 @@ class RunFigures:
     ----------
     cameras : sequence of Camera
         In order, for the figures of each camera.
-    saved : SavedFigures, optional
-        Where the figures begin.
+    sums : FigureSums, optional
+        Where the figures begin; kept up to date.
     """
 
-    def __init__(self, cameras: Sequence[Camera], saved: SavedFigures | None = None) -> None:
+    def __init__(self, cameras: Sequence[Camera], sums: FigureSums | None = None) -> None:
         self._cameras = cameras
-        self._explained, self._losses = Explained(cameras), Losses()
-        self._identities: dict[int, _Identity] = {}
-        self._detections: dict[int, Counter[str]] = {}
-        self._events, self._confirmed, self._log_likelihood = 0, 0, 0.0
-        self._first_s, self._last_s = math.nan, math.nan
-        if saved is not None:
-            self._begin_at(saved)
-
-    def _begin_at(self, saved: SavedFigures) -> None:
-        self._explained, self._losses = Explained(self._cameras, saved.explained), saved.losses
-        for track_id, row in zip(saved.track_ids.tolist(), saved.identities.tolist(), strict=True):
-            first_s, last_s, count, *sums = row
-            self._identities[track_id] = _Identity(first_s, last_s, int(count), *sums)
-        self._detections = {track: Counter(counts) for track, counts in unpack_counts(saved.detections).items()}
-        self._events, self._confirmed, self._log_likelihood = saved.events, saved.confirmed, saved.log_likelihood
-        self._first_s, self._last_s = saved.first_s, saved.last_s
-
-    def saved(self) -> SavedFigures:
-        """Return the figures for a checkpoint."""
-        identities = [
-            (one.first_s, one.last_s, one.n_estimates, one.existence, one.speed, one.position_std)
-            for one in self._identities.values()
-        ]
-        return SavedFigures(
-            self._events, self._confirmed, self._log_likelihood, self._first_s, self._last_s, self._losses,
-            self._explained.saved(), np.array(list(self._identities), dtype=np.int64),
-            np.array(identities, dtype=np.float64).reshape(-1, 6), pack_counts(self._detections),
-        )  # fmt: skip
+        self._sums = FigureSums() if sums is None else sums
+        self._explained = Explained(cameras, self._sums.cameras)
 
     def add(self, record: Record) -> None:
         """Count a record, reported or not."""
-        self._losses.add(record)
+        sums = self._sums
+        sums.losses.add(record)
         if record.is_event:
-            self._events += 1
-            self._first_s, self._last_s = (record.time_s if self._events == 1 else self._first_s), record.time_s
-        self._log_likelihood += record.info.log_likelihood
+            sums.events += 1
+            sums.first_s, sums.last_s = (record.time_s if sums.events == 1 else sums.first_s), record.time_s
+        sums.log_likelihood += record.info.log_likelihood
         for track_id, counts in record.attributed.items():
-            self._detections.setdefault(track_id, Counter()).update(counts)
+            total = sums.detections.setdefault(track_id, {})
+            for camera, count in counts.items():
+                total[camera] = total.get(camera, 0) + count
         self._explained.add(record)
 
     def add_estimates(self, estimates: Estimates, time_s: float) -> None:
         """Count what is reported at a time, s."""
-        self._confirmed += len(estimates.track_ids)
+        self._sums.confirmed += len(estimates.track_ids)
         if not len(estimates.track_ids):
             return
         speeds = np.sqrt(np.einsum("ni,ni->n", estimates.states[:, 3:], estimates.states[:, 3:]))
         stds = np.sqrt(np.trace(estimates.covariances[:, :3, :3], axis1=1, axis2=2))
         columns = (estimates.track_ids, estimates.existence, speeds, stds)
         for track_id, existence, speed, std in zip(*(column.tolist() for column in columns), strict=True):
-            identity = self._identities.setdefault(track_id, _Identity(time_s, time_s))
+            identity = self._sums.identities.setdefault(track_id, IdentitySums(time_s, time_s))
             identity.last_s = time_s
             identity.n_estimates += 1
             identity.existence += existence
@@ -122,25 +92,25 @@ class RunFigures:
     def report(self, reports: int, estimates: int) -> dict[str, Any]:
         """Return the figures of a run that wrote so many reports and so many estimates, tentative ones included."""
         return {
-            "events": self._events,
-            "duration_s": self._last_s - self._first_s,
+            "events": self._sums.events,
+            "duration_s": self._sums.last_s - self._sums.first_s,
             "reports": reports,
-            "estimates": self._confirmed,
-            "tentative_estimates": estimates - self._confirmed,
-            "log_likelihood": self._log_likelihood,
-            "left_out": self._losses.report(),
+            "estimates": self._sums.confirmed,
+            "tentative_estimates": estimates - self._sums.confirmed,
+            "log_likelihood": self._sums.log_likelihood,
+            "left_out": self._sums.losses.report(),
             "cameras": self._explained.report(),
-            "tracks": [self._track(track_id, identity) for track_id, identity in sorted(self._identities.items())],
+            "tracks": [self._track(track_id, identity) for track_id, identity in sorted(self._sums.identities.items())],
         }
 
-    def _track(self, track_id: int, identity: _Identity) -> dict[str, Any]:
-        detections = self._detections.get(track_id, Counter())
+    def _track(self, track_id: int, identity: IdentitySums) -> dict[str, Any]:
+        detections = self._sums.detections.get(track_id, {})
         return {
             "track_id": track_id,
             "first_s": identity.first_s,
             "last_s": identity.last_s,
             "n_estimates": identity.n_estimates,
-            "n_detections": {camera.name: detections[camera.name] for camera in self._cameras},
+            "n_detections": {camera.name: detections.get(camera.name, 0) for camera in self._cameras},
             "mean_existence": identity.existence / identity.n_estimates,
             "mean_speed": identity.speed / identity.n_estimates,
             "mean_position_std": identity.position_std / identity.n_estimates,

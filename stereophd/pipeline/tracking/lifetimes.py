@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.numerics.times import same_time
-from stereophd.io.outputs.checkpoints import reachable_classes
-from stereophd.io.outputs.columns import pack, unpack
-from stereophd.pipeline.tracking.loop import LEFT_OUT, Record
+from stereophd.pipeline.tracking.loop import Record
 
 
 def lasting(records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
@@ -32,79 +27,45 @@ def lasting(records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
     return LastingTracks(min_length_s).records(records)
 
 
-@dataclass(frozen=True)
-class SavedLasting:
-    """`LastingTracks` for a checkpoint."""
-
-    # Records that wait, as `stereophd.io.outputs.columns.pack` returns them; None without any.
-    waiting: dict[str, Any] | None
-    # `track_ids`, `spans`: (n,), array (n, 2): Tracks so far, and the times of their first and last reported
-    # estimate, s.
-    track_ids: NDArray[np.int64]
-    spans: NDArray[np.float64]
-
-
+@dataclass
 class LastingTracks:
-    """What `lasting` knows between two records.
+    """What `lasting` knows between two records."""
 
-    Parameters
-    ----------
-    min_length_s : float
-    saved : SavedLasting, optional
-        Where it begins.
-    """
-
-    def __init__(self, min_length_s: float, saved: SavedLasting | None = None) -> None:
-        self._min_length_s = min_length_s
-        self._waiting: deque[Record] = deque()
-        self._first: dict[int, float] = {}
-        self._last: dict[int, float] = {}
-        if saved is not None:
-            if saved.waiting is not None:
-                self._waiting.extend(unpack(saved.waiting, reachable_classes([Record])))
-            track_ids = saved.track_ids.tolist()
-            self._first = dict(zip(track_ids, saved.spans[:, 0].tolist(), strict=True))
-            self._last = dict(zip(track_ids, saved.spans[:, 1].tolist(), strict=True))
+    min_length_s: float
+    waiting: list[Record] = field(default_factory=list)
+    # Tracks so far -> times of their first and last reported estimate, s.
+    first: dict[int, float] = field(default_factory=dict)
+    last: dict[int, float] = field(default_factory=dict)
 
     def records(self, records: Iterable[Record]) -> Iterator[Record]:
         """Yield records as `lasting` does."""
-        waiting = self._waiting
+        waiting = self.waiting
         for record in records:
             if record.reported:
                 for track_id in record.estimates.track_ids.tolist():
-                    self._first.setdefault(track_id, record.time_s)
-                    self._last[track_id] = record.time_s
+                    self.first.setdefault(track_id, record.time_s)
+                    self.last[track_id] = record.time_s
             waiting.append(record)
-            while record.time_s - waiting[0].time_s > self._min_length_s + same_time(record.time_s):
-                yield self._without_short(waiting.popleft())
+            while record.time_s - waiting[0].time_s > self.min_length_s + same_time(record.time_s):
+                yield self._without_short(waiting.pop(0))
         while waiting:
-            yield self._without_short(waiting.popleft())
-
-    def saved(self) -> SavedLasting:
-        """Return it for a checkpoint; records come back without what only the loop needs."""
-        return SavedLasting(
-            pack(list(self._waiting), LEFT_OUT) if self._waiting else None,
-            np.array(list(self._first), dtype=np.int64),
-            np.array([list(self._first.values()), list(self._last.values())], dtype=np.float64).T,
-        )
+            yield self._without_short(waiting.pop(0))
 
     def _without_short(self, record: Record) -> Record:
-        return _without_short(record, self._first, self._last, self._min_length_s)
+        least = self.min_length_s - same_time(record.time_s)
 
+        def lasts(track_ids: list[int]) -> list[bool]:
+            return [one in self.first and self.last[one] - self.first[one] >= least for one in track_ids]
 
-def _without_short(record: Record, first: dict[int, float], last: dict[int, float], min_length_s: float) -> Record:
-    least = min_length_s - same_time(record.time_s)
-
-    def lasts(track_ids: list[int]) -> list[bool]:
-        return [one in first and last[one] - first[one] >= least for one in track_ids]
-
-    estimates, tentative = record.estimates, record.estimates.tentative
-    kept = np.array(lasts(estimates.track_ids.tolist()), dtype=bool)
-    if tentative is not None:
-        tentative = tentative.take(np.array(lasts(tentative.track_ids.tolist()), dtype=bool))
-    rows = [(one, np.array(lasts(one.track_ids.tolist()), dtype=bool)) for one in record.associations]
-    return replace(
-        record,
-        estimates=estimates if kept.all() and tentative is None else replace(estimates.take(kept), tentative=tentative),
-        associations=tuple(one if mask.all() else one.take(mask) for one, mask in rows if mask.any()),
-    )
+        estimates, tentative = record.estimates, record.estimates.tentative
+        kept = np.array(lasts(estimates.track_ids.tolist()), dtype=bool)
+        if tentative is not None:
+            tentative = tentative.take(np.array(lasts(tentative.track_ids.tolist()), dtype=bool))
+        rows = [(one, np.array(lasts(one.track_ids.tolist()), dtype=bool)) for one in record.associations]
+        if not kept.all() or tentative is not None:
+            estimates = replace(estimates.take(kept), tentative=tentative)
+        return replace(
+            record,
+            estimates=estimates,
+            associations=tuple(one if mask.all() else one.take(mask) for one, mask in rows if mask.any()),
+        )

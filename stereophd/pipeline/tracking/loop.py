@@ -2,7 +2,7 @@
 
 Filters of many objects (`stereophd.core.multi.base.DisparityFilter`) and estimators of one
 (`stereophd.pipeline.tracking.single.SingleTracker`) run in it alike. `RunState` holds all that the rest of a run
-depends on: a copy of it, and the events that follow, give the records that an uninterrupted run gives.
+depends on: with it and the events that follow, another process gives the records of an uninterrupted run.
 """
 
 from __future__ import annotations
@@ -33,9 +33,6 @@ SUPPORT = 2
 # without an object, all after the first are left out. A pause of the recording may last for years.
 MOST_FORECASTS = 1_000_000
 MOST_EMPTY_FORECASTS = 10_000
-
-# Fields of a record and its diagnostics that only the loop needs; checkpoints leave them out.
-LEFT_OUT = frozenset({"event", "claims", "detected"})
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -141,32 +138,28 @@ class Estimator(Protocol[State]):
         """Return diagnostics and objects at a time between two events."""
 
 
+@dataclass
 class Attribution:
     """Detections of each label: counts until the label is reported as a track."""
 
-    def __init__(self, pending: Mapping[int, Mapping[str, int]] | None = None) -> None:
-        self._pending: dict[int, dict[str, int]] = {label: dict(counts) for label, counts in (pending or {}).items()}
-
-    @property
-    def pending(self) -> Mapping[int, Mapping[str, int]]:
-        """Label -> camera -> detections, of the labels that are not reported yet."""
-        return self._pending
+    # Label -> camera -> detections, of the labels that are not reported yet.
+    pending: dict[int, dict[str, int]] = field(default_factory=dict)
 
     def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, Counter[str]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
         for label in detected.tolist():
-            counts = self._pending.setdefault(label, {})
+            counts = self.pending.setdefault(label, {})
             counts[camera] = counts.get(camera, 0) + 1
         found: dict[int, Counter[str]] = {}
         for track_id, label in zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True):
-            if label in self._pending:
-                found[track_id] = Counter(self._pending.pop(label))
+            if label in self.pending:
+                found[track_id] = Counter(self.pending.pop(label))
         return found
 
     def keep(self, labels: NDArray[np.int64]) -> None:
         """Forget all labels but these: memory does not grow with the log."""
         alive = set(labels.tolist())
-        self._pending = {label: counts for label, counts in self._pending.items() if label in alive}
+        self.pending = {label: counts for label, counts in self.pending.items() if label in alive}
 
 
 @dataclass
@@ -179,10 +172,6 @@ class RunState(Generic[State]):
     forecast_from_s: float = -math.inf  # Times of the grid from here on are still to be predicted
     attribution: Attribution = field(default_factory=Attribution)
     associations: Associations = field(default_factory=Associations)
-
-    def copy(self) -> RunState[State]:
-        """Return a copy that does not change when the run continues."""
-        return replace(self, attribution=Attribution(self.attribution.pending), associations=self.associations.copy())
 
 
 def run_estimator(

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from stereophd.config.report import ReportConfig
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.io.tables.schemas import CONFIRMED, STD, TENTATIVE
+from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, TENTATIVE
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.tracking.figures import RunFigures, SavedFigures
+from stereophd.pipeline.tracking.figures import FigureSums, RunFigures
 from stereophd.pipeline.tracking.loop import Record
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
@@ -28,14 +30,14 @@ class Tables:
     associations: TableWriter | None = None
 
 
-@dataclass(frozen=True)
-class SavedWriting:
-    """`RecordWriter` for a checkpoint, without its tables."""
+@dataclass
+class Writing:
+    """What a `RecordWriter` has counted so far."""
 
-    figures: SavedFigures
-    # `new_detections`, `new_log_likelihood`: Since the last row of the table of events.
-    new_detections: int
-    new_log_likelihood: float
+    figures: FigureSums = field(default_factory=FigureSums)
+    # Since the last row of the table of events: what happened between two reports belongs to the second.
+    new_detections: int = 0
+    new_log_likelihood: float = 0.0
 
 
 class RecordWriter:
@@ -48,25 +50,23 @@ class RecordWriter:
         In order, for the figures of each camera.
     report : ReportConfig
         Which estimates are written, and which columns.
-    saved : SavedWriting, optional
-        Where the figures begin.
+    writing : Writing, optional
+        Where the figures begin; kept up to date.
     """
 
     def __init__(
-        self, tables: Tables, cameras: Sequence[Camera], report: ReportConfig, saved: SavedWriting | None = None
+        self, tables: Tables, cameras: Sequence[Camera], report: ReportConfig, writing: Writing | None = None
     ) -> None:
         self._tables, self._report = tables, report
-        self._figures = RunFigures(cameras, None if saved is None else saved.figures)
-        # since the last row: what happened between two reports belongs to the second
-        self._new_detections = 0 if saved is None else saved.new_detections
-        self._new_log_likelihood = 0.0 if saved is None else saved.new_log_likelihood
+        self._writing = Writing() if writing is None else writing
+        self._figures = RunFigures(cameras, self._writing.figures)
 
     def add(self, record: Record) -> None:
         """Write a record."""
         tables, report = self._tables, self._report
         self._figures.add(record)
-        self._new_detections += record.n_detections
-        self._new_log_likelihood += record.info.log_likelihood
+        self._writing.new_detections += record.n_detections
+        self._writing.new_log_likelihood += record.info.log_likelihood
         if tables.associations is not None:
             for sightings in record.associations:
                 tables.associations.append(sightings.columns())
@@ -79,22 +79,18 @@ class RecordWriter:
         tables.scans.append(
             {
                 **key,
-                "n_detections": np.array([self._new_detections]),
+                "n_detections": np.array([self._writing.new_detections]),
                 "cardinality_mean": record.info.cardinality_mean,
                 "cardinality_estimate": len(estimates.track_ids),
-                "log_likelihood": self._new_log_likelihood,
+                "log_likelihood": self._writing.new_log_likelihood,
                 "n_components": record.info.n_components,
             }
         )
-        self._new_detections, self._new_log_likelihood = 0, 0.0
+        self._writing.new_detections, self._writing.new_log_likelihood = 0, 0.0
         for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
             if level is not None and len(level.track_ids):
                 tables.tracks.append({**key, **_columns(level, report.std_columns), "status": status})
         self._figures.add_estimates(estimates, record.time_s)
-
-    def saved(self) -> SavedWriting:
-        """Return the figures for a checkpoint."""
-        return SavedWriting(self._figures.saved(), self._new_detections, self._new_log_likelihood)
 
     def report(self) -> dict[str, Any]:
         """Return the figures of the run for ``report.json``."""
@@ -109,5 +105,11 @@ def _columns(estimates: Estimates, std_columns: bool) -> dict[str, Any]:
         **{name: estimates.states[:, axis] for axis, name in enumerate(STATE_COLUMNS)},
         "covariance": estimates.covariances,
         "existence": estimates.existence,
-        **({} if std is None else {field.name: std[:, axis] for axis, field in enumerate(STD)}),
+        **({} if estimates.extents is None else _named(EXTENTS, estimates.extents)),
+        **({} if std is None else _named(STD, std)),
     }
+
+
+def _named(fields: Sequence[pa.Field], values: Array) -> dict[str, Any]:
+    """Return the columns of an array (n, c) by the names of their fields."""
+    return {field.name: values[:, number] for number, field in enumerate(fields)}

@@ -14,7 +14,7 @@ from stereophd.pipeline.runs.progress import Progress
 # when two did, so that the time is that for which objects stay in one view.
 OVERLAP_S = 60.0
 
-# More pieces than this are an error: in the stated length, or by a pause of years in the log.
+# More pieces than this are an error.
 MOST_PIECES = 100_000
 
 # Frames between two calls of `progress` while a log is read.
@@ -65,6 +65,8 @@ def plan_pieces(
 ) -> tuple[LogPiece, ...]:
     """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
 
+    Spans without a frame have no piece: a pause of the recording costs nothing.
+
     Parameters
     ----------
     frames : iterable of Frame
@@ -76,22 +78,35 @@ def plan_pieces(
         Called now and then.
     """
     first_s, last_s = math.nan, math.nan
-    before = [0]  # events before what is tracked of each piece
+    # Number of a span of the length, from the first frame on -> events before what is tracked with it.
+    before: dict[int, int] = {}
+    spans: set[int] = set()  # Those with a frame
     for number, frame in enumerate(frames):
         first_s = frame.time_s if number == 0 else first_s
-        if frame.time_s - first_s > MOST_PIECES * length_s:
+        span = math.floor((frame.time_s - first_s) / length_s)
+        # The division rounds; the cuts are these products.
+        span += int(frame.time_s >= first_s + (span + 1) * length_s) - int(frame.time_s < first_s + span * length_s)
+        spans.add(span)
+        before.setdefault(span, number)
+        if frame.time_s >= first_s + (span + 1) * length_s - overlap_s:
+            before.setdefault(span + 1, number)
+        if len(spans) > MOST_PIECES:
             raise InputError(
-                f"`pieces_s`: expected at most {MOST_PIECES} pieces, found {(frame.time_s - first_s) / length_s:.3g} "
-                f"of {length_s:g} s from {first_s:g} s to {frame.time_s:g} s: choose longer pieces, or cut the log"
+                f"`pieces_s`: expected at most {MOST_PIECES} pieces, found more of {length_s:g} s until "
+                f"{frame.time_s:g} s: choose longer pieces, or cut the log"
             )
-        while frame.time_s >= first_s + len(before) * length_s - overlap_s:
-            before.append(number)
         last_s = frame.time_s
         if progress is not None and number % TICK_EVERY == 0:
             progress(0, 1)
-    count = 1 + max(0, math.floor((last_s - overlap_s - first_s) / length_s))
-    cuts = [-math.inf, *(first_s + k * length_s for k in range(1, count)), math.inf]
+    if not spans:
+        return (LogPiece(0, -math.inf, math.inf, -math.inf, math.inf, 0),)
+    last = max(0, math.floor((last_s - overlap_s - first_s) / length_s))
+    kept = sorted({min(span, last) for span in spans})
     more = overlap_s if ahead else 0.0
-    return tuple(
-        LogPiece(k, cuts[k], cuts[k + 1], cuts[k] - overlap_s, cuts[k + 1] + more, before[k]) for k in range(count)
-    )
+    pieces = []
+    for number, span in enumerate(kept):
+        from_s = -math.inf if number == 0 else first_s + span * length_s
+        to_s = math.inf if number == len(kept) - 1 else first_s + (span + 1) * length_s
+        begun = before[span] if span in before else before[span + 1]
+        pieces.append(LogPiece(number, from_s, to_s, from_s - overlap_s, to_s + more, begun))
+    return tuple(pieces)

@@ -5,13 +5,12 @@ begins. The tracks of two successive pieces are paired in that overlap by the pr
 (`stereophd.core.trajectories.joining`); a pair that is more probable than not becomes one track. Smoothed pieces also
 continue beyond their spans: the smoother looks ahead.
 
-A piece is finished when its last file is there; what a piece holds does not depend on who made it, nor when.
+A piece is finished when its whole file is there; what a piece holds does not depend on who made it, nor when.
 """
 
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -23,14 +22,14 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.trajectories.joining import join_probabilities
+from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
-from stereophd.errors import InputError, StereophdError
+from stereophd.errors import StereophdError
 from stereophd.io.logs.reading import LogReader
-from stereophd.io.outputs.checkpoints import read_checkpoint
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.checkpoint import RecordChunks
+from stereophd.pipeline.tracking.checkpoint import RecordFile, RecordPart, read_records
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import tracking_with
@@ -40,10 +39,7 @@ from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-DONE_FILE = "done.npz"
-
-# Tracks of two pieces are one object if that is more probable than not; below the second it is reported as uncertain.
-PROBABLE = 0.5
+# A join of a smaller probability is reported as uncertain.
 CERTAIN = 0.99
 
 
@@ -54,20 +50,16 @@ class PieceWork:
     loaded: LoadedConfig
     cameras: tuple[Camera, ...]  # With their detectors
     log: Path  # Absolute
-    folder: Path  # Absolute; ``piece-NUMBER`` in it is that of a piece
-    identity: str  # Identity of configuration, log and pieces
+    unfinished: UnfinishedRun  # Absolute; holds the records of a piece, and that it is done
     threads: int
-
-    def chunks(self, piece: LogPiece) -> RecordChunks:
-        """Return the records of a piece."""
-        return RecordChunks(self.folder / f"piece-{piece.number:05d}", self.identity)
 
 
 @dataclass(frozen=True)
 class PieceDone:
-    """Content of the last file of a piece: the spans of its chunks, and the number of detections left out."""
+    """A finished piece: its records, and the number of detections left out."""
 
-    spans: list[tuple[float, float]]
+    length: int  # Bytes of the records
+    parts: list[RecordPart]
     not_invertible: int
 
 
@@ -104,8 +96,6 @@ def track_pieces(
 
 def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) -> int:
     """Track one piece, and write its records; return their number."""
-    chunks = work.chunks(piece)
-    shutil.rmtree(chunks.folder, ignore_errors=True)
     tracking = tracking_with(work.loaded, work.cameras, work.threads)
     config = work.loaded.config
     reader = LogReader(
@@ -114,21 +104,26 @@ def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) 
     # without what the records of other pieces decide
     tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
     stream = _PieceStream(work.cameras, reader, tick, piece.begin_s, piece.end_s)
-    count = 0
+    count, kept = 0, RecordFile(work.unfinished.grow(_name(piece)))
     run = RunState(_numbered(tracking.estimator.init(), piece.events_before))
     for record in tracking.records(stream.of(piece), run=run):
-        chunks.add(record)
+        kept.add(record)
         count += 1
-    chunks.flush()
-    chunks.write(DONE_FILE, {"done": PieceDone(chunks.spans, stream.left_out)})
+    work.unfinished.write(_name(piece), PieceDone(kept.flush(), kept.parts, stream.left_out))
+    kept.close()
     return count
+
+
+def _name(piece: LogPiece) -> str:
+    return f"piece-{piece.number:05d}"
 
 
 def _numbered(state: Any, events: int) -> Any:
     """Return the first state of an estimator for a run whose first event has this number."""
     if isinstance(state, SingleTrackerState):
         return replace(state, estimator=replace(state.estimator, n_events=events))
-    return replace(state, n_events=events)
+    # a filter that draws no samples counts no events
+    return replace(state, n_events=events) if hasattr(state, "n_events") else state
 
 
 class _PieceStream(EventStream):
@@ -150,13 +145,8 @@ class _PieceStream(EventStream):
 
 
 def _done(work: PieceWork, piece: LogPiece) -> PieceDone | None:
-    """Return the content of the last file of a piece; None if the piece is not finished."""
-    path = work.chunks(piece).folder / DONE_FILE
-    if not path.exists():
-        return None
-    done = read_checkpoint(path, work.identity, [PieceDone])["done"]
-    if not isinstance(done, PieceDone):
-        raise InputError(f"{path}: expected the end of a piece, found something else")
+    """Return what a piece gave; None if it is not finished."""
+    done: PieceDone | None = work.unfinished.read(_name(piece), PieceDone)
     return done
 
 
@@ -179,7 +169,7 @@ class JoinedPieces:
         for piece in self.pieces:
             if piece.number > 0 and not self.one_object:
                 names = self._names(self.pieces[piece.number - 1], piece, names)
-            for record in self._chunks(piece).read(piece.from_s, piece.to_s):
+            for record in self._records(piece, piece.from_s, piece.to_s):
                 yield record if self.one_object else self._renamed(record, names, piece.number == 0)
 
     @property
@@ -202,15 +192,14 @@ class JoinedPieces:
         assert done is not None
         return done
 
-    def _chunks(self, piece: LogPiece) -> RecordChunks:
-        chunks = self.work.chunks(piece)
-        chunks.spans = list(self._read_done(piece).spans)
-        return chunks
+    def _records(self, piece: LogPiece, from_s: float, until_s: float) -> Iterator[Record]:
+        done = self._read_done(piece)
+        return read_records(self.work.unfinished, _name(piece), done.length, done.parts, from_s, until_s)
 
     def _names(self, earlier: LogPiece, later: LogPiece, names: Mapping[int, int]) -> dict[int, int]:
         """Return track of the later piece -> track of the run, for those that continue one."""
-        before = list(self._chunks(earlier).read(later.begin_s, earlier.end_s))
-        after = list(self._chunks(later).read(later.begin_s, earlier.end_s))
+        before = list(self._records(earlier, later.begin_s, earlier.end_s))
+        after = list(self._records(later, later.begin_s, earlier.end_s))
         keys = sorted({_key(record) for record in (*before, *after)})
         number = {key: k for k, key in enumerate(keys)}
         times = np.array([key[0] for key in keys])

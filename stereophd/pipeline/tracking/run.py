@@ -6,29 +6,30 @@ import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereophd.config.cameras import CameraConfig, DetectorConfig
 from stereophd.config.report import GridTimes, ReportConfig
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig, DetectorConfig
+from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.tables.schemas import ASSOCIATIONS, SCANS, STD, TRACKS
+from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.checkpoint import RecordJournal
+from stereophd.pipeline.tracking.checkpoint import Journal
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
-from stereophd.pipeline.tracking.table_journal import TableJournal
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -48,15 +49,20 @@ class Tracking:
     report: ReportConfig  # What is reported, and when
     # For ``report.json``: how the detectors were estimated from the log, if they were.
     detectors: dict[str, Any] | None = None
+    boxes: bool = False  # Whether detections are boxes, and tracks have a height and a width
 
     def records(
         self,
         stream: EventStream,
-        journal: RecordJournal | TableJournal | None = None,
+        journal: Journal | None = None,
         run: RunState[Any] | None = None,
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
+        if self.boxes and isinstance(stream.frames, LogReader) and not stream.frames.has_boxes:
+            raise InputError(
+                f"{stream.source}: expected the columns width_px and height_px (object.shape is ellipsoid), found none"
+            )
         events = at_most_one(stream) if single else stream
         return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
 
@@ -66,34 +72,39 @@ def reported_records(
     motion: Motion,
     events: Iterable[Event],
     report: ReportConfig,
-    keep_events: bool = False,
-    journal: RecordJournal | TableJournal | None = None,
+    reach_back: bool = False,
+    journal: Journal | None = None,
     run: RunState[Any] | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
 
-    With `keep_events`, smoothed tracks reach back to detections that the filter did not assign to them. With a
+    With `reach_back`, smoothed tracks reach back to detections that the filter did not assign to them. With a
     `journal` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
-    times, keep_events = report_times(report), keep_events and smooth is not None
+    times = report_times(report)
     if journal is None:
-        records = run_estimator(estimator, events, times, keep_events, run)
+        records = run_estimator(estimator, events, times, smooth is not None, run)
     else:
-        records = journal.records(estimator, events, times, keep_events)
+        records = journal.records(events, times, smooth is not None)
     if smooth is not None:
-        records = smoothed_records(
-            records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate, report.max_position_std
-        )
+        records = smoothed_records(records, estimator.rig.cameras, motion, smooth, reach_back, report.max_position_std)
     if report.min_track_length <= 0.0:
         return records
-    return (journal.lasting if isinstance(journal, TableJournal) else lasting)(records, report.min_track_length)
+    return (lasting if journal is None else journal.lasting)(records, report.min_track_length)
 
 
-def open_journal(folder: Path, identity: str, tracking: Tracking) -> RecordJournal | TableJournal:
-    """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end."""
-    kind = TableJournal if tracking.report.smooth is None else RecordJournal
-    return kind(folder, identity, tracking.estimator)
+def open_journal(unfinished: UnfinishedRun, tracking: Tracking) -> Journal:
+    """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
+
+    Raises
+    ------
+    InputError
+        What an earlier process kept is damaged.
+    """
+    journal = Journal(unfinished, tracking.estimator, keeps_records=tracking.report.smooth is not None)
+    journal.load()
+    return journal
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
@@ -111,6 +122,14 @@ def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: in
     """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
     config = loaded.config
     _check_reassociation(loaded)
+    if isinstance(config.object, EllipsoidSettings):
+        if estimated_cameras(loaded):
+            raise InputError(f"{loaded.path}: detector: expected given where object.shape is ellipsoid, found estimate")
+        # imported here: what it needs of SciPy is costly to import
+        from stereophd.pipeline.tracking.bodies import build_bodies
+
+        body_filter = build_bodies(loaded, config.object, cameras)
+        return Tracking(body_filter, body_filter.motion, cameras, config.report, boxes=True)
     if not isinstance(config.filter, SingleSettings):
         multi_filter = replace(build_filter(config, cameras, loaded.path, threads), claims=True)
         return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
@@ -177,33 +196,32 @@ def write_tracks(
     metadata: Mapping[bytes, bytes],
     cameras: Sequence[Camera],
     report: ReportConfig,
-    journal: TableJournal | None = None,
+    journal: Journal | None = None,
+    extents: bool = False,
 ) -> dict[str, Any]:
     """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
 
-    With a `journal`, which gives the `records`, the tables continue those of a killed run.
+    With `extents` the tracks are those of bodies. With a `journal` that keeps tables and gives the `records`, the
+    tables begin with those of a killed run.
 
     Returns
     -------
     dict
         The figures of the run for ``report.json``.
     """
-    schema = functools.reduce(lambda schema, column: schema.append(column), STD if report.std_columns else (), TRACKS)
-    saved = None if journal is None else journal.load()
+    columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
+    schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
     with contextlib.ExitStack() as files:
 
         def table(name: str, schema: pa.Schema) -> TableWriter:
-            make = TableWriter if journal is None else journal.table
+            make = TableWriter if journal is None or journal.keeps_records else journal.table
             return files.enter_context(make(out.path(name), schema, metadata))
 
         third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
         writer = RecordWriter(
-            Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third), cameras, report, saved
-        )
-        if journal is not None:
-            journal.attach(writer)
+            Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third),
+            cameras, report, None if journal is None else journal.writing,
+        )  # fmt: skip
         for record in records:
             writer.add(record)
-    if journal is not None:
-        journal.place()
     return writer.report()

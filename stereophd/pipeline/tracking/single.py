@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,11 +56,14 @@ def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], pa
         raise InputError(f"{path}: filter.estimator: {error}") from None
 
 
+Kind = TypeVar("Kind", bound=SingleState)
+
+
 @dataclass(frozen=True)
-class SingleTrackerState:
+class SingleTrackerState(Generic[Kind]):
     """State of a `SingleTracker`: that of its estimator, and whether the object has been detected."""
 
-    estimator: SingleState
+    estimator: Kind
     known: bool = False
 
     @property
@@ -86,11 +89,11 @@ class SingleTracker:
         """The cameras."""
         return self.estimator.rig
 
-    def init(self) -> SingleTrackerState:
+    def init(self) -> SingleTrackerState[Any]:
         """Return the state before the first event."""
         return SingleTrackerState(self.estimator.init())
 
-    def step(self, state: SingleTrackerState, event: Event) -> tuple[SingleTrackerState, Info, Estimates]:
+    def step(self, state: SingleTrackerState[Any], event: Event) -> tuple[SingleTrackerState[Any], Info, Estimates]:
         """Return the state after an event, which has at most one detection, its diagnostics, and the object."""
         new, info = self.estimator.step(state.estimator, event)
         estimate = self.estimator.estimate(new)
@@ -100,7 +103,7 @@ class SingleTracker:
         full = Info(info.log_likelihood, float(known), int(known), detected, claims)
         return SingleTrackerState(new, known), full, _estimates(estimate, self.point)
 
-    def forecast(self, state: SingleTrackerState, info: Info, time_s: float) -> tuple[Info, Estimates]:
+    def forecast(self, state: SingleTrackerState[Any], info: Info, time_s: float) -> tuple[Info, Estimates]:
         """Predict the object to a time between two events."""
         estimate = self.estimator.estimate(self.estimator.at(state.estimator, time_s))
         return replace(info, log_likelihood=0.0), _estimates(estimate, self.point)

@@ -13,6 +13,7 @@ from stereophd.core.disparity.events import make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.build import make_filter
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets
@@ -40,7 +41,7 @@ class TestEveryKind:
     def test_finds_an_object_that_two_cameras_see(self, word: str, kind: Any) -> None:
         cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
         sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
-        built = kind(birth=BIRTH).build(make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3), sets)
+        built = make_filter(kind(birth=BIRTH), make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3), sets)
         assert isinstance(built, DisparityFilter)
         state, estimates = built.init(), None
         for k in range(8):
@@ -58,7 +59,7 @@ class TestEveryKind:
         prior = replace(BIRTH, per_frame=None, per_s=0.2, max_per_frame=100)
         cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
         sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
-        built = kind(birth=prior).build(make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3), sets)
+        built = make_filter(kind(birth=prior), make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3), sets)
         clutter = np.random.default_rng(3).uniform((0.0, 0.0), (799.0, 599.0), (500, 2))
         state, estimates = built.init(), None
         for k in range(12):
@@ -79,7 +80,7 @@ class TestEveryKind:
         cameras = [make_camera()]
         sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
         rig, motion = make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3)
-        built = kind(birth=BIRTH, max_components=10).build(rig, motion, sets)
+        built = make_filter(kind(birth=BIRTH, max_components=10), rig, motion, sets)
         pixels = np.stack(np.meshgrid(np.arange(50, 800, 100.0), [100.0, 300.0, 500.0]), axis=-1).reshape(-1, 2)
         _, info, _ = built.step(built.init(), make_event(cameras[0], 0, 0.0, pixels))
         assert (info.n_components, info.left_out) == (10, len(pixels) - 10)

@@ -1,17 +1,20 @@
-"""Epipolar distances of track pairs: the compiled loops give Sampson's distance, by its definition."""
+"""Epipolar distances: arrays and compiled rows give Sampson's distance, by its definition; where rays meet."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.two_views import epipolar
+from stereophd.core.two_views.epipolar import essential_matrices, ray_distances, sampson_distances
+from stereophd.core.two_views.meeting import nearest_depths
+from stereophd.core.two_views.track_rays import Rays
 
 ROWS = 12
 
@@ -31,21 +34,12 @@ def cameras() -> tuple[Camera, ...]:
 
 
 @pytest.fixture
-def pairs() -> TrackPairs:
-    """Three pairs of tracks, one of each two cameras, with rays that do not meet."""
+def rays() -> Rays:
+    """Rays of each two cameras that do not meet."""
     rng = np.random.default_rng(6)
-    nothing = np.empty(0, dtype=np.int64)
-    return TrackPairs(
-        np.array([[1, 2], [0, 1], [0, 2]]),
-        np.array([[0, 1], [2, 3], [4, 5]]),
-        np.repeat([0, 1, 2], ROWS // 3),
-        np.concatenate([0.3 * rng.standard_normal((ROWS, 2, 2)), np.ones((ROWS, 2, 1))], axis=2),
-        rng.uniform(0.5, 2.0, ROWS),
-        np.arange(ROWS, dtype=np.float64),
-        nothing,
-        nothing,
-        None,
-    )
+    slopes = np.concatenate([0.3 * rng.standard_normal((ROWS, 2, 2)), np.ones((ROWS, 2, 1))], axis=2)
+    index = np.repeat([[1, 2], [0, 1], [0, 2]], ROWS // 3, axis=0)
+    return Rays(slopes, np.arange(ROWS, dtype=np.float64), index, np.arange(ROWS) != 3)
 
 
 def sampson(one: Camera, other: Camera, ray_a: Array, ray_b: Array) -> float:
@@ -63,32 +57,37 @@ def sampson(one: Camera, other: Camera, ray_a: Array, ray_b: Array) -> float:
     return numerator(np.zeros(4)) / float(np.linalg.norm(gradient))
 
 
-def test_distances_are_those_of_the_definition(cameras: tuple[Camera, ...], pairs: TrackPairs) -> None:
-    rows = np.array([11, 0, 5, 6])
-    found = epipolar.epipolar_distances(cameras, pairs, rows)
-    expected = []
-    for row in rows:
-        i, j = pairs.cameras[pairs.pair[row]]
-        expected.append(sampson(cameras[i], cameras[j], *pairs.rays[row]) / pairs.sigma[row])
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
-def test_moving_cameras_that_stand_still_give_the_same(cameras: tuple[Camera, ...], pairs: TrackPairs) -> None:
-    rows = np.arange(ROWS)
-    index = pairs.cameras[pairs.pair]
-    rotations = np.stack([camera.pose.rotation for camera in cameras])[index]
-    centers = np.stack([camera.pose.center for camera in cameras])[index]
-    focal = np.array([[camera.fx, camera.fy] for camera in cameras])
-    seen = np.ones(ROWS, dtype=np.bool_)
-    seen[3] = False
-    found = np.empty(ROWS)
-    epipolar._moving_distances(
-        rotations, centers, pairs.rays, seen, focal, pairs.cameras, pairs.pair, pairs.sigma, rows, found
+def test_distances_are_those_of_the_definition(cameras: tuple[Camera, ...], rays: Rays) -> None:
+    sigma = np.linspace(0.5, 2.0, ROWS)
+    expected = np.array([
+        sampson(cameras[i], cameras[j], *pair) for (i, j), pair in zip(rays.cameras, rays.rays, strict=True)
+    ])  # fmt: skip
+    np.testing.assert_allclose(
+        ray_distances(cameras, rays, sigma), np.where(rays.seen, expected / sigma, np.nan), rtol=1e-9
     )
-    expected = epipolar.epipolar_distances(cameras, pairs, rows)
-    expected[3] = np.nan
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    for row in range(ROWS):
+        one, other = (cameras[k] for k in rays.cameras[row])
+        essential = essential_matrices(one.pose.rotation, one.pose.center, other.pose.rotation, other.pose.center)
+        scales = [np.array([camera.fx, camera.fy]) for camera in (one, other)]
+        assert sampson_distances(essential, *rays.rays[row], *scales) == pytest.approx(expected[row], rel=1e-9)
 
 
-def test_pairs_of_cameras_are_in_order(pairs: TrackPairs) -> None:
-    assert pairs.camera_pairs == [(0, 1), (0, 2), (1, 2)]
+def test_cameras_that_hardly_move_give_the_same(cameras: tuple[Camera, ...], rays: Rays) -> None:
+    moving = replace(cameras[0], pose=Pose(cameras[0].pose.rotation, cameras[0].pose.center, [1e-12, 0.0, 0.0]))
+    sigma = np.ones(ROWS)
+    expected = ray_distances(cameras, rays, sigma)
+    np.testing.assert_allclose(ray_distances((moving, *cameras[1:]), rays, sigma), expected, rtol=1e-9)
+
+
+def test_rays_to_a_point_meet_at_its_depths(cameras: tuple[Camera, ...]) -> None:
+    one, other = cameras[:2]
+    points = np.array([[0.3, -0.2, 6.0], [1.0, 0.5, 9.0], [-1.0, 0.1, -7.0]])
+    seen = [camera.pose.to_camera(points) for camera in (one, other)]
+    directions = [
+        (local / local[:, 2:]) @ camera.pose.rotation for local, camera in zip(seen, (one, other), strict=True)
+    ]
+    depth_a, depth_b, sines = nearest_depths(*directions, other.pose.center - one.pose.center)
+    np.testing.assert_allclose(depth_a, seen[0][:, 2], rtol=1e-9)
+    np.testing.assert_allclose(depth_b, seen[1][:, 2], rtol=1e-9)
+    cosines = np.einsum("ni,ni->n", *(d / np.linalg.norm(d, axis=1)[:, None] for d in directions))
+    np.testing.assert_allclose(sines, np.sqrt(1.0 - cosines**2), rtol=1e-6)

@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from stereophd.commands.importing import import_recording
-from stereophd.config.cameras import CameraConfig
 from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ImportOptions, PerCamera
 from stereophd.io.interchange.cameras import Parts, put_together
 from stereophd.io.interchange.registry import find

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.config.loading import load_config
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.interchange.base import ImportOptions, PerCamera
 from stereophd.io.interchange.registry import find, names, recognise_cameras
 

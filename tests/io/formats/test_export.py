@@ -12,7 +12,7 @@ import pytest
 
 from stereophd.commands.export import export
 from stereophd.errors import InputError
-from stereophd.io.cameras import write_cameras
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.tables.schemas import TRACKS
@@ -72,6 +72,24 @@ def test_csv_quotes_names_and_has_the_standard_deviations(tracks: Path, tmp_path
         rows = list(csv.DictReader(stream))
     assert [row["camera"] for row in rows] == names
     assert {(row["status"], float(row["std_x"]), float(row["std_z"])) for row in rows} == {("confirmed", 1 / 3, 1 / 3)}
+
+
+@pytest.mark.parametrize("name", ["=cmd|' /C calc'!A0", "+1", "-1", "@x"])
+def test_no_cell_of_a_table_is_a_formula(name: str, tracks: Path, tmp_path: Path) -> None:
+    table = pq.read_table(tracks)
+    names = pa.array([name] * table.num_rows)
+    pq.write_table(table.set_column(table.schema.get_field_index("camera"), "camera", names), tracks)
+    export("csv", tracks, tmp_path / "out.csv")
+    with open(tmp_path / "out.csv", newline="") as stream:
+        assert {row["camera"] for row in csv.DictReader(stream)} == {f"'{name}"}
+
+
+def test_tracks_without_identities_are_refused(tracks: Path, tmp_path: Path) -> None:
+    table = pq.read_table(tracks)
+    nulls = pa.nulls(table.num_rows, pa.int64())
+    pq.write_table(table.set_column(table.schema.get_field_index("track_id"), "track_id", nulls), tracks)
+    with pytest.raises(InputError, match="column track_id: expected a value in every row"):
+        export("tum", tracks, tmp_path / "out.tum")
 
 
 def test_tentative_estimates_are_left_out_unless_asked_for(tracks: Path, tmp_path: Path) -> None:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import gzip
+import io
 import json
+import math
 import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +16,9 @@ import pytest
 
 from stereophd.commands.importing import import_recording
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import ImportOptions, PerCamera
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions, PerCamera, Piece
 from stereophd.io.interchange.registry import find, names, recognise_cameras
+from stereophd.io.interchange.spool import spool_pieces
 
 READERS = [name for name in names() if find(name).read is not None]
 OPTIONS = ImportOptions(rates=PerCamera(other=10.0), image_sizes=PerCamera(other=(100, 100)), length_unit="m")
@@ -76,3 +82,33 @@ def test_malformed_hdf5_is_refused(form: str, tmp_path: Path) -> None:
             file["track_names"] = np.zeros((2, 2))
         with pytest.raises(InputError, match=r"table\.h5"):
             import_recording(form, [source], tmp_path / "out", OPTIONS)
+
+
+def test_a_damaged_archive_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w") as archive:
+        archive.writestr("cam_info.csv.gz", gzip.compress(b"camn,cam_id\n0,a\n"))
+        rows = b"".join(b"0,%d,0.1,0.1,5,6\n" % k for k in range(50))
+        archive.writestr("data2d_distorted.csv.gz", gzip.compress(b"camn,frame,timestamp,x,y\n" + rows))
+    content, source = whole.getvalue(), tmp_path / "cut.braidz"
+    for place in range(0, len(content), 7):
+        for damaged in (content[:place], content[:place] + b"\xff\x00" + content[place + 2 :]):
+            source.write_bytes(damaged)
+            # a change in the time of a member, say, harms nothing
+            with contextlib.suppress(InputError):
+                import_recording("braid", [source], tmp_path / "out", OPTIONS, force=True)
+
+
+@pytest.mark.parametrize("score", [math.nan, math.inf])
+def test_a_score_that_is_no_number_is_refused(score: float) -> None:
+    with pytest.raises(InputError, match="`least_score`: expected a finite number"):
+        ImportOptions(least_score=score)
+
+
+def test_a_camera_that_is_named_but_has_no_rows_is_left_out(tmp_path: Path) -> None:
+    """As an importer makes it of a column of ports with a gap."""
+    pieces = [Piece("a", np.array([[1.0, 2.0]]), np.array([0.0])), Piece("nan", np.empty((0, 2)), np.empty(0))]
+    spools = spool_pieces(ForeignRecording(pieces=pieces), tmp_path)
+    assert list(spools) == ["a"]
+    for spool in spools.values():
+        spool.discard()

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.config.loading import load_cameras
 from stereophd.errors import InputError
+from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.formats.opencv import read, recognises_cameras
 from stereophd.io.interchange.base import ImportOptions, PerCamera
 from stereophd.io.interchange.cameras import take_apart
@@ -154,7 +154,7 @@ def test_what_cannot_be_held_is_refused_with_the_reason(
 
 
 def test_native_cameras_are_not_taken_for_opencv(tmp_path: Path) -> None:
-    from stereophd.io.cameras import write_cameras
+    from stereophd.io.cameras.writing import write_cameras
 
     path = tmp_path / "cameras.yaml"
     write_cameras(path, rig(), "cm")

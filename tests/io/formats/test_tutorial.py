@@ -1,4 +1,4 @@
-"""The files of docs/tutorial_import.md: what its script writes is imported as what it came from."""
+"""The files of docs/start/import.md: what its script writes is imported as what it came from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.cameras import CameraConfig
+from stereophd.io.cameras.models import CameraConfig
 
 from .conftest import assert_same_cameras, cameras_of, log_rows
 

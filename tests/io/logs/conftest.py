@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd.config.cameras import CameraConfig
 from stereophd.core.geometry.camera import Camera
+from stereophd.io.cameras.models import CameraConfig
 
 WIDTH, HEIGHT = 640, 480
 TYPES = {

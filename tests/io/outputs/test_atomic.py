@@ -224,3 +224,34 @@ def test_a_killed_atomic_write_is_removed_by_the_next(tmp_path: Path) -> None:
     with atomic_write(tmp_path / "a.txt") as temporary:
         temporary.write_text("new")
     assert contents(tmp_path) == {"a.txt": "new"}
+
+
+def test_two_writers_of_one_file_do_not_meet(tmp_path: Path) -> None:
+    with atomic_write(tmp_path / "a") as first:
+        with pytest.raises(InputError, match="another run is writing to it"), atomic_write(tmp_path / "a"):
+            pass
+        first.write_text("first")
+    assert (tmp_path / "a").read_text() == "first"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_file_that_came_meanwhile_stays_where_it_must_not_be_replaced(tmp_path: Path) -> None:
+    def write() -> None:
+        with atomic_write(tmp_path / "a", replace=False) as first:
+            first.write_text("first")
+            (tmp_path / "a").write_text("came")
+
+    with pytest.raises(InputError, match="the file exists"):
+        write()
+    assert (tmp_path / "a").read_text() == "came"
+    with atomic_write(tmp_path / "b", replace=False) as other:
+        other.write_text("new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_a_temporary_name_that_is_a_link_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("mine")
+    temporary_beside(tmp_path / "a").symlink_to(tmp_path / "precious")
+    with pytest.raises(InputError, match="found a link"), atomic_write(tmp_path / "a"):
+        pass
+    assert (tmp_path / "precious").read_text() == "mine"

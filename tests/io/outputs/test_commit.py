@@ -11,7 +11,7 @@ import pytest
 import stereophd.io.outputs.commit as commit
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, OutputFolder
-from stereophd.io.outputs.commit import COMMIT_NAME, JOURNAL, complete
+from stereophd.io.outputs.commit import MOVING_IN, MOVING_OUT, refuse_unsettled, settle
 
 NAMES = ["tracks.parquet", "report.json", "scans.parquet", "run-*/truth.parquet"]
 OLD = {"tracks.parquet": "old", "report.json": "old", "run-0007/truth.parquet": "old"}
@@ -23,6 +23,11 @@ MOST_CALLS = 20
 
 def contents(folder: Path) -> dict[str, str]:
     return {str(p.relative_to(folder)): p.read_text() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def seen(folder: Path) -> dict[str, str]:
+    """Return what a reader sees."""
+    return {name: text for name, text in contents(folder).items() if not name.startswith(TEMPORARY_PREFIX)}
 
 
 def write(folder: Path, files: dict[str, str]) -> None:
@@ -42,18 +47,17 @@ def no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-@pytest.fixture(params=["exchange", "journal"])
+@pytest.fixture(params=["exchange", "moves"])
 def ways(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The system can exchange two folders, or it cannot."""
-    if request.param == "journal":
+    if request.param == "moves":
         monkeypatch.setattr(commit, "_exchange", lambda one, other: False)
     return str(request.param)
 
 
-@pytest.mark.usefixtures("ways")
 @pytest.mark.parametrize("before", [{}, OLD], ids=["empty", "earlier run"])
 def test_each_failing_move_leaves_the_old_files_or_the_new_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: dict[str, str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: dict[str, str], ways: str
 ) -> None:
     replace, counter = os.replace, [0]
     failed = 0
@@ -81,32 +85,34 @@ def test_each_failing_move_leaves_the_old_files_or_the_new_ones(
         if counter[0] < failing:
             break
     assert counter[0] < failing, "expected fewer moves"
-    assert failed >= (len(before) > 0) * (len(OLD) + len(NEW))
+    if ways == "moves":  # back from beside, the staged folder, old entries, the change of the name, new entries
+        assert failed == 2 + (3 if before else 0) + 1 + 3
 
 
 def test_a_disk_that_refuses_every_move_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commit, "_exchange", lambda one, other: False)
     write(tmp_path, OLD)
     replace, counter = os.replace, [0]
 
-    def fails_from_the_fourth(source: Path, target: Path) -> None:
+    def fails_from_the_sixth(source: Path, target: Path) -> None:
         counter[0] += 1
-        if counter[0] >= 4:
+        if counter[0] >= 6:
             raise OSError(errno.EIO, "Input/output error", str(source))
         replace(source, target)
 
-    monkeypatch.setattr(os, "replace", fails_from_the_fourth)
+    monkeypatch.setattr(os, "replace", fails_from_the_sixth)
     with pytest.raises(InputError, match="cannot write"):
         run(tmp_path, force=True)
     monkeypatch.setattr(os, "replace", replace)
-    complete(tmp_path)
-    assert contents(tmp_path) == NEW
+    settle(tmp_path)
+    assert seen(tmp_path) == OLD
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")
 @pytest.mark.parametrize("before", [{}, OLD], ids=["fresh", "earlier run"])
-@pytest.mark.parametrize("way", ["exchange", "journal"])
+@pytest.mark.parametrize("way", ["exchange", "moves"])
 def test_killed_at_any_step_the_next_command_finds_one_run(tmp_path: Path, before: dict[str, str], way: str) -> None:
-    seen = set()
+    outcomes, refused = set(), 0
     for step in range(1, 100):
         folder = tmp_path / str(step)
         folder.mkdir()
@@ -118,17 +124,24 @@ def test_killed_at_any_step_the_next_command_finds_one_run(tmp_path: Path, befor
         _, status = os.waitpid(child, 0)
         killed = os.WIFSIGNALED(status)
         if out.exists():
-            complete(out)
-            found = {k: v for k, v in contents(out).items() if not k.startswith(TEMPORARY_PREFIX)}
-            assert found in (before, NEW), f"step {step}"
-            seen.add(found == NEW)
+            as_left = contents(out)
+            try:
+                refuse_unsettled(out / "tracks.parquet")
+                assert seen(out) in (before, NEW), f"step {step}"
+            except InputError:
+                refused += 1
+            assert contents(out) == as_left  # a reader changes nothing
+            settle(out)
+            assert seen(out) in (before, NEW), f"step {step}"
+            outcomes.add(seen(out) == NEW)
         # what is left over goes with the next run
         run(out, force=True)
         assert contents(folder) == {f"out/{name}": text for name, text in NEW.items()}, f"step {step}"
         if not killed:
             break
     assert not killed
-    assert seen == {True, False}
+    assert outcomes == {True, False}
+    assert (refused > 0) == (way == "moves")
 
 
 def _die_at(step: int, way: str, out: Path) -> None:
@@ -153,25 +166,51 @@ def _die_at(step: int, way: str, out: Path) -> None:
         os._exit(0)
 
 
-def test_a_reader_completes_a_commit(tmp_path: Path) -> None:
-    from stereophd.io.tables.reading import open_parquet
+@pytest.mark.parametrize("name", [MOVING_OUT, MOVING_IN])
+def test_what_a_received_folder_holds_moves_nothing_elsewhere(tmp_path: Path, name: str) -> None:
+    gift, home = tmp_path / "gift", tmp_path / "home"
+    write(home, {".bashrc": "mine", "thesis.tex": "keep"})
+    gift.mkdir()
+    (gift / "sub").symlink_to(home)
+    for inside in ("new", "old"):
+        write(gift / name / inside / "sub", {".bashrc": "evil"})
+    with pytest.raises(InputError, match="a run was killed while it moved its files into"):
+        refuse_unsettled(gift / "tracks.parquet")
+    with pytest.raises(InputError, match="cannot be moved now"):
+        settle(gift)
+    assert contents(home) == {".bashrc": "mine", "thesis.tex": "keep"}
 
-    write(tmp_path / COMMIT_NAME / "new", NEW)
-    (tmp_path / COMMIT_NAME / JOURNAL).write_text('{"stale": ["report.json", "run-0007/truth.parquet"]}')
-    write(tmp_path, OLD)
-    with pytest.raises(InputError, match="not Parquet"):
-        open_parquet(tmp_path / "tracks.parquet")
-    assert contents(tmp_path) == NEW
+
+@pytest.mark.parametrize("name", [MOVING_OUT, MOVING_IN])
+def test_a_link_in_place_of_a_staged_folder_is_not_followed(tmp_path: Path, name: str) -> None:
+    home = tmp_path / "home"
+    write(home, {"new/a": "mine", "old/a": "mine"})
+    (tmp_path / "gift").mkdir()
+    (tmp_path / "gift" / name).symlink_to(home)
+    settle(tmp_path / "gift")
+    run(tmp_path / "gift", force=True)
+    assert contents(home) == {"new/a": "mine", "old/a": "mine"}
+    assert contents(tmp_path / "gift") == NEW
 
 
-def test_a_forged_journal_removes_nothing_elsewhere(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("ways")
+def test_a_file_that_came_during_the_run_stays(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    write(tmp_path, {"precious": "p"})
-    (out / COMMIT_NAME / "new").mkdir(parents=True)
-    (out / COMMIT_NAME / JOURNAL).write_text('{"stale": ["../precious"]}')
-    with pytest.raises(InputError, match="expected names of files in"):
-        complete(out)
-    assert (tmp_path / "precious").exists()
+    write(out, OLD)
+    with OutputFolder(out, NAMES, force=True) as folder:
+        for name, text in NEW.items():
+            folder.path(name).write_text(text)
+        (out / "notes.txt").write_text("mine")
+    assert contents(out) == {**NEW, "notes.txt": "mine"}
+
+
+@pytest.mark.usefixtures("ways")
+def test_an_empty_folder_of_the_user_stays(tmp_path: Path) -> None:
+    write(tmp_path / "out", OLD)
+    (tmp_path / "out" / "mine").mkdir()
+    run(tmp_path / "out", force=True)
+    assert (tmp_path / "out" / "mine").is_dir()
+    assert contents(tmp_path / "out") == NEW
 
 
 def test_the_folder_of_this_process_stays_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,11 +60,27 @@ def test_the_lock_of_a_killed_run_holds_nobody_up(tmp_path: Path, other: subproc
 
 
 def test_a_process_may_lock_a_folder_more_than_once(tmp_path: Path) -> None:
-    with output_lock(tmp_path / "out") as made, output_lock(tmp_path / "." / "out") as again:
-        assert made
-        assert again
+    with output_lock(tmp_path / "out"), output_lock(tmp_path / "." / "out"):
         assert (tmp_path / "out" / LOCK_NAME).exists()
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["link", "hard link", "pipe", "folder"])
+def test_a_lock_is_never_a_file_of_somebody_else(tmp_path: Path, kind: str) -> None:
+    precious, out = tmp_path / "precious", tmp_path / "out"
+    precious.write_text("mine")
+    out.mkdir()
+    if kind == "link":
+        (out / LOCK_NAME).symlink_to(precious)
+    elif kind == "hard link":
+        os.link(precious, out / LOCK_NAME)
+    elif kind == "pipe":
+        os.mkfifo(out / LOCK_NAME)
+    else:
+        (out / LOCK_NAME).mkdir()
+    with pytest.raises(InputError, match=f"{LOCK_NAME}: expected"), output_lock(out):
+        pass
+    assert precious.read_text() == "mine"
 
 
 class TestWithoutLocksOfTheSystem:

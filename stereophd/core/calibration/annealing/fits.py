@@ -34,12 +34,8 @@ from stereophd.core.calibration.pairing.association import (
 )
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
-from stereophd.core.calibration.pairing.search import (
-    DRAWS,
-    distinct_pairings,
-    meeting_points,
-    paired_objects,
-)
+from stereophd.core.calibration.pairing.meeting import meeting_points
+from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.gauge import enlarged, reduced
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.numerics.random_streams import SHARED_ERRORS_SEED

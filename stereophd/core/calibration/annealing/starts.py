@@ -3,7 +3,7 @@
 A start is a draw of the camera parameters from their prior. Each pass first tracks (PMB filter) with inflated detector
 noise, so that detections of one object are associated although the cameras are still wrong. It then adjusts cameras and
 trajectories to those detections, which improves the cameras. The inflation falls from pass to pass; in the last passes
-the fitted trajectories choose their detections themselves. See docs/calibration.md.
+the fitted trajectories choose their detections themselves. See docs/explanation/calibration.md.
 
 A start succeeds only if the trajectories that two cameras share explain the detections. The best start has the greatest
 sum of evidence (PMB filter at the true noise) and log-prior.

@@ -14,9 +14,12 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import Knots
 from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
-from stereophd.core.calibration.pairing.image_tracks import image_tracks
-from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
-from stereophd.core.calibration.pairing.track_rays import RawTracks
+from stereophd.core.calibration.pairing.track_pairs import (
+    TrackPairs,
+    image_tracks,
+    make_pairs,
+    one_camera_tracks,
+)
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
@@ -86,7 +89,7 @@ class Task:
         else:
             tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
         pairs = make_pairs(parameters, tracking, tracks)
-        clocks = search_offsets(parameters, RawTracks.of(recording, tracks))
+        clocks = search_offsets(parameters, pairs.raw)
         return Task(
             parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings,
             clocks, stages or default_stages(parameters),

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.pairing.track_rays import RawTracks
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.clock_offset import QUANTITY
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.two_views.track_rays import RawTracks
 
 # Step of the grid of shifts in median frame intervals of the slowest camera, and reach in prior deviations.
 STEP_FRAMES, REACH = 1.0, 3.0

@@ -9,16 +9,18 @@ from functools import cached_property
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.recording import Scans
+from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.association import track_detections
-from stereophd.core.calibration.pairing.track_rays import LONGEST_GAP, RawTracks, rays_of
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.core.two_views.linking import linked
+from stereophd.core.two_views.track_rays import RawTracks, Rays, rays_of
 
-# Times at which a pair of tracks is compared, and how many it needs.
-PAIR_TIMES, LEAST_TIMES = 24, 6
-# Times at which tracks of unknown clocks or lenses are compared, and reach of the clocks in standard deviations.
-RAW_TIMES, REACH = 48, 4.0
+# Times at which a pair of tracks is compared, how many it needs, and reach of the clocks in standard deviations.
+PAIR_TIMES, LEAST_TIMES, REACH = 48, 6, 4.0
+# Largest distance in the image from the prediction of a track to its next detection, in heights of the image.
+IMAGE_REACH = 1.0 / 12.0
 
 
 @dataclass(frozen=True)
@@ -28,36 +30,36 @@ class TrackPairs:
     cameras: Integers  # (p, 2) of int: The two cameras of every pair
     tracks: Integers  # (p, 2) of int: The two tracks, numbered over all cameras
     pair: Integers  # (n,) of int: Pair of each row
-    rays: Array  # (n, 2, 3): x_a, x_b with third component 1
+    rays: Rays  # Of each row, by the cameras of the prior mean
     sigma: Array  # (n,): Noise, px
-    times: Array  # (n,): s
     # `entries`, `others`: arrays (n,) of int: Entry of the first track in `raw`, and the second track.
     entries: Integers
     others: Integers
-    # Where clocks, lenses or intrinsics are unknown, or cameras move: the rays depend on the cameras, and `rays` and
-    # `times` are those of the prior mean.
-    raw: RawTracks | None
+    raw: RawTracks
+    is_fixed: bool  # Whether the rays are the same for all values: clocks, lenses and intrinsics are known
 
     @cached_property
     def camera_pairs(self) -> list[tuple[int, int]]:
         """Each two cameras that have pairs, in order."""
         return [(int(i), int(j)) for i, j in np.unique(self.cameras, axis=0)]
 
+    def rays_of(self, cameras: Sequence[Camera], rows: Integers) -> Rays:
+        """Return the rays of some rows by cameras."""
+        if self.is_fixed:
+            return self.rays.take(rows)
+        return rays_of(cameras, self.raw, self.entries[rows], self.others[rows])
+
+    def rows_of(self, members: Sequence[int] | Integers) -> Integers:
+        """Return the rows of some of the pairs."""
+        return np.flatnonzero(np.isin(self.pair, members))
+
     def take(self, members: Integers) -> TrackPairs:
         """Return some of the pairs, in increasing order, with their rows."""
-        rows = np.flatnonzero(np.isin(self.pair, members))
-        raw = self.raw is not None
+        rows = self.rows_of(members)
         return TrackPairs(
-            self.cameras[members],
-            self.tracks[members],
-            np.searchsorted(members, self.pair[rows]),
-            self.rays[rows],
-            self.sigma[rows],
-            self.times[rows],
-            self.entries[rows] if raw else self.entries,
-            self.others[rows] if raw else self.others,
-            self.raw,
-        )
+            self.cameras[members], self.tracks[members], np.searchsorted(members, self.pair[rows]),
+            self.rays.take(rows), self.sigma[rows], self.entries[rows], self.others[rows], self.raw, self.is_fixed,
+        )  # fmt: skip
 
 
 def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tuple[int, Integers]]:
@@ -73,38 +75,59 @@ def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tup
     return out
 
 
+def image_tracks(scans: Scans, least: int) -> list[tuple[int, Integers]]:
+    """Link each camera's detections; return (camera, detections of the recording) of the longer tracks."""
+    out = []
+    for camera in np.unique(scans.cameras).tolist():
+        alone = scans.of_camera(camera)
+        noise = 1.0 / np.sqrt(alone.precisions[:, 0, 0])
+        reach = IMAGE_REACH * float(scans.recording.heights[camera])
+        tracks = linked(alone.times, alone.first, alone.points, noise, reach)
+        out += [(camera, alone.source[rows]) for rows in tracks if len(rows) >= least]
+    return out
+
+
+def raw_tracks(recording: Recording, tracks: Sequence[tuple[int, Integers]]) -> RawTracks:
+    """Collect the tracks of a recording: camera and detections of each."""
+    detections = np.concatenate([np.empty(0, dtype=np.int64), *(rows for _, rows in tracks)])
+    cameras = np.array([camera for camera, _ in tracks], dtype=np.int64)
+    lengths = np.array([len(rows) for _, rows in tracks], dtype=np.int64)
+    pixels = recording.pixels[detections]
+    return RawTracks(
+        cameras,
+        np.concatenate([[0], np.cumsum(lengths)]),
+        recording.log_times[recording.frame_of[detections]],
+        pixels,
+        pixels[:, 1] / np.repeat(recording.heights[cameras], lengths),
+    )
+
+
 def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[int, Integers]]) -> TrackPairs:
     """Pair all tracks of different cameras that were seen at the same time, or may have been by unknown clocks."""
-    moving = any(not camera.pose.is_static for camera in parameters.cameras)
-    if parameters.only_poses and not moving:
-        return _known_rays(parameters, scans, tracks)
-    raw = RawTracks.of(scans.recording, tracks)
+    raw = raw_tracks(scans.recording, tracks)
     spread = clock_spreads(parameters, raw)
     times = [parameters.cameras[c].clock.to_true(raw.log_times[a:b]) for c, a, b in _segments(raw)]
+    nothing = np.empty(0, dtype=np.int64)
     members: list[tuple[int, int]] = []
-    pair: list[Integers] = []
-    entries: list[Integers] = []
+    pair, entries = [nothing], [nothing]
     for a in range(len(tracks)):
-        for b in range(len(tracks)):
-            if raw.cameras[b] <= raw.cameras[a]:
-                continue
+        for b in np.flatnonzero(raw.cameras > raw.cameras[a]).tolist():
             slack = REACH * np.hypot(spread[a], spread[b])
             both = np.flatnonzero((times[a] >= times[b][0] - slack) & (times[a] <= times[b][-1] + slack))
             if len(both) < LEAST_TIMES:
                 continue
-            some = both[np.unique(np.linspace(0, len(both) - 1, RAW_TIMES).astype(int))]
+            some = both[np.unique(np.linspace(0, len(both) - 1, PAIR_TIMES).astype(int))]
             pair.append(np.full(len(some), len(members)))
             members.append((a, b))
             entries.append(raw.first[a] + some)
-    nothing = np.empty(0, dtype=np.int64)
-    of_pair, all_entries = np.concatenate([nothing, *pair]), np.concatenate([nothing, *entries])
+    of_pair, all_entries = np.concatenate(pair), np.concatenate(entries)
     pairs = np.array(members, dtype=np.int64).reshape(-1, 2)
     others = pairs[of_pair, 1]
-    found = rays_of(parameters.cameras, raw, all_entries, others)
+    rays = rays_of(parameters.cameras, raw, all_entries, others)
     detections = np.concatenate([nothing, *(rows for _, rows in tracks)])
     sigma = scans.recording.sigma[detections[all_entries], 0]
     cameras = raw.cameras[pairs].reshape(-1, 2)
-    return TrackPairs(cameras, pairs, of_pair, found.rays, sigma, found.times, all_entries, others, raw)
+    return TrackPairs(cameras, pairs, of_pair, rays, sigma, all_entries, others, raw, parameters.only_moves)
 
 
 def _segments(raw: RawTracks) -> Iterator[tuple[int, int, int]]:
@@ -120,53 +143,3 @@ def clock_spreads(parameters: ParameterSet, raw: RawTracks) -> Array:
         late = float(np.abs(raw.log_times[first:last]).max())
         out.append(np.hypot(by_name.get(f"{name}.clock_offset", 0.0), late * by_name.get(f"{name}.clock_rate", 0.0)))
     return np.array(out)
-
-
-def _known_rays(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[int, Integers]]) -> TrackPairs:
-    """Pairs of tracks of cameras that stand still, the clocks, lenses and intrinsics of which are known."""
-    cameras: list[tuple[int, int]] = []
-    members: list[tuple[int, int]] = []
-    pair: list[Integers] = []
-    rays: list[Array] = []
-    sigma: list[Array] = []
-    at: list[Array] = []
-    placed = [(camera, scans.places(detections)) for camera, detections in tracks]
-    for a, (camera_a, rows_a) in enumerate(placed):
-        for b, (camera_b, rows_b) in enumerate(placed):
-            if camera_b <= camera_a:
-                continue
-            times_a, times_b = scans.detection_times[rows_a], scans.detection_times[rows_b]
-            right = np.searchsorted(times_b, times_a).clip(1, len(times_b) - 1)
-            gap = times_b[right] - times_b[right - 1]
-            inside = (times_a >= times_b[0]) & (times_a <= times_b[-1])
-            common = np.flatnonzero(inside & (gap <= LONGEST_GAP * float(np.median(np.diff(times_b)))))
-            if len(common) < LEAST_TIMES:
-                continue
-            common = common[np.unique(np.linspace(0, len(common) - 1, PAIR_TIMES).astype(int))]
-            pixels_b = np.column_stack(
-                [np.interp(times_a[common], times_b, scans.points[rows_b, axis]) for axis in (0, 1)]
-            )
-            number = len(cameras)
-            cameras.append((camera_a, camera_b))
-            members.append((a, b))
-            pair.append(np.full(len(common), number))
-            both = [_rays(parameters, camera_a, scans.points[rows_a[common]]), _rays(parameters, camera_b, pixels_b)]
-            rays.append(np.stack(both, axis=1))
-            sigma.append(1.0 / np.sqrt(scans.precisions[rows_a[common], 0, 0]))
-            at.append(times_a[common])
-    return TrackPairs(
-        np.array(cameras, dtype=np.int64).reshape(-1, 2),
-        np.array(members, dtype=np.int64).reshape(-1, 2),
-        np.concatenate([*pair, np.empty(0, dtype=np.int64)]).astype(np.int64),
-        np.concatenate([*rays, np.empty((0, 2, 3))]),
-        np.concatenate([*sigma, np.empty(0)]),
-        np.concatenate([*at, np.empty(0)]),
-        np.empty(0, dtype=np.int64),
-        np.empty(0, dtype=np.int64),
-        None,
-    )
-
-
-def _rays(parameters: ParameterSet, camera: int, pixels: Array) -> Array:
-    c = parameters.cameras[camera]
-    return np.column_stack([(pixels - [c.cx, c.cy]) / [c.fx, c.fy], np.ones(len(pixels))])

@@ -12,7 +12,7 @@ Cameras that stand still leave resampled particles on top of one another. Two re
 (N. J. Gordon, D. J. Salmond and A. F. M. Smith, 1993) adds noise of the standard deviation K E_j N^(-1/m) to
 parameter j after resampling, E_j being the range of the particles, m the number of parameters; and camera motion
 noise, a random walk over the time between events. Both are jitter: neither makes up for a prior of which only a
-particle or two fit the first frames, where the filter settles on a wrong pose (see docs/calibration_methods.md).
+particle or two fit the first frames, where the filter settles on a wrong pose (see calibration_methods.md).
 
 The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the number of the
 event alone, so that a run continued from any state gives the same result as an uninterrupted one.

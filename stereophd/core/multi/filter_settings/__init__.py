@@ -1,7 +1,7 @@
 """Kinds of filter for many objects: one module each, found by its name, the word of ``filter.kind``.
 
-A module holds the settings of its filter (`SETTINGS`), whose `build` imports the filter itself. `common` holds
-what all of them share.
+A module holds the settings of its filter (`SETTINGS`); the filter of the same word is `multi/WORD/filter.py`. `common`
+holds what all of them share.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -22,12 +21,6 @@ from stereophd.core.settings import (
     parameter,
     settings,
 )
-
-if TYPE_CHECKING:
-    from stereophd.core.disparity.events import Rig
-    from stereophd.core.motion.base import Motion
-    from stereophd.core.multi.base import DisparityFilter
-    from stereophd.core.numerics.samples import SampleSets
 
 # Effect of a miss on a component that is partly in view.
 Missed = Literal["split", "keep"]
@@ -143,8 +136,8 @@ class ExistenceHysteresis(Hysteresis):
 
 
 @settings
-class FilterSettings(ABC):
-    """What the settings of every kind of filter hold, and how they become the filter."""
+class FilterSettings:
+    """What the settings of every kind of filter hold; `stereophd.core.multi.build` makes the filter."""
 
     kind: str = parameter("the word that names the filter: the name of its module in `filter_settings`")
     survival_per_s: PositiveFraction = parameter(
@@ -168,7 +161,3 @@ class FilterSettings(ABC):
     )
     missed: Missed = parameter(MISSED)
     extraction: Hysteresis = parameter("what is reported as an object", default_factory=Hysteresis)
-
-    @abstractmethod
-    def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> DisparityFilter:
-        """Return the filter. Compiled code is imported here, so that settings are read without it."""

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from stereophd.core.multi.filter_settings.common import MISSED, FilterSettings, Missed
 from stereophd.core.settings import NonNegative, Positive, parameter, settings
-
-if TYPE_CHECKING:
-    from stereophd.core.disparity.events import Rig
-    from stereophd.core.motion.base import Motion
-    from stereophd.core.multi.phd.filter import PhdFilter
-    from stereophd.core.numerics.samples import SampleSets
 
 
 @settings
@@ -41,12 +35,6 @@ class PhdSettings(FilterSettings):
     missed: Missed = parameter(
         MISSED, default="split", advice="split for objects that are never hidden, keep where they hide behind others."
     )
-
-    def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> PhdFilter:
-        """Return the filter."""
-        from stereophd.core.multi.phd.filter import PhdFilter
-
-        return PhdFilter(rig, motion, sets, self, threads)
 
 
 SETTINGS = PhdSettings

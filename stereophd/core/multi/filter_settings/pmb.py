@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Interval
 
@@ -16,12 +16,6 @@ from stereophd.core.settings import (
     parameter,
     settings,
 )
-
-if TYPE_CHECKING:
-    from stereophd.core.disparity.events import Rig
-    from stereophd.core.motion.base import Motion
-    from stereophd.core.multi.pmb.filter import PmbFilter
-    from stereophd.core.numerics.samples import SampleSets
 
 
 @settings
@@ -74,12 +68,6 @@ class PmbSettings(FilterSettings):
         MISSED, default="keep", advice="split for objects that are never hidden, keep where they hide behind others."
     )
     extraction: ExistenceHysteresis = parameter("which tracks are reported", default_factory=ExistenceHysteresis)
-
-    def build(self, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1) -> PmbFilter:
-        """Return the filter."""
-        from stereophd.core.multi.pmb.filter import PmbFilter
-
-        return PmbFilter(rig, motion, sets, self, threads)
 
 
 SETTINGS = PmbSettings

@@ -88,3 +88,6 @@ def _update(
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None
     reduced, left_out = reduce_intensity(updated, shares, reduction)
     return reduced, log_likelihood, labels, claims, left_out
+
+
+FILTER = PhdFilter

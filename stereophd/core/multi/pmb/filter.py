@@ -150,3 +150,6 @@ def _update(
         make_hypotheses(mixture, moved, event, numbers, outcomes, choice), tracks, reduction
     )  # fmt: skip
     return reduced, log_likelihood, expected, labels, detections, claims, choice.left_out
+
+
+FILTER = PmbFilter

@@ -21,6 +21,8 @@ class Estimates:
     existence: Array  # (k,): Weight (PHD) or probability of existence
     labels: Integers  # (k,) of int: Labels of the components behind them
     tentative: Estimates | None = None  # Further objects, which are not confirmed; None: there are none
+    # (k, 4): Height and width of bodies and their standard deviations, length; None: objects are points
+    extents: Array | None = None
 
     def certain(self, max_position_std: float) -> Estimates:
         """Return the estimates whose position has at most this standard deviation (root of the trace)."""
@@ -39,18 +41,12 @@ class Estimates:
             np.concatenate([one.covariances, other.covariances]),
             np.concatenate([one.existence, other.existence]),
             np.concatenate([one.labels, other.labels]),
+            extents=None if one.extents is None else np.concatenate([one.extents, other.extents]),
         )
 
     def divided(self, confirmed: int) -> Estimates:
         """Return the first estimates, so many of them, with the others as the tentative ones."""
-        return Estimates(
-            self.track_ids[:confirmed],
-            self.states[:confirmed],
-            self.covariances[:confirmed],
-            self.existence[:confirmed],
-            self.labels[:confirmed],
-            self.take(slice(confirmed, None)),
-        )
+        return replace(self.take(slice(confirmed)), tentative=self.take(slice(confirmed, None)))
 
     def take(self, kept: NDArray[np.bool_] | slice) -> Estimates:
         """Return some of the estimates, by a mask (k,) or a slice, without the tentative ones."""
@@ -60,6 +56,7 @@ class Estimates:
             self.covariances[kept],
             self.existence[kept],
             self.labels[kept],
+            extents=None if self.extents is None else self.extents[kept],
         )
 
 

@@ -1,13 +1,10 @@
 """Do the rays of two cameras meet more often than chance?
 
 A detection of camera A has a partner in camera B if a detection of B, at the same true time, lies near its epipolar
-line and both rays meet in front of the cameras. With the essential matrix E of the pair and the rays a, b,
-
-    r = b^T E a / sqrt(sum over the four pixels of (derivative of b^T E a)^2 sigma^2)
-
-is the distance in standard deviations to first order (P. D. Sampson, 1982). The share of detections with a partner is
-compared with the share that the same cameras have when B's times are shifted, which is what chance gives. No track and
-no filter is involved, so the figures show whether cameras and clocks fit the log.
+line, by Sampson's distance in standard deviations (`stereophd.core.two_views.epipolar`), and both rays meet in front of
+the cameras. The share of detections with a partner is compared with the share that the same cameras have when B's times
+are shifted, which is what chance gives. No track and no filter is involved, so the figures show whether cameras and
+clocks fit the log.
 """
 
 from __future__ import annotations
@@ -20,14 +17,16 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.two_views.epipolar import essential_matrices, sampson_distances
+from stereophd.core.two_views.meeting import nearest_depths
 from stereophd.pipeline.checks.log.sample import CameraSample
 
 # Of the detections of both cameras of a pair; None: not computed.
 Rays = tuple[Array | None, Array | None]
 
-# Detections of A that are examined, time shifts that measure chance, and candidates in B that are kept at most.
-MOST_DETECTIONS, SHIFTS, MOST_CANDIDATES = 400, 8, 80
+# Detections of A that are examined, time shifts that measure chance, and distances of all of them at most: where B has
+# many detections, fewer of A are examined, but those with all their candidates.
+MOST_DETECTIONS, SHIFTS, MOST_DISTANCES = 400, 8, 1_500_000
 # Tolerances, in standard deviations of the distance.
 TOLERANCES = (3.0, 8.0, 20.0)
 # Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
@@ -91,13 +90,14 @@ def candidates(
 ) -> Candidates | None:
     """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing."""
     first, second = samples[a], samples[b]
-    if len(first.pixels) == 0 or len(second.times) < 4:
+    if len(first.pixels) == 0 or len(second.times) < 2:
         return None
     low, high = max(first.times[0], second.times[0]), min(first.times[-1], second.times[-1])
     times = first.times[first.frame_of]
     usable = np.flatnonzero((times >= low) & (times <= high))
-    if len(usable) < 10 or high <= low:
+    if len(usable) < 2 or high <= low:
         return None
+    most = min(most, max(1, MOST_DISTANCES // ((1 + shifts) * max(1, int(np.diff(second.first).max())))))
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
     delays = first.camera.row_delays(first.pixels[chosen, 1])
     at, length = times[chosen] if delays is None else times[chosen] + delays, high - low
@@ -124,7 +124,7 @@ def pixels_at(sample: CameraSample, times: Array) -> Array:
         moved = moved - delays[:, :, None] * velocities
     width = max(now.shape[1], later.shape[1])
     alone = np.where(weights <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
-    return np.concatenate([moved, alone], axis=1)[:, :MOST_CANDIDATES]
+    return np.concatenate([moved, alone], axis=1)
 
 
 def _wide(table: Array, width: int) -> Array:
@@ -146,16 +146,13 @@ def distances(found: Candidates, first: Reading, second: Reading, known: Rays = 
     if rays_b is None:
         rays_b = _rays_there(found, second)
     pose_a, pose_b = first.camera.pose, second.camera.pose
-    offset = pose_b.center - pose_a.center
-    essential = _essential(pose_a, pose_b)
-    line_b = rays_a @ essential.T
-    line_a = rays_b @ essential
-    value = np.einsum("snki,ni->snk", rays_b, line_b)
-    variance = _pixel_variance(line_b, second.camera)[None, :, None] + _pixel_variance(line_a, first.camera)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        distance = np.abs(value) / np.sqrt(variance)
-    depth, in_front = _depths(rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, offset)
-    return np.where(in_front & np.isfinite(distance), distance, np.inf), depth
+    rays_a = rays_a[:, None]
+    distance = np.abs(_signed(first.camera, second.camera, rays_a, rays_b))
+    depth_a, depth_b, sines = nearest_depths(
+        rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, pose_b.center - pose_a.center
+    )
+    in_front = (sines < LEAST_SINE) | ((depth_a > 0.0) & (depth_b > 0.0))
+    return np.where(in_front & np.isfinite(distance), distance, np.inf), depth_a
 
 
 def rays_of(found: Candidates, first: Reading, second: Reading) -> tuple[Array, Array]:
@@ -169,39 +166,15 @@ def _rays_there(found: Candidates, second: Reading) -> Array:
 
 def signed_distances(first: Camera, second: Camera, pixels_a: Array, pixels_b: Array) -> Array:
     """Return the distances (n,) of the rays of pixels (n, 2) and (n, 2) in standard deviations, with their sign."""
-    rays_a, rays_b = Reading(first).rays(pixels_a), Reading(second).rays(pixels_b)
-    essential = _essential(first.pose, second.pose)
-    line_b, line_a = rays_a @ essential.T, rays_b @ essential
-    variance = _pixel_variance(line_b, second) + _pixel_variance(line_a, first)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray((rays_b * line_b).sum(axis=1) / np.sqrt(variance))
+    return _signed(first, second, first.rays(pixels_a), second.rays(pixels_b))
 
 
-def _essential(pose_a: Pose, pose_b: Pose) -> Array:
-    """Return the essential matrix E of two poses: b^T E a = 0 for rays that meet."""
-    offset = pose_b.center - pose_a.center
-    cross = np.array([[0.0, -offset[2], offset[1]], [offset[2], 0.0, -offset[0]], [-offset[1], offset[0], 0.0]])
-    return np.asarray(pose_b.rotation @ cross @ pose_a.rotation.T)
-
-
-def _pixel_variance(line: Array, camera: Camera) -> Array:
-    """Variance of b^T E a by the pixels of one camera, from the epipolar line (..., 3) in normalised coordinates."""
-    slopes = line[..., :2] / [camera.fx, camera.fy] * camera.detector.sigma
-    return np.asarray((slopes**2).sum(axis=-1))
-
-
-def _depths(directions_a: Array, directions_b: Array, offset: Array) -> tuple[Array, Array]:
-    """Return depths before A where rays (n, 3) and (s, n, k, 3) in the world are nearest, and whether both are > 0."""
-    aa = (directions_a**2).sum(axis=-1)[None, :, None]
-    bb = (directions_b**2).sum(axis=-1)
-    ab = np.einsum("snki,ni->snk", directions_b, directions_a)
-    da, db = (directions_a @ offset)[None, :, None], directions_b @ offset
-    determinant = aa * bb - ab**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        depth_a = (bb * da - ab * db) / determinant
-        depth_b = (ab * da - aa * db) / determinant
-        parallel = determinant < LEAST_SINE**2 * aa * bb
-    return depth_a, parallel | ((depth_a > 0.0) & (depth_b > 0.0))
+def _signed(first: Camera, second: Camera, rays_a: Array, rays_b: Array) -> Array:
+    """Return the distances (...,) of rays (..., 3) in standard deviations, with their sign."""
+    pose_a, pose_b = first.pose, second.pose
+    essential = essential_matrices(pose_a.rotation, pose_a.center, pose_b.rotation, pose_b.center)
+    scales = [np.array([camera.fx, camera.fy]) / camera.detector.sigma for camera in (first, second)]
+    return sampson_distances(essential, rays_a, rays_b, *scales)
 
 
 def meeting(

@@ -5,18 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import adjust
-from stereophd.core.calibration.pairing.track_rays import RawTracks, rays_of
+from stereophd.core.calibration.pairing.track_pairs import raw_tracks
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.lens import Lens
+from stereophd.core.two_views.track_rays import ray_poses, rays_of
 
 from ..problems_of_unknowns import MOTION, observe, problem_of, rig, unknowns
 
@@ -68,9 +69,8 @@ def test_errors_are_those_of_the_bound(names: tuple[str, ...]) -> None:
         found = marginal_optimum(problem, joint).adjustment
         error = found.values - drawn
         squares.append(error @ np.linalg.solve(found.covariance, error) / guess.size)
-        bound = calibration_bound(
-            guess, drawn, 0, MOTION, observations.trajectories, observations.cameras, times, points
-        )
+        truth = TruePositions(observations.trajectories, observations.cameras, times, points)
+        bound = calibration_bound(guess, drawn, 0, MOTION, truth)
         np.testing.assert_allclose(np.sqrt(np.diag(found.covariance) / np.diag(bound)), 1.0, atol=0.35)
     assert np.mean(squares) < 5.0
 
@@ -115,15 +115,16 @@ def test_rays_meet_at_the_true_clocks_only() -> None:
     ]
     recording = Recording.of(cameras, frames)
     tracks = [(k, np.flatnonzero(recording.cameras[recording.frame_of] == k)) for k in range(3)]
-    raw = RawTracks.of(recording, tracks)
+    raw = raw_tracks(recording, tracks)
     entries, others = np.arange(10, 60), np.ones(50, dtype=np.int64)
 
     def gap(offset: float) -> float:
         moved = (cameras[0], replace(cameras[1], clock=Clock(offset, cameras[1].clock.rate)), cameras[2])
         found = rays_of(moved, raw, entries, others)
-        directions = np.einsum("nkij,nki->nkj", found.rotations, found.rays)[found.seen]
+        turns, centers = ray_poses(moved, found)
+        directions = np.einsum("nkij,nki->nkj", turns, found.rays)[found.seen]
         across = np.cross(directions[:, 0], directions[:, 1])
-        between = (found.centers[:, 1] - found.centers[:, 0])[found.seen]
+        between = (centers[:, 1] - centers[:, 0])[found.seen]
         return float(np.median(np.abs((across * between).sum(axis=1)) / np.linalg.norm(across, axis=1)))
 
     assert gap(0.05) < 0.01

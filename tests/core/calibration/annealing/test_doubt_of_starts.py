@@ -1,4 +1,4 @@
-"""A best start that no other one confirms is not trusted, where poses alone are unknown; starts agree, or are rivals."""
+"""A best start that no other one confirms is not trusted, where poses alone are unknown; agreement and rivals."""
 
 from __future__ import annotations
 

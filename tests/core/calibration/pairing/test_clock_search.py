@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.pairing.clock_search import search_offsets
-from stereophd.core.calibration.pairing.track_rays import RawTracks
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.two_views.track_rays import RawTracks
 
 RATES = (10.0, 7.0, 5.0)
 TRUE = (0.0, 2.3, -1.1)

@@ -10,7 +10,8 @@ import pytest
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.starts import run_start
 from stereophd.core.calibration.annealing.task import PAIRING, WIDE, Task
-from stereophd.core.calibration.pairing.search import behind, distinct_pairings
+from stereophd.core.calibration.pairing.meeting import behind
+from stereophd.core.calibration.pairing.search import distinct_pairings
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.unknowns.gauge import depth_ratio, enlarged, reduced
@@ -73,7 +74,7 @@ def test_pairs_behind_a_camera_are_those_whose_triangulated_points_are(made: Mad
     a, b = made.parameters.build(values)
     wrong = np.zeros(len(pairs.cameras))
     count = np.zeros(len(pairs.cameras))
-    for pair, (ray_a, ray_b) in zip(pairs.pair, pairs.rays, strict=True):
+    for pair, (ray_a, ray_b) in zip(pairs.pair, pairs.rays.rays, strict=True):
         along = np.column_stack([a.pose.rotation.T @ ray_a, -(b.pose.rotation.T @ ray_b)])
         depths = np.linalg.lstsq(along, b.pose.center - a.pose.center, rcond=None)[0]
         wrong[pair] += depths.min() < 0.0

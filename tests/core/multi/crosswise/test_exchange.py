@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
@@ -28,7 +27,7 @@ from stereophd.core.multi.crosswise.history import (
     no_deferred_pairs,
 )
 from stereophd.core.multi.pmb.filter import PmbFilter
-from stereophd.io.outputs.checkpoints import read_checkpoint, write_checkpoint
+from stereophd.io.outputs.saved import decoder, encode
 from tests.core.multi.pmb.test_pmb import Frames, Step, gaussian, make_pmb, run
 from tests.core.multi.scenes import make_mixture
 
@@ -128,9 +127,10 @@ def test_filtering_again_is_what_a_plain_filter_does(steps: list[Step]) -> None:
     expected = 0.0
     for k in range(1, len(rows.times)):
         destination = multi_filter.rig.packed[rows.cameras[k]]
+        intervals = multi_filter.motion.arrays(np.diff(rows.times[k - 1 : k + 1]))
         moved = move(
-            mean[None], covariance[None], space[None], rows.times[k : k + 1] - rows.times[k - 1], destination,
-            multi_filter.motion, replace(multi_filter.sets, sets=multi_filter.sets.sets[:1]), 0, 0.0,
+            Sources(mean[None], covariance[None], space[None], intervals),
+            destination, replace(multi_filter.sets, sets=multi_filter.sets.sets[:1]), 0, 0.0,
         )  # fmt: skip
         mean, covariance, space = moved.means[0], moved.covariances[0], destination
         residual, spread = rows.points[k] - mean[:2], covariance[:2, :2] + rows.noises[k]
@@ -311,12 +311,11 @@ def _sighting(time_s: float, camera: int, labels: list[int]) -> ClaimedDetection
     )  # fmt: skip
 
 
-def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> None:
+def test_a_kept_state_holds_the_history(steps: list[Step]) -> None:
     multi_filter = make_pmb()
     frames = frames_of(multi_filter)
     state = run(multi_filter, frames)[-1][0]
-    write_checkpoint(tmp_path / "state.npz", "one", {"state": state})
-    found = read_checkpoint(tmp_path / "state.npz", "one", [type(state)])["state"]
+    found = decoder(type(state))(encode(state))
     assert state.history is not None
     assert found.history.deferred.due.tolist() == state.history.deferred.due.tolist()
     for one, other in zip(found.history.sightings, state.history.sightings, strict=True):

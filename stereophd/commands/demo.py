@@ -1,0 +1,92 @@
+"""The quickstart from inside the package: simulate a scene, track it, score the tracks, and write the page."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import stereophd
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.report import report
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
+from stereophd.errors import InputError
+from stereophd.io.outputs.atomic import atomic_write
+from stereophd.pipeline.runs.progress import Progress
+
+CONFIG = "quickstart.yaml"
+STEPS = 4
+# Objects are people-sized, and this far from a track is another object, in metres.
+CUTOFF_M = 1.0
+
+
+def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = None) -> dict[str, Any]:
+    """Run the quickstart in a folder.
+
+    Parameters
+    ----------
+    out_dir : path
+        Folder of ``config.yaml``, of the folders ``simulated``, ``tracked`` and ``evaluated``, and of ``report.html``,
+        for which the extra ``report`` must be installed.
+    force : bool
+        Whether the outputs of an earlier demonstration may be replaced.
+    progress : callable, optional
+        Called with the steps done and their number.
+
+    Returns
+    -------
+    dict
+        ``folder``, ``config``, ``page`` (null if plotly is not installed), ``tracks``, ``ospa_m`` and
+        ``median_error_m``.
+
+    Raises
+    ------
+    InputError
+        The folder holds an earlier demonstration and `force` is not given, or cannot be written to.
+    """
+    folder = Path(out_dir)
+    config = folder / "config.yaml"
+    if config.exists() and not force:
+        raise InputError(f"{config}: the file exists; use `force=True` to replace it")
+    advance = progress or (lambda done, total: None)
+    simulated, tracked, evaluated = (folder / name for name in ("simulated", "tracked", "evaluated"))
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_write(config) as temporary:
+        temporary.write_text(config_text(), encoding="utf-8")
+    simulate(load_config(config), simulated, force=force)
+    advance(1, STEPS)
+    settings = load_config(config, ["report.associations=true"], cameras_path=simulated / "cameras.yaml")
+    tracks = track(settings, simulated / "detections.parquet", tracked, force=force)
+    advance(2, STEPS)
+    scores = evaluate(
+        tracked / "tracks.parquet",
+        simulated / "truth.parquet",
+        evaluated,
+        cutoff=CUTOFF_M,
+        cameras_path=simulated / "cameras.yaml",
+        force=force,
+    )
+    advance(3, STEPS)
+    page = folder / "report.html" if find_spec("plotly") is not None else None
+    if page is not None:
+        report([simulated, tracked, evaluated], page, title="stereophd demo", force=force)
+    advance(STEPS, STEPS)
+    return {
+        "folder": str(folder),
+        "config": str(config),
+        "page": None if page is None else str(page),
+        "tracks": len(tracks["tracks"]),
+        "ospa_m": scores["ospa"]["mean"],
+        "median_error_m": scores["position_error"]["median"],
+    }
+
+
+def config_text() -> str:
+    """Return the configuration of the quickstart, without the line that names the schema of the source tree."""
+    packaged = files(stereophd) / "data" / CONFIG
+    source = packaged if packaged.is_file() else Path(stereophd.__file__).parents[1] / "configs" / CONFIG
+    lines = source.read_text(encoding="utf-8").splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith("# yaml-language-server"))

@@ -1,0 +1,313 @@
+"""Poisson multi-Bernoulli filter of bodies, in the world: boxes in, positions, velocities and sizes out.
+
+The track-oriented marginal filter (Williams 2015), as `stereophd.core.multi.pmb`, with other states and detections. A
+track is a Bernoulli component with a mixture of hypotheses, each a Gaussian of position, velocity and the logarithms of
+the half axes. Why not disparity space: the middle and the sides of a box are no linear functions of any three of these
+numbers, since the size over the depth comes in; only (u, v, d) of the centre remains linear, which a box does not
+measure. The observation is linearised about the prediction instead (an extended Kalman filter): boxes are wide, 0.05 of
+their height, and a frame moves the linearisation by less.
+
+Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA and association-based
+MeMBer", IEEE Trans. AES 51 (3), 2015.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.bodies.births import Newborns, half_extents, newborn_bodies, shares_left
+from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
+from stereophd.core.bodies.hypotheses import Hypotheses, reduce_hypotheses
+from stereophd.core.bodies.occlusion import hidden_shares
+from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, outline_boxes
+from stereophd.core.bodies.prediction import predict_bodies
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
+from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.motion.base import Motion
+from stereophd.core.multi.association.attribution import Claims
+from stereophd.core.multi.association.exact_association import association_marginals
+from stereophd.core.multi.births.undetected import Undetected, burst_of, expected_births
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
+from stereophd.core.multi.state.estimates import Estimates, Info
+
+# Gate of each value of a box, standard deviations, and of all together (squared).
+GATE, GATE_SQUARED = 5.0, 36.0
+# Detections whose best track outweighs clutter by more than these odds give birth to nothing.
+CLEARLY_CLAIMED = 1e6
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """Tracks after an event."""
+
+    hypotheses: Hypotheses
+    # `labels`, `track_ids`: (t,): Of the tracks; a track that was never reported has no identity yet, -1
+    labels: Integers
+    track_ids: Integers
+    reported: Booleans  # (t,): Whether the last event reported the track
+    time_s: float | None = None  # Of the last event, None before the first
+    next_label: int = 0
+    next_track: int = 0
+    undetected: Undetected | None = None
+
+
+class Pairs(NamedTuple):
+    """Hypotheses (rows) and boxes (columns) that may belong together, k of them."""
+
+    rows: Integers
+    columns: Integers
+    log_odds: Array  # (k,): Logarithm of the likelihood over the density of clutter
+    gains: Array  # (k, 8, 4)
+    residuals: Array  # (k, 4)
+    projections: Array  # (k, 4, 8): Of the observation
+
+
+@dataclass(frozen=True)
+class BodyFilter:
+    """A filter of bodies, as `stereophd.pipeline.tracking.loop` runs it."""
+
+    rig: Rig
+    motion: Motion
+    shape: EllipsoidSettings
+    settings: PmbSettings
+
+    def init(self) -> BodyState:
+        """Return the state before the first event: no bodies."""
+        none = np.empty(0, dtype=np.int64)
+        return BodyState(Hypotheses.none(), none, none, none.astype(np.bool_))
+
+    def step(self, state: BodyState, event: Event) -> tuple[BodyState, Info, Estimates]:
+        """Predict, update and report for one event."""
+        camera = self.rig.cameras[event.camera].at(event.time_s)
+        elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
+        state = self._predicted(state, event.time_s)
+        state, info = self._update(state, event, camera, elapsed)
+        return self._extract(state, info)
+
+    def forecast(self, state: BodyState, info: Info, time_s: float) -> tuple[Info, Estimates]:
+        """Predict the bodies of a state to a later time at which no camera reported."""
+        later = self._predicted(state, time_s)
+        faded = float(later.hypotheses.weights.sum()) / max(float(state.hypotheses.weights.sum()), 1e-300)
+        info = replace(info, log_likelihood=0.0, cardinality_mean=info.cardinality_mean * min(faded, 1.0))
+        return self._extract(later, info)[1:]
+
+    def _predicted(self, state: BodyState, time_s: float) -> BodyState:
+        """Let bodies move and survive; those outside every view or the region fade with `out_of_view_s`."""
+        hypotheses = state.hypotheses
+        elapsed = 0.0 if state.time_s is None else max(time_s - state.time_s, 0.0)
+        if not len(hypotheses.weights) or elapsed == 0.0:
+            return replace(state, time_s=time_s)
+        means, covariances = predict_bodies(hypotheses.means, hypotheses.covariances, elapsed, self.motion, self.shape)
+        weights = hypotheses.weights * self.settings.survival_per_s**elapsed
+        weights = np.where(self._is_in_reach(means, time_s), weights, weights * self._fading(elapsed))
+        return replace(state, hypotheses=Hypotheses(hypotheses.owners, weights, means, covariances), time_s=time_s)
+
+    def _fading(self, elapsed: float) -> float:
+        return math.exp(-elapsed / self.settings.out_of_view_s)
+
+    def _is_in_reach(self, states: Array, time_s: float) -> Booleans:
+        """Which bodies (n,) are in the view of some camera, and touch the box of the region."""
+        up = self.shape.direction
+        seen = np.zeros(len(states), dtype=np.bool_)
+        for camera in self.rig.cameras:
+            rest = np.flatnonzero(~seen)
+            if not len(rest):
+                break
+            frozen = camera.at(time_s)
+            seen[rest] = share_in_image(outline_boxes(states[rest], frozen, up)[0], frozen) > 0.0
+        if self.rig.region is None:
+            return seen
+        limits, reach = self.rig.region[:6].reshape(3, 2), half_extents(states, up)
+        places = states[:, POSITION]
+        return seen & ((places + reach >= limits[:, 0]) & (places - reach <= limits[:, 1])).all(axis=1)
+
+    def _update(self, state: BodyState, event: Event, camera: Camera, elapsed: float) -> tuple[BodyState, Info]:
+        """Update with the boxes of an event (Williams 2015, section IV), then reduction."""
+        hypotheses, n_tracks = state.hypotheses, len(state.labels)
+        owners, weights = hypotheses.owners, hypotheses.weights
+        boxes = boxes_of(event, camera)
+        projected, slopes = outline_boxes(hypotheses.means, camera, self.shape.direction)
+        detection = self._detection_probabilities(hypotheses, projected, camera)
+        existence = np.bincount(owners, weights, n_tracks)
+        missed = weights * (1.0 - detection)
+        not_detected = 1.0 - existence + np.bincount(owners, missed, n_tracks)
+
+        detector, birth = camera.detector, self.settings.birth
+        known = float((weights * detection).sum())
+        burst = burst_of(event, known, birth)
+        births, undetected = expected_births(
+            state.undetected, birth, self._left[event.camera], elapsed, event, detector, burst, known
+        )
+        clutter = max(detector.clutter_per_frame, float(burst), 1e-12)
+        pairs = self._pairs(hypotheses, projected, slopes, boxes, camera)
+        with np.errstate(over="ignore"):
+            masses = weights[pairs.rows] * detection[pairs.rows] * np.exp(np.minimum(pairs.log_odds, 500.0)) / clutter
+        claimed = np.bincount(pairs.columns, masses, len(boxes)) > CLEARLY_CLAIMED
+        newborns, born = self._newborns(boxes, ~claimed, camera, births * detector.p_detect / clutter)
+
+        keys, inverse = np.unique(owners[pairs.rows] * max(len(boxes), 1) + pairs.columns, return_inverse=True)
+        tracks, columns = keys // max(len(boxes), 1), keys % max(len(boxes), 1)
+        shared = np.bincount(inverse, masses, len(keys))
+        odds = shared / (np.maximum(not_detected[tracks], 1e-12) * (1.0 + born[columns]))
+        taken, missing, unclaimed, log_evidence = association_marginals(tracks, columns, odds, n_tracks, len(boxes))
+
+        detected_weights = taken[inverse] * masses / np.maximum(shared[inverse], 1e-300)
+        missed_weights = missing[owners] * missed / np.maximum(not_detected[owners], 1e-12)
+        newborn_weights = unclaimed * born / (1.0 + born)
+        log_likelihood = (
+            -clutter - births * detector.p_detect + float(np.log(np.maximum(not_detected, 1e-300)).sum()) + log_evidence
+            + float((boxes.log_clutter + math.log(clutter) + np.log1p(born)).sum())
+        )  # fmt: skip
+
+        labels = np.concatenate([state.labels, state.next_label + np.arange(len(boxes))])
+        info = self._info(state.labels, labels, tracks, columns, taken, missing * (existence > 0), newborn_weights)
+        joined = self._joined(
+            hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights), n_tracks
+        )
+        reduced, kept = reduce_hypotheses(joined, len(labels), self.settings, self.shape.direction)
+        more = np.zeros(len(boxes), dtype=np.bool_)
+        identities = np.concatenate([state.track_ids, np.full(len(boxes), -1)])
+        state = replace(
+            state, hypotheses=reduced, labels=labels[kept], track_ids=identities[kept],
+            reported=np.concatenate([state.reported, more])[kept], next_label=state.next_label + len(boxes),
+            undetected=undetected,
+        )  # fmt: skip
+        return state, replace(
+            info, log_likelihood=log_likelihood, cardinality_mean=float(reduced.weights.sum()),
+            n_components=len(reduced.weights), burst=burst,
+        )  # fmt: skip
+
+    @cached_property
+    def _left(self) -> list[Array]:
+        """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
+        return list(np.ascontiguousarray(shares_left(self.rig.cameras, self.shape).T))
+
+    def _detection_probabilities(self, hypotheses: Hypotheses, projected: Array, camera: Camera) -> Array:
+        """Probabilities of detection (n,): less for what other bodies or the border of the image hide."""
+        probability = camera.detector.p_detect * np.minimum(share_in_image(projected, camera) / WHOLE_SHARE, 1.0)
+        if self.shape.hidden_loss == 0.0 or not len(probability):
+            return np.asarray(probability)
+        first = hypotheses.first()
+        existence = np.bincount(hypotheses.owners, hypotheses.weights).astype(np.float64)
+        hidden = hidden_shares(
+            projected[first], hypotheses.means[first], hypotheses.covariances[first], existence, camera
+        )
+        factor = 1.0 - self.shape.hidden_loss * hidden**self.shape.hidden_power
+        return np.asarray(probability * factor[hypotheses.owners])
+
+    def _pairs(self, hypotheses: Hypotheses, projected: Array, slopes: Array, boxes: Boxes, camera: Camera) -> Pairs:
+        """Return the hypotheses and boxes that the gates let pass."""
+        parts = np.asarray(camera.detector.box_noise)
+        carried = hypotheses.covariances @ slopes.swapaxes(1, 2)
+        spread = slopes @ carried
+        heights = projected[:, BOTTOM] - projected[:, TOP]
+        with np.errstate(invalid="ignore"):
+            widest = np.sqrt(spread[:, range(4), range(4)] + box_variances(heights, np.ones((len(heights), 4)), parts))
+            off = np.abs(boxes.values[None] - projected[:, None])
+            inside = (off <= GATE * widest[:, None]) | boxes.hidden[None]
+        rows, columns = np.nonzero(inside.all(axis=2) & np.isfinite(heights)[:, None])
+        selections = boxes.selections[columns]
+        noise = box_variances(heights[rows], boxes.scales[columns], parts)
+        full = spread[rows]
+        full[:, range(4), range(4)] += noise
+        innovation = selections @ full @ selections.swapaxes(1, 2)
+        innovation[:, range(4), range(4)] += boxes.hidden[columns]
+        inverses = np.linalg.inv(innovation)
+        residuals = np.einsum("kij,kj->ki", selections, boxes.values[columns] - projected[rows])
+        squared = np.einsum("ki,kij,kj->k", residuals, inverses, residuals)
+        observed = 4 - boxes.hidden[columns].sum(axis=1)
+        log_odds = (
+            -0.5 * (squared + np.linalg.slogdet(innovation)[1] + observed * math.log(2.0 * math.pi))
+            - boxes.log_clutter[columns]
+        )
+        gains = carried[rows] @ selections.swapaxes(1, 2) @ inverses
+        near = squared < GATE_SQUARED
+        projections = selections @ slopes[rows]
+        return Pairs(rows[near], columns[near], log_odds[near], gains[near], residuals[near], projections[near])
+
+    def _newborns(self, boxes: Boxes, free: Booleans, camera: Camera, rate: float) -> tuple[Newborns, Array]:
+        """Return the bodies that the boxes may have given birth to, and their odds against clutter (m,)."""
+        size, chosen = len(boxes), np.flatnonzero(free & (rate > 0.0))
+        out = Newborns(np.zeros((size, STATE_SIZE)), np.tile(np.eye(STATE_SIZE), (size, 1, 1)), np.full(size, -np.inf))
+        if len(chosen):
+            found = newborn_bodies(
+                boxes.take(chosen), camera, self.shape, self.settings.birth.velocity_std, self.rig.region
+            )
+            for whole, part in zip((out.states, out.covariances, out.log_densities), vars(found).values(), strict=True):
+                whole[chosen] = part
+        odds = rate * np.exp(np.minimum(out.log_densities - boxes.log_clutter, 500.0))
+        return out, odds
+
+    def _joined(
+        self,
+        hypotheses: Hypotheses,
+        pairs: Pairs,
+        newborns: Newborns,
+        weights: tuple[Array, Array, Array],
+        n_tracks: int,
+    ) -> Hypotheses:
+        """Return the hypotheses after an event: missed, updated by a box each, and newborn."""
+        means = hypotheses.means[pairs.rows] + np.einsum("kij,kj->ki", pairs.gains, pairs.residuals)
+        covariances = hypotheses.covariances[pairs.rows]
+        covariances = covariances - pairs.gains @ (pairs.projections @ covariances)
+        covariances = (covariances + covariances.swapaxes(1, 2)) / 2.0
+        return Hypotheses(
+            np.concatenate(
+                [hypotheses.owners, hypotheses.owners[pairs.rows], n_tracks + np.arange(len(newborns.states))]
+            ),
+            np.concatenate(weights),
+            np.concatenate([hypotheses.means, means, newborns.states]),
+            np.concatenate([hypotheses.covariances, covariances, newborns.covariances]),
+        )
+
+    @staticmethod
+    def _info(
+        known: Integers,
+        labels: Integers,
+        tracks: Integers,
+        columns: Integers,
+        taken: Array,
+        missed: Array,
+        newborn: Array,
+    ) -> Info:
+        """Return which labels an event detected, and which boxes they claim; see `multi.association.attribution`."""
+        new = np.arange(len(newborn))
+        claims = Claims(
+            np.concatenate([labels[tracks], labels[len(known) :]]),
+            np.concatenate([columns, new]),
+            np.concatenate([taken, newborn]),
+        )
+        total = np.bincount(tracks, taken, len(known))
+        seen = np.flatnonzero(total > missed)
+        detected = np.concatenate([known[seen], labels[len(known) :][newborn > 0.0]])
+        return Info(0.0, 0.0, 0, detected, claims)
+
+    def _extract(self, state: BodyState, info: Info) -> tuple[BodyState, Info, Estimates]:
+        """Report tracks by their existence, with hysteresis, and give identities in order of the first report."""
+        hypotheses, levels = state.hypotheses, self.settings.extraction
+        existence = np.bincount(hypotheses.owners, hypotheses.weights, len(state.labels)).astype(np.float64)
+        shown = existence >= np.where(state.reported, levels.release, levels.confirm)
+        listed = shown | (existence >= levels.tentative)
+        identities = state.track_ids.copy()
+        new = np.flatnonzero(listed & (identities < 0))
+        identities[new] = state.next_track + np.arange(len(new))
+        state = replace(state, track_ids=identities, reported=shown, next_track=state.next_track + len(new))
+        chosen = np.flatnonzero(listed)
+        order = chosen[np.lexsort((identities[chosen], ~shown[chosen]))]
+        first = hypotheses.first()[order]
+        means, covariances = hypotheses.means[first], hypotheses.covariances[first]
+        extents = 2.0 * np.exp(means[:, LOG_AXES])
+        spread = extents * np.sqrt(covariances[:, range(6, 8), range(6, 8)])
+        estimates = Estimates(
+            identities[order], means[:, :6], covariances[:, :6, :6], existence[order], state.labels[order],
+            extents=np.column_stack([extents, spread]),
+        )  # fmt: skip
+        confirmed = int(shown[chosen].sum())
+        return state, info, estimates if confirmed == len(order) else estimates.divided(confirmed)

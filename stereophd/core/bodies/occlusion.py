@@ -1,0 +1,83 @@
+"""Bodies that hide one another in an image, and that exclude one another in space."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import ndtr
+
+from stereophd.core.arrays import Array
+from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, TOP, WIDTH, U
+from stereophd.core.geometry.camera import Camera
+
+# Two bodies do not come closer, across the vertical, than this share of the sum of their half widths.
+CLOSEST = 0.5
+
+
+def hidden_shares(boxes: Array, states: Array, covariances: Array, existence: Array, camera: Camera) -> Array:
+    """Return the share (n,) of the box of each body that nearer bodies are expected to hide.
+
+    Each other body hides the part of the box that both share, with the probability that it exists and is nearer.
+
+    Parameters
+    ----------
+    boxes : array (n, 4)
+        As `stereophd.core.bodies.outline.outline_boxes` returns them.
+    states, covariances : arrays (n, 8), (n, 8, 8)
+    existence : array (n,)
+    camera : Camera
+        At the time of the states.
+    """
+    half = boxes[:, WIDTH] / 2.0
+    across = _overlaps(boxes[:, U] - half, boxes[:, U] + half)
+    down = _overlaps(boxes[:, TOP], boxes[:, BOTTOM])
+    area = np.maximum(boxes[:, WIDTH] * (boxes[:, BOTTOM] - boxes[:, TOP]), 1e-9)
+    forward = camera.pose.rotation[2]
+    depths = states[:, POSITION] @ forward
+    variances = np.maximum(forward @ covariances[:, POSITION, POSITION] @ forward, 1e-18)
+    nearer = ndtr((depths[:, None] - depths) / np.sqrt(variances[:, None] + variances))
+    share = existence * nearer * across * down / area[:, None]
+    np.fill_diagonal(share, 0.0)
+    return np.asarray(1.0 - np.prod(1.0 - np.clip(np.nan_to_num(share), 0.0, 1.0), axis=1))
+
+
+def _overlaps(low: Array, high: Array) -> Array:
+    """Lengths (n, n) that intervals share."""
+    return np.asarray(np.maximum(np.minimum(high[:, None], high) - np.maximum(low[:, None], low), 0.0))
+
+
+def exclusive_existence(existence: Array, states: Array, covariances: Array, up: Array) -> Array:
+    """Return the probabilities of existence (n,) of bodies of which no two can be in one place.
+
+    Of a pair whose axes are closer than `CLOSEST` allows with probability 1 - q, both exist with a probability reduced
+    by the factor q. Each body in turn, the least probable first, takes what that leaves of it and of the other one.
+
+    Parameters
+    ----------
+    existence : array (n,)
+    states, covariances : arrays (n, 8), (n, 8, 8)
+    up : array (3,)
+    """
+    if len(existence) < 2:
+        return existence
+    level = np.eye(3) - np.outer(up, up)
+    places = states[:, POSITION] @ level
+    closest = np.exp(states[:, LOG_AXES.stop - 1])
+    apart = places[:, None] - places
+    distance = np.linalg.norm(apart, axis=2)
+    limit = CLOSEST * (closest[:, None] + closest)
+    # the vertical extents must meet too: bodies may pass above each other
+    heights, tall = states[:, POSITION] @ up, np.exp(states[:, LOG_AXES.start])
+    meets = np.abs(heights[:, None] - heights) < tall[:, None] + tall
+    near = np.triu(meets & (distance < 2.0 * limit), 1)
+    out = existence.copy()
+    pairs = np.argwhere(near)
+    order = np.argsort(np.minimum(out[pairs[:, 0]], out[pairs[:, 1]]), kind="stable")
+    for i, j in pairs[order]:
+        spread = level @ (covariances[i, POSITION, POSITION] + covariances[j, POSITION, POSITION]) @ level
+        std = np.sqrt(max(float(np.trace(spread)) / 2.0, 1e-18))
+        q = float(ndtr((distance[i, j] - limit[i, j]) / std))
+        first, second = out[i], out[j]
+        whole = 1.0 - first * second * (1.0 - q)
+        out[i] = first * (1.0 - second * (1.0 - q)) / whole
+        out[j] = second * (1.0 - first * (1.0 - q)) / whole
+    return out

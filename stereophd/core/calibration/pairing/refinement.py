@@ -1,0 +1,160 @@
+"""Cameras moved to where paired tracks meet: pairing and linear fits in turns, with a tolerance that falls.
+
+A fit is a Gauss-Newton step over the values that matter for pairing, with the prior and Cauchy weights, of the epipolar
+distances of the chosen pairs (`stereophd.core.two_views.epipolar`), linearised about the present cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.calibration.pairing.choice import Pairing, choose_pairs, pair_gains
+from stereophd.core.calibration.pairing.meeting import behind
+from stereophd.core.calibration.pairing.track_pairs import TrackPairs
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.quantities.base import MOVES
+from stereophd.core.two_views.epipolar import ray_distances
+
+# Tolerances in units of the noise of the distance, step by step.
+TOLERANCES = (20.0, 10.0, 5.0, 2.5)
+# Step of the numerical derivative, in prior standard deviations.
+DERIVATIVE_STEP = 1e-4
+# Reweighted steps of a linear fit, and choices of pairs, each with a fit, at every tolerance.
+STEPS, CHOICES = 3, 2
+# Two starts that come so near each other, in prior standard deviations, end at the same cameras.
+MERGED = 0.05
+
+
+def slopes_of(
+    parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers, columns: Integers
+) -> tuple[Array, Array]:
+    """Distances (r,) of rows at values (m,), and their derivatives (r, c) in prior standard deviations of some values.
+
+    Numerical derivatives; where a value only moves a camera, the rays in its axes are kept.
+    """
+    std, cameras = parameters.prior_std, parameters.build(values)
+    rays, sigma = pairs.rays_of(cameras, rows), pairs.sigma[rows]
+    distances = ray_distances(cameras, rays, sigma)
+    jacobian = np.zeros((len(rows), len(columns)))
+    names = np.array([camera.name for camera in cameras])[rays.cameras]
+    for column, k in enumerate(columns.tolist()):
+        shifted, parameter = values.copy(), parameters.parameters[k]
+        shifted[k] += DERIVATIVE_STEP * std[k]
+        affected = np.flatnonzero(np.isin(names, parameter.cameras).any(axis=1))
+        moved = parameters.rebuilt(cameras, shifted, k)
+        is_same = parameter.quantity.affects == MOVES
+        moved_rays = rays.take(affected) if is_same else pairs.rays_of(moved, rows[affected])
+        changed = ray_distances(moved, moved_rays, sigma[affected])
+        jacobian[affected, column] = (changed - distances[affected]) / DERIVATIVE_STEP
+    return distances, jacobian
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Distances of rows of the pairs, linear in some of the values about the values of a start."""
+
+    parameters: ParameterSet
+    pairs: TrackPairs
+    values: Array  # (m,): where it was linearised
+    columns: Integers  # (c,) of int: the values that matter
+    offsets: Array  # (c,): those of `values`, in prior standard deviations from the prior mean
+    rows: Integers  # (r,) of int
+    distances: Array  # (r,): zero where missing
+    jacobian: Array  # (r, c): zero where missing
+    missing: Booleans  # (r,)
+
+    @staticmethod
+    def at(
+        parameters: ParameterSet, pairs: TrackPairs, values: Array, columns: Integers, rows: Integers | None = None
+    ) -> Linear:
+        """Linearise the distances of some rows, by default all, about values (m,)."""
+        rows = np.arange(len(pairs.pair)) if rows is None else rows
+        distances, jacobian = slopes_of(parameters, pairs, values, rows, columns)
+        missing = ~(np.isfinite(distances) & np.isfinite(jacobian).all(axis=1))
+        distances, jacobian = np.where(missing, 0.0, distances), np.where(missing[:, None], 0.0, jacobian)
+        offsets = ((values - parameters.prior_mean) / parameters.prior_std)[columns]
+        return Linear(parameters, pairs, values, columns, offsets, rows, distances, jacobian, missing)
+
+    def take(self, places: Integers) -> Linear:
+        """Return some of the rows."""
+        return Linear(
+            self.parameters, self.pairs, self.values, self.columns, self.offsets, self.rows[places],
+            self.distances[places], self.jacobian[places], self.missing[places],
+        )  # fmt: skip
+
+    def distances_at(self, offsets: Array) -> Array:
+        """Distances (r,) at offsets (c,); NaN where missing."""
+        return np.where(self.missing, np.nan, self.distances + self.jacobian @ (offsets - self.offsets))
+
+    def fitted(self, tolerance: float, offsets: Array) -> Array:
+        """Offsets at which the rows meet, with the prior and Cauchy weights, from those of a start."""
+        jacobian = self.jacobian / tolerance
+        for _ in range(STEPS):
+            distances = self.distances / tolerance + jacobian @ (offsets - self.offsets)
+            weights = 1.0 / (1.0 + distances**2)
+            matrix = jacobian.T @ (weights[:, None] * jacobian) + np.eye(len(offsets))
+            offsets = offsets - np.linalg.solve(matrix, jacobian.T @ (weights * distances) + offsets)
+        return offsets
+
+    def values_of(self, offsets: Array) -> Array:
+        """Values (m,) of offsets (c,)."""
+        values = self.values.copy()
+        parameters, columns = self.parameters, self.columns
+        values[columns] = parameters.prior_mean[columns] + offsets * parameters.prior_std[columns]
+        return values
+
+
+def gains_at(parameters: ParameterSet, pairs: TrackPairs, values: Array, tolerance: float) -> Array:
+    """Gain (p,) of every pair by the cameras of values (m,)."""
+    cameras = parameters.build(values)
+    rays = pairs.rays if pairs.is_fixed else pairs.rays_of(cameras, np.arange(len(pairs.pair)))
+    return pair_gains(pairs, ray_distances(cameras, rays, pairs.sigma), tolerance)
+
+
+def settled(
+    parameters: ParameterSet, pairs: TrackPairs, starts: Sequence[Array], columns: Integers, tolerances: Sequence[float]
+) -> list[Array]:
+    """Pair and fit in turns from each of several values (m,), with a tolerance that falls.
+
+    A start under which nothing pairs ends, and so does one that comes near another.
+    """
+    for tolerance in tolerances:
+        passed: list[Array] = []
+        for values in starts:
+            fitted = _at_tolerance(parameters, pairs, values, columns, tolerance)
+            if fitted is not None and not any(
+                float((np.abs(fitted - other) / parameters.prior_std).max()) < MERGED for other in passed
+            ):
+                passed.append(fitted)
+        starts = passed
+    return list(starts)
+
+
+def _at_tolerance(
+    parameters: ParameterSet, pairs: TrackPairs, values: Array, columns: Integers, tolerance: float
+) -> Array | None:
+    """Values after choices of pairs and fits at one tolerance; None where nothing pairs."""
+    for _ in range(CHOICES):
+        chosen, _ = choose_pairs(pairs, gains_at(parameters, pairs, values, tolerance))
+        if not len(chosen):
+            return None
+        linear = Linear.at(parameters, pairs, values, columns, pairs.rows_of(chosen))
+        values = linear.values_of(linear.fitted(tolerance, linear.offsets))
+    return values
+
+
+def judged(parameters: ParameterSet, pairs: TrackPairs, values: Array, tolerance: float) -> Pairing:
+    """Pair at values (m,), without pairs whose rays meet behind a camera."""
+    gains = np.where(behind(parameters, pairs, values), 0.0, gains_at(parameters, pairs, values, tolerance))
+    chosen, total = choose_pairs(pairs, gains)
+    return Pairing(values, chosen, less_prior(parameters, values, total))
+
+
+def less_prior(parameters: ParameterSet, values: Array, total: float) -> float:
+    """Gain less the squared distance of values (m,) from the prior mean, in its standard deviations."""
+    offset = (values - parameters.prior_mean) / parameters.prior_std
+    return total - float(offset @ offset)

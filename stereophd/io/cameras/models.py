@@ -1,0 +1,187 @@
+"""Cameras in a configuration: intrinsics, pose, lens, detector, clock; and the file that holds nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Any, Literal
+
+from annotated_types import Interval
+from pydantic import BeforeValidator, Field, ValidationInfo
+
+from stereophd.core.geometry.camera import BOX_NOISE, Camera, Clock, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.lenses import lens_models
+from stereophd.core.geometry.lenses.none import NoDistortion
+from stereophd.core.settings import (
+    FINITE,
+    LARGEST_SIGMA_PX,
+    SMALLEST_SIGMA_PX,
+    Pixel,
+    PositiveFraction,
+    PositivePixels,
+    Rate,
+    Time,
+    parameter,
+)
+from stereophd.io.cameras.poses import PoseConfig
+from stereophd.validated import Model, OneOf, Units
+
+ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
+Sigma = Annotated[float, Interval(ge=SMALLEST_SIGMA_PX, le=LARGEST_SIGMA_PX), FINITE]
+ClutterRate = Annotated[float, Interval(ge=0, le=1e6), FINITE]
+# Logs whose times are nanoseconds have a rate of 1e-9.
+ClockRate = Annotated[float, Interval(ge=1e-12, le=1e12), FINITE]
+Readout = Annotated[float, Interval(ge=-1e3, le=1e3), FINITE]
+
+
+class IntrinsicsConfig(Model):
+    """Pinhole intrinsics in pixels."""
+
+    fx: PositivePixels = parameter("focal length along u", unit="px")
+    fy: PositivePixels = parameter("focal length along v", unit="px")
+    cx: Pixel = parameter("principal point along u, from the centre of the top-left pixel", unit="px")
+    cy: Pixel = parameter("principal point along v, from the centre of the top-left pixel", unit="px")
+
+
+class UnknownFocalConfig(Model):
+    """Intrinsics of which nothing is known: the focal length starts at the width of the image."""
+
+    focal: Literal["unknown"] = parameter("the focal length is unknown: calibrate with a wide focal_std")
+    cx: Pixel | None = parameter("principal point along u; default: the middle of the image", default=None, unit="px")
+    cy: Pixel | None = parameter("principal point along v; default: the middle of the image", default=None, unit="px")
+
+
+def _parse_intrinsics(value: Any, info: ValidationInfo) -> Any:
+    """Turn an unknown focal length into intrinsics to start from."""
+    size = info.data.get("image_size_px")
+    if not isinstance(value, dict) or "focal" not in value or size is None:
+        return value
+    given = UnknownFocalConfig.model_validate(value)
+    width, height = size
+    return {
+        "fx": float(width),
+        "fy": float(width),
+        "cx": 0.5 * (width - 1.0) if given.cx is None else given.cx,
+        "cy": 0.5 * (height - 1.0) if given.cy is None else given.cy,
+    }
+
+
+class DetectorConfig(Model):
+    """The detector of a camera: noise, misses and false detections."""
+
+    sigma_px: tuple[Sigma, Sigma] = parameter(
+        "standard deviation of a detection along u and v",
+        unit="px",
+        advice="the spread of detections of an object that stands still. Errors of lens and pose count as noise.",
+    )
+    p_detect: PositiveFraction = parameter(
+        "probability that an object in view is detected",
+        advice="the share of frames in which an object in view is detected.",
+    )
+    clutter_per_frame: ClutterRate = parameter(
+        "mean number of false detections a frame, uniform in the image",
+        advice="false detections divided by frames; do not write 0 unless there are none.",
+    )
+    box_noise: tuple[PositiveFraction, PositiveFraction, PositiveFraction, PositiveFraction] | None = parameter(
+        "standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height, "
+        f"beside 3 px; default: {', '.join(f'{part:g}' for part in BOX_NOISE)}",
+        default=None,
+        advice="measured for detectors of people; only where object.shape is ellipsoid, in place of sigma_px.",
+    )
+    estimate: bool = parameter(
+        "estimate these from the log, starting from the values given (track); see also detector", default=False
+    )
+
+
+# Where `detector: estimate` starts without values of its own: rather too noisy than too sure, so that the
+# first pass loses no track.
+UNKNOWN_DETECTOR = {"sigma_px": (3.0, 3.0), "p_detect": 0.9, "clutter_per_frame": 1.0, "estimate": True}
+
+
+def _parse_detector(value: Any) -> Any:
+    """Turn the short form ``estimate`` into values to start from."""
+    if value == "estimate":
+        return UNKNOWN_DETECTOR
+    if isinstance(value, str):
+        raise ValueError(f"expected estimate or sigma_px, p_detect and clutter_per_frame, found {value}")
+    if isinstance(value, dict):
+        # behind a validator of our own pydantic no longer knows that lists are JSON's tuples
+        return {**value, **{name: tuple(given) for name, given in value.items() if isinstance(given, list)}}
+    return value
+
+
+def _lenses() -> dict[str, Any]:
+    return {name: model.settings for name, model in lens_models().items()}
+
+
+Distortion = Annotated[Any, OneOf(_lenses, "model")]
+
+
+class ClockConfig(Model):
+    """Clock of a camera: true time = offset_s + rate * time in the log."""
+
+    offset_s: Time = parameter("true time at time 0 of the log", default=0.0, unit="s")
+    rate: ClockRate = parameter("true seconds in a second of the log", default=1.0)
+
+
+class CameraConfig(Model):
+    """One camera, as in ``cameras.yaml``."""
+
+    image_size_px: tuple[ImageSize, ImageSize] = parameter("width and height", unit="px")
+    intrinsics: Annotated[
+        IntrinsicsConfig,
+        BeforeValidator(_parse_intrinsics, json_schema_input_type=IntrinsicsConfig | UnknownFocalConfig),
+    ] = parameter("pinhole intrinsics; focal: unknown starts at the width of the image (calibrate)", unit="px")
+    pose: PoseConfig = parameter("where the camera stands and looks")
+    detector: Annotated[
+        DetectorConfig,
+        BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
+    ] = parameter("what its detector does, or estimate: all of it is estimated from the log (track)")
+    distortion: Distortion = parameter("the distortion of the lens", default_factory=NoDistortion)
+    frame_rate_hz: Rate | None = parameter(
+        "frames per second (simulate)",
+        default=None,
+        unit="Hz",
+        advice="needed by simulate only; logs carry their times.",
+    )
+    phase_s: Time = parameter("time of the first frame after the start (simulate)", default=0.0, unit="s")
+    clock: ClockConfig = parameter("how the times of the log become true times", default_factory=ClockConfig)
+    readout_s: Readout = parameter(
+        "rolling shutter: a detection in row v was made readout_s * v / height after the time of its frame, s; "
+        "negative: read from the bottom up",
+        default=0.0,
+        advice="0 for a global shutter; for a rolling shutter at most the time between two frames.",
+    )
+
+    def build(self, name: str) -> Camera:
+        """Return the geometric `Camera` of this name."""
+        values = asdict(self.distortion)
+        model = values.pop("model")
+        return Camera(
+            name=name,
+            width=self.image_size_px[0],
+            height=self.image_size_px[1],
+            fx=self.intrinsics.fx,
+            fy=self.intrinsics.fy,
+            cx=self.intrinsics.cx,
+            cy=self.intrinsics.cy,
+            pose=self.pose.build(),
+            lens=Lens(model, **values),
+            detector=Detector(
+                sigma=self.detector.sigma_px,
+                p_detect=self.detector.p_detect,
+                clutter_per_frame=self.detector.clutter_per_frame,
+                box_noise=self.detector.box_noise or BOX_NOISE,
+            ),
+            frame_rate_hz=self.frame_rate_hz,
+            phase_s=self.phase_s,
+            clock=Clock(self.clock.offset_s, self.clock.rate),
+            readout_s=self.readout_s,
+        )
+
+
+class CamerasFile(Model):
+    """A ``cameras.yaml`` file: the cameras, and the unit that their centres are in."""
+
+    units: Units
+    cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)]

@@ -1,0 +1,134 @@
+"""Poses of cameras in a configuration: fixed, moving, or along the known trajectory of a body."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from annotated_types import Interval
+from pydantic import AfterValidator, field_validator, model_validator
+
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
+from stereophd.core.settings import FINITE, Degrees, DegreesPerSecond, Time, Vector3, parameter
+from stereophd.io.tables.trajectories import read_trajectory, unpack_poses
+from stereophd.validated import Model
+
+Entry = Annotated[float, Interval(ge=-2, le=2), FINITE]
+Row = tuple[Entry, Entry, Entry]
+
+# A rotation matrix typed by hand with six digits passes; a reflection or a scaled matrix does not.
+ROTATION_TOLERANCE = 1e-5
+
+
+def _check_rotation(rows: Any) -> Any:
+    """Refuse a matrix that is no rotation."""
+    if rows is not None:
+        matrix = np.asarray(rows, dtype=float)
+        defect = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+        if defect > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+            raise ValueError(
+                "expected a rotation matrix (orthonormal rows, determinant +1), found "
+                f"|R R^T - I| up to {defect:.3g} and determinant {np.linalg.det(matrix):.6g}"
+            )
+    return rows
+
+
+RotationMatrix = Annotated[tuple[Row, Row, Row], AfterValidator(_check_rotation)]
+RotationVector = tuple[Degrees, Degrees, Degrees]
+
+
+def _rotation(matrix: RotationMatrix | None, vector_deg: RotationVector | None) -> Any:
+    """Return the rotation matrix of either form; without both, the identity."""
+    if matrix is not None:
+        return np.asarray(matrix, dtype=float)
+    return rotation_from_vector(np.deg2rad(vector_deg or (0.0, 0.0, 0.0)))
+
+
+class MountConfig(Model):
+    """How a body carries a camera (hand-eye): x_camera = rotation @ (x_body - center)."""
+
+    center: Vector3 = parameter("optical centre in the body's axes", default=(0.0, 0.0, 0.0), unit="length")
+    rotation_matrix: RotationMatrix | None = parameter("rows of the rotation from body to camera axes", default=None)
+    rotation_vector_deg: RotationVector | None = parameter(
+        "the same rotation as axis times angle", default=None, unit="degrees"
+    )
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> MountConfig:
+        if self.rotation_matrix is not None and self.rotation_vector_deg is not None:
+            raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both")
+        return self
+
+
+class TrajectoryConfig(Model):
+    """A trajectory that was read from its file, as outputs keep it."""
+
+    file: str = parameter("name of the file that it was read from")
+    poses: str = parameter("its poses, packed")
+
+    @field_validator("poses")
+    @classmethod
+    def _unpacks(cls, text: str) -> str:
+        unpack_poses(text)
+        return text
+
+    def build(self) -> BodyTrajectory:
+        """Return the `BodyTrajectory`."""
+        return unpack_poses(self.poses)
+
+
+class PoseConfig(Model):
+    """Pose of a camera: x_camera = rotation @ (x_world - center)."""
+
+    center: Vector3 | None = parameter(
+        "optical centre in the world; required without trajectory", default=None, unit="length"
+    )
+    rotation_matrix: RotationMatrix | None = parameter("rows of the rotation from world to camera axes", default=None)
+    rotation_vector_deg: RotationVector | None = parameter(
+        "the same rotation as axis times angle", default=None, unit="degrees"
+    )
+    velocity: Vector3 = parameter("velocity of the centre in the world", default=(0.0, 0.0, 0.0), unit="length/s")
+    rotation_rate_deg_s: tuple[DegreesPerSecond, DegreesPerSecond, DegreesPerSecond] = parameter(
+        "angular velocity about the camera's own axes", default=(0.0, 0.0, 0.0), unit="deg/s"
+    )
+    time_s: Time = parameter("time at which center and rotation hold, for a moving camera", default=0.0, unit="s")
+    trajectory: str | TrajectoryConfig | None = parameter(
+        "file of the known poses of a body that carries the camera, in place of all of the above: a table time_s, x, "
+        "y, z, qw, qx, qy, qz or TUM text, on true time; a path is relative to the file that names it",
+        default=None,
+    )
+    mount: MountConfig | None = parameter("how that body carries the camera; default: they are one", default=None)
+
+    @model_validator(mode="after")
+    def _one_form(self) -> PoseConfig:
+        if self.rotation_matrix is not None and self.rotation_vector_deg is not None:
+            raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both")
+        if self.trajectory is None:
+            if self.center is None:
+                raise ValueError("expected center or trajectory, found neither")
+            if self.mount is not None:
+                raise ValueError("mount: expected a trajectory of the body that carries the camera, found none")
+            return self
+        others = {"center", "rotation_matrix", "rotation_vector_deg", "velocity", "rotation_rate_deg_s", "time_s"}
+        defaults = {name: field.default for name, field in type(self).model_fields.items()}
+        if stated := [name for name in sorted(others) if getattr(self, name) != defaults[name]]:
+            raise ValueError(f"expected only mount besides trajectory, found {', '.join(stated)}")
+        return self
+
+    def build(self) -> Pose:
+        """Return the `Pose`; without a rotation the camera looks along the world's z axis."""
+        if self.trajectory is not None:
+            mount = self.mount or MountConfig()
+            file = self.trajectory
+            trajectory = read_trajectory(file) if isinstance(file, str) else file.build()
+            rotation = _rotation(mount.rotation_matrix, mount.rotation_vector_deg)
+            return Pose.following(MountedPath(trajectory, rotation, mount.center))
+        assert self.center is not None
+        return Pose(
+            rotation=_rotation(self.rotation_matrix, self.rotation_vector_deg),
+            center=np.asarray(self.center, dtype=float),
+            velocity=np.asarray(self.velocity, dtype=float),
+            rotation_rate=np.deg2rad(self.rotation_rate_deg_s),
+            time_s=self.time_s,
+        )

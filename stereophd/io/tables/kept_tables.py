@@ -1,0 +1,102 @@
+"""Tables whose rows another process can write again.
+
+The rows go to a growing file (`stereophd.io.outputs.saved`) as Arrow IPC streams, compressed with LZ4, in the order in
+which they go to the table. A process that continues replays them through a table of its own: the bytes are those of an
+undisturbed run, because the rows are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from stereophd.errors import InputError
+from stereophd.io.outputs.saved import GrowingFile
+from stereophd.io.tables.writing import TableWriter
+
+_OPTIONS = pa.ipc.IpcWriteOptions(compression="lz4")
+
+
+class KeptTable(TableWriter):
+    """A `TableWriter` that keeps its rows.
+
+    Parameters
+    ----------
+    path, schema, metadata, row_group_rows
+        As in `TableWriter`.
+    kept
+        Where the rows go, too.
+    earlier
+        Rows that `kept` holds already, as it holds them: they are written first.
+
+    Raises
+    ------
+    InputError
+        The file cannot be made, or the earlier rows are damaged.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        schema: pa.Schema,
+        metadata: Mapping[Any, Any] | None,
+        kept: GrowingFile,
+        earlier: Iterable[bytes] = (),
+        row_group_rows: int | None = None,
+    ) -> None:
+        super().__init__(path, schema, metadata, row_group_rows)
+        self._kept = kept
+        self._plain = schema.with_metadata(None)
+        # Rows that wait for the rest of their group and are converted already; all of them are kept.
+        self._waiting: pa.Table | None = None
+        try:
+            for content in earlier:
+                self._replay(content)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            self.abandon()
+            raise InputError(f"{kept.path}: expected rows of {self.path.name}, found something else") from error
+
+    def _replay(self, content: bytes) -> None:
+        with pa.ipc.open_stream(content) as stream:
+            table = stream.read_all()
+        table.validate(full=True)
+        if table.schema != self._plain:
+            raise ValueError("other columns")
+        self.rows += table.num_rows
+        self._buffered += table.num_rows
+        self._waiting = table if self._waiting is None else pa.concat_tables([self._waiting, table]).combine_chunks()
+        if self._buffered == self._row_group_rows:
+            group, self._waiting, self._buffered = self._waiting, None, 0
+            self._write(group.replace_schema_metadata(self.schema.metadata))
+
+    def keep(self) -> int:
+        """Bring all rows so far to the disk; return the number of bytes of the growing file that count then."""
+        if self._buffer:
+            waiting_rows = self._buffered
+            self._waiting = self._take()
+            self._buffered = waiting_rows
+        with self._named_errors():
+            return self._kept.flush()
+
+    def _take(self) -> pa.Table:
+        waiting, self._waiting = self._waiting, None
+        if not self._buffer:
+            self._buffered = 0
+            return waiting
+        table = super()._take().replace_schema_metadata(None)
+        sink = pa.BufferOutputStream()
+        with pa.ipc.new_stream(sink, self._plain, options=_OPTIONS) as stream:
+            stream.write_table(table)
+        self._kept.append(sink.getvalue().to_pybytes())
+        if waiting is not None:
+            table = pa.concat_tables([waiting.replace_schema_metadata(None), table]).combine_chunks()
+        return table.replace_schema_metadata(self.schema.metadata)
+
+    def abandon(self) -> None:
+        """Close the files without caring for their content (after an error)."""
+        self._waiting = None
+        self._kept.close()
+        super().abandon()

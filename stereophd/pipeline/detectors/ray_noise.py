@@ -1,0 +1,218 @@
+"""Noise of the detectors from the rays alone: by how much the rays of one object miss each other.
+
+The signed distances of the detections of two cameras from meeting, in pixels, are those of one object (half-normal,
+with the noise of both cameras) or of two objects (as at other times, when the same rays meet by chance). The likelihood
+of this mixture over the noise of a pair needs neither a track, a depth nor a first guess, and holds from a tenth of a
+pixel to a hundred. At most one detection of the other camera is of the same object, which bounds the share of the first
+kind; without that bound any difference between the two densities would pass for objects of large noise.
+
+The likelihoods of all pairs are joined in the noise of the cameras. A prior says what detectors are like: log-normal,
+90 % between 0.3 and 10 px, and the cameras of one log resemble each other. A camera with little data takes its value
+from the others, and without any data the answer is the prior's median.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.pipeline.checks.geometry.measure import pairs_of
+from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, candidates, distances, rays_of
+from stereophd.pipeline.checks.log.sample import CameraSample
+
+# The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
+USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.07, 0.4
+# Noises that are tried, px, and borders between classes of distances, px.
+NOISES = np.geomspace(0.03, 300.0, 90)
+BORDERS = np.concatenate([[0.0], np.geomspace(0.01, 10_000.0, 110)])
+# Detections of a pair that are examined at most.
+MOST_DETECTIONS = 2000
+# Rounds of the share of partners, and of the cameras in turn.
+SHARE_ROUNDS, CAMERA_ROUNDS, SETTLED = 40, 20, 1e-3
+# Detections that have a partner, at most.
+MOST_PARTNERS = 0.98
+# Distances of chance, number and share, below which their density counts as even.
+EVEN_COUNT, EVEN_SHARE = 50, 0.001
+# By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
+# directions. At other times alone the rays of objects that hardly move still meet.
+OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
+# Sizes of clusters of objects over that of the image: they have more chance neighbours than other places have.
+CLUSTERS = (0.15, 0.3)
+
+
+@dataclass(frozen=True)
+class RayNoise:
+    """Noise of the detectors of a log."""
+
+    sigma_px: Array  # (cameras,): posterior mean of its logarithm
+    relative_error: Array  # (cameras,): standard deviation of that logarithm
+    gain: float  # log-likelihood of partners over chance, all pairs together
+
+
+@dataclass(frozen=True)
+class _PairEvidence:
+    """What one pair of cameras says of the standard deviation of the distances between rays of one object."""
+
+    cameras: tuple[int, int]
+    shares: Array  # (2,): of that variance, by the squared noise of either camera
+    likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
+    gain: float
+
+    def of_camera(self, camera: int, logs: Array) -> Array:
+        """Return the log-likelihood (noises,) of the noise of one camera, with the logarithms of the others' noise."""
+        own = self.cameras.index(camera)
+        variance = self.shares[own] * NOISES**2 + self.shares[1 - own] * np.exp(2.0 * logs[self.cameras[1 - own]])
+        return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
+
+    def of_all(self) -> Array:
+        """Return the log-likelihood (noises,) of a noise that both cameras have."""
+        variance = self.shares.sum() * NOISES**2
+        return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
+
+
+def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
+    """Return the noise of every camera, from how its rays miss those of the others, and the prior.
+
+    Parameters
+    ----------
+    samples : sequence of CameraSample
+        Frames of every camera; the stated detectors are not used.
+    """
+    unit = [replace(sample, camera=with_noise(sample.camera, 1.0)) for sample in samples]
+    evidence = [pair for a, b in pairs_of(len(unit)) if (pair := _evidence(unit, a, b)) is not None]
+    usual = float(np.log(USUAL_NOISE_PX))
+    start = sum((pair.of_all() for pair in evidence), _prior(usual, NOISE_SPREAD))
+    values = np.full(len(samples), _posterior(start)[0])
+    spreads = np.full(len(samples), NOISE_SPREAD)
+    for _ in range(CAMERA_ROUNDS):
+        before = values.copy()
+        for camera in range(len(samples)):
+            others = np.delete(values, camera)
+            precision = NOISE_SPREAD**-2 + len(others) * BETWEEN_CAMERAS**-2
+            mean = (usual * NOISE_SPREAD**-2 + others.sum() * BETWEEN_CAMERAS**-2) / precision
+            total = _prior(mean, float(np.sqrt(BETWEEN_CAMERAS**2 + 1.0 / precision)))
+            for pair in evidence:
+                if camera in pair.cameras:
+                    total = total + pair.of_camera(camera, values)
+            values[camera], spreads[camera] = _posterior(total)
+        if np.abs(values - before).max() < SETTLED:
+            break
+    return RayNoise(np.exp(values), spreads, sum(pair.gain for pair in evidence))
+
+
+def with_noise(camera: Camera, sigma_px: float) -> Camera:
+    """Return a camera with another noise of its detector, px."""
+    detector = camera.detector
+    return replace(camera, detector=Detector((sigma_px, sigma_px), detector.p_detect, detector.clutter_per_frame))
+
+
+def _prior(mean: float, spread: float) -> Array:
+    """Logarithm of a log-normal density at the noises that are tried."""
+    return np.asarray(-0.5 * ((np.log(NOISES) - mean) / spread) ** 2)
+
+
+def _posterior(total: Array) -> tuple[float, float]:
+    """Return the mean and the standard deviation of the logarithm of the noise."""
+    weights = np.exp(total - total.max())
+    weights /= weights.sum()
+    logs = np.log(NOISES)
+    mean = float(weights @ logs)
+    return mean, float(np.sqrt(weights @ (logs - mean) ** 2))
+
+
+def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | None:
+    """Return what a pair of cameras with a noise of 1 px says; None where they share no frames."""
+    pair = candidates(samples, a, b, MOST_DETECTIONS)
+    if pair is None:
+        return None
+    first, second = Reading(samples[a].camera), Reading(samples[b].camera)
+    known = rays_of(pair, first, second)
+    missed = distances(pair, first, second, known)[0][0]
+    elsewhere = replace(pair, pixels_a=_offset(pair.pixels_a, first.camera))
+    by_chance = distances(elsewhere, first, second, (None, known[1]))[0][1:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        by_a = distances(pair, first, Reading(with_noise(second.camera, 1e-6)), known)[0][0]
+        shares = (missed / by_a) ** 2
+    usable = np.isfinite(missed) & np.isfinite(shares)
+    if not usable.any():
+        return None
+    share_a = float(shares[usable].mean())
+    size = 0.5 * (max(first.camera.width, first.camera.height) + max(second.camera.width, second.camera.height))
+    likelihoods, gain = _mixture(_classes(missed), _classes(by_chance), len(pair.detections), size)
+    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * _kept(pair, samples[b])]), likelihoods, gain)
+
+
+def _kept(pair: Candidates, second: CameraSample) -> float:
+    """Return the share of B's noise that is left in its places at A's times: between frames they are means."""
+    interval = (np.searchsorted(second.times, pair.times, side="right") - 1).clip(0, len(second.times) - 2)
+    span = np.maximum(second.times[interval + 1] - second.times[interval], 1e-12)
+    weight = np.clip((pair.times - second.times[interval]) / span, 0.0, 1.0)
+    return float((weight**2 + (1.0 - weight) ** 2).mean())
+
+
+def _classes(missed: Array) -> Array:
+    """Return the numbers of distances between the borders."""
+    return np.histogram(missed[np.isfinite(missed)], BORDERS)[0].astype(np.float64)
+
+
+def _mixture(together: Array, apart: Array, count: int, size: float) -> tuple[Array, float]:
+    """Return the log-likelihood (noises,) of the noise of partners among distances, and what it gains.
+
+    Parameters
+    ----------
+    together, apart : arrays (classes,)
+        Numbers of distances at the same and at other times.
+    count : int
+        Detections that have at most one partner each.
+    size : float
+        Size of the images, px.
+    """
+    normal = _half_normal(NOISES)
+    others = np.stack([_background(apart), *_half_normal(np.array(CLUSTERS) * size)])
+    total = max(float(together.sum()), 1.0)
+    most = min(MOST_PARTNERS * count / total, 1.0 - 1e-6)
+    share = np.full((len(NOISES), 1), 0.5 * most)
+    mixed = np.tile((1.0 - share) / len(others), len(others))
+    for _ in range(SHARE_ROUNDS):
+        background = mixed @ others
+        part = together / (share * normal + background)
+        mixed = mixed * (part @ others.T)
+        share = np.minimum((part * share * normal).sum(axis=1, keepdims=True) / total, most)
+        mixed *= (1.0 - share) / mixed.sum(axis=1, keepdims=True)
+    likelihoods = (together * np.log(share * normal + mixed @ others)).sum(axis=1)
+    best = int(likelihoods.argmax())
+    partners = float(share[best, 0] * total)
+    return likelihoods - likelihoods[best], partners
+
+
+def _background(apart: Array) -> Array:
+    """Return the probability (classes,) of each class of distances of different objects.
+
+    It is even near 0, as far as it takes for enough distances.
+    """
+    widths = np.diff(BORDERS)
+    near = np.cumsum(apart) <= max(EVEN_COUNT, EVEN_SHARE * apart.sum())
+    smooth = np.where(near, apart[near].sum() * widths / max(float(widths[near].sum()), 1e-300), apart)
+    return np.asarray((smooth + widths / widths.sum()) / (smooth.sum() + 1.0))
+
+
+def _offset(pixels: Array, camera: Camera) -> Array:
+    """Return pixels (n, 2) moved to other places of the image, each in its own direction."""
+    angle = GOLDEN_ANGLE * np.arange(len(pixels))
+    size = np.array([camera.width, camera.height]) - 1.0
+    away = np.linspace(*OFFSETS, 7)[np.arange(len(pixels)) % 7]
+    moved = pixels + (away * np.array([np.cos(angle), np.sin(angle)])).T * size.max()
+    # reflected at the borders
+    return np.asarray(size - np.abs(size - np.abs(moved)))
+
+
+def _half_normal(spreads: Array) -> Array:
+    """Return the probability (s, classes) of each class of distances of these standard deviations (s,), px."""
+    from scipy.special import erf  # costly to import
+
+    below = erf(BORDERS / (np.sqrt(2.0) * spreads[:, None]))
+    return np.maximum(np.diff(below, axis=1), 1e-300)

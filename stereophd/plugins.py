@@ -1,0 +1,82 @@
+"""Kinds by name: the modules of a package, and those that other distributions add to it as entry points.
+
+A distribution adds a module to one of `GROUPS`, for example in its `pyproject.toml`::
+
+    [project.entry-points."stereophd.motion"]
+    spiral = "my_package.spiral"
+
+The module offers what a module of the package itself offers (`FORMAT`, `SETTINGS` or `LENS`).
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType, ModuleType
+
+from stereophd.errors import InputError
+
+# Package -> group of entry points.
+GROUPS = {
+    "stereophd.io.formats": "stereophd.formats",
+    "stereophd.core.bodies.shapes": "stereophd.shapes",
+    "stereophd.core.motion": "stereophd.motion",
+    "stereophd.core.multi.filter_settings": "stereophd.filters",
+    "stereophd.core.geometry.lenses": "stereophd.lenses",
+}
+
+
+@cache
+def module_names(package: str) -> Mapping[str, str]:
+    """Return the full names of the modules of a package and of its plug-ins, by word, sorted; imports none of them.
+
+    Parameters
+    ----------
+    package : str
+        Full name of the package; one that is no key of `GROUPS` takes no plug-ins.
+
+    Raises
+    ------
+    InputError
+        Two plug-ins have the same name, or one has that of a module of the package.
+    """
+    names = {info.name: f"{package}.{info.name}" for info in pkgutil.iter_modules(import_module(package).__path__)}
+    for entry in _entries(package):
+        if entry.name in names:
+            raise InputError(
+                f"{_described(entry)}: expected a name that is free, found {entry.name}, which is {names[entry.name]}"
+            )
+        names[entry.name] = entry.value
+    return MappingProxyType(dict(sorted(names.items())))
+
+
+def import_member(package: str, word: str) -> ModuleType:
+    """Import the module of a word of `module_names`.
+
+    Raises
+    ------
+    InputError
+        The module is a plug-in, and cannot be imported.
+    """
+    name = module_names(package)[word]
+    if name.startswith(f"{package}."):
+        return import_module(name)
+    try:
+        return import_module(name)
+    except Exception as error:
+        entry = next(entry for entry in _entries(package) if entry.name == word)
+        raise InputError(
+            f"{_described(entry)}: expected a module that can be imported, found {type(error).__name__}: {error}"
+        ) from error
+
+
+def _entries(package: str) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=GROUPS[package])) if package in GROUPS else ()
+
+
+def _described(entry: EntryPoint) -> str:
+    distribution = "" if entry.dist is None else f" of {entry.dist.name} {entry.dist.version}"
+    return f"plug-in {entry.group}: {entry.value}{distribution}"

@@ -1,0 +1,44 @@
+"""`stereophd demo`: the quickstart from inside the package, and the commands that its last lines print."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from stereophd.commands.demo import config_text
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def test_the_demo_and_what_it_prints_run(
+    call: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = call("demo", "my demo")
+    assert outcome.code == 0, outcome.err
+    assert outcome.out.startswith("5 tracks; median error ")
+    assert (tmp_path / "my demo" / "report.html").stat().st_size > 1e6
+    commands = [shlex.split(line) for line in outcome.out.splitlines() if line.startswith("  stereophd ")]
+    assert [words[1] for words in commands] == ["init", "track"]
+    for words in commands:
+        following = call(*words[1:])
+        assert following.code == 0, following.err
+    assert (tmp_path / "my demo" / "study" / "tracks" / "tracks.parquet").exists()
+
+
+def test_a_demo_is_replaced_only_by_force(call: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("mine")
+    outcome = call("demo", str(tmp_path))
+    assert outcome.code == 2
+    assert "config.yaml: the file exists; use --force to replace it" in outcome.err
+    assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
+
+
+def test_the_demo_has_the_configuration_of_the_quickstart() -> None:
+    assert yaml.safe_load(config_text()) == yaml.safe_load((CONFIGS / "quickstart.yaml").read_text())
+    assert "yaml-language-server" not in config_text()
