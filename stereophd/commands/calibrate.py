@@ -23,12 +23,8 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.filters import pmb_filter
-<<<<<<< HEAD
 from stereophd.pipeline.calibration.found_cameras import with_found_cameras
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
-=======
 from stereophd.pipeline.calibration.inputs import read_problem
->>>>>>> calib
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
@@ -135,13 +131,9 @@ def calibrate(
         held.enter_context(output_lock(out_dir))
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
-<<<<<<< HEAD
         outcome = unknown.outcome_of_none(problem) if unknown is not None else None
-        outcome = outcome or _outcome(loaded, section, problem, unfinished, jobs, progress)
+        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
         outcome = outcome if unknown is None else unknown.judged(problem, outcome)
-=======
-        outcome = _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
->>>>>>> calib
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
