@@ -35,7 +35,7 @@ from stereophd.cli import (
     track,
 )
 from stereophd.cli.flags import with_flags
-from stereophd.cli.options import Session
+from stereophd.cli.options import Command, Session
 from stereophd.errors import GateError, InputError, StereophdError
 
 EXIT_USAGE = 2
@@ -70,7 +70,7 @@ for _name, _command, _purpose in (
     ("experiment", experiment.experiment_command, "Compare methods over many runs of a scenario."),
     ("compile", compile.compile_command, "Compile the kernels ahead, for containers and CI jobs."),
 ):
-    app.command(_name, short_help=_purpose)(_command)
+    app.command(_name, cls=Command, short_help=_purpose)(_command)
 app.add_typer(config.app, name="config", help="Show or check a configuration, or print its JSON schema.")
 
 
@@ -194,7 +194,7 @@ def _explain_usage(error: Exception, session: Session) -> int:
         print(context.get_help(), file=sys.stderr)
         return EXIT_USAGE
     name = "stereophd" if context is None else context.command_path
-    message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+    message = error.format_message().rstrip(".").replace("Value error, ", "")  # type: ignore[attr-defined]
     message = f"{message} (see '{name} --help')"
     _report_error(f"error: {message}", "usage", EXIT_USAGE, session, message)
     return EXIT_USAGE

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 
 @dataclass
@@ -19,6 +20,18 @@ class Session:
     verbosity: int = 0
     debug: bool = False
     printed: bool = False  # whether the one document of `json` is on stdout
+
+
+class Command(typer.core.TyperCommand):
+    """A command whose help names arguments by their words alone, without the types of Python."""
+
+    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]
+        """Return arguments and options."""
+        parameters = super().get_params(ctx)
+        for parameter in parameters:
+            if parameter.param_type_name == "argument":
+                vars(parameter)["display_type_rich"] = lambda ctx: None
+        return parameters
 
 
 def option(name: str, metavar: str, text: str, **more: Any) -> Any:
@@ -41,7 +54,7 @@ Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG...", help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'.", show_default=False
+        metavar="LOG", help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'.", show_default=False
     ),
 ]
 Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
