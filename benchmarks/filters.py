@@ -156,7 +156,7 @@ def tracked(run: Run, settings: Sequence[str]) -> list[Estimates]:
     cameras = loaded.build_cameras()
     multi_filter = build_filter(loaded.config, cameras, loaded.path)
     stream = EventStream(cameras, run.frames)
-    records = list(reported_records(multi_filter, multi_filter.motion, stream, loaded.config.report, keep_events=True))
+    records = list(reported_records(multi_filter, multi_filter.motion, stream, loaded.config.report, reach_back=True))
     return [records[event].estimates for event in run.last.tolist()]
 
 

@@ -244,7 +244,7 @@ def _track(
     report = loaded.config.report
     multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
-    records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
+    records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
     summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
     findings = [
         found

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.errors import InputError
@@ -75,12 +77,18 @@ class EventStream:
         return str(self.frames.path) if isinstance(self.frames, LogReader) else "frames"
 
     def __iter__(self) -> Iterator[Event]:
-        self.not_invertible = 0
+        self.not_invertible, count = 0, 0
         for number, frame in enumerate(covered(self.cameras, self.frames, self.source)):
             if frame.time_s < self._from_s:
+                count += len(frame.pixels)
                 continue
             camera = self.cameras[frame.camera].at(frame.time_s)
-            event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes)
+            # frames in memory state no rows of a log: detections are numbered as they come
+            rows = np.arange(count, count + len(frame.pixels)) if frame.rows is None else frame.rows
+            count += len(frame.pixels)
+            event = make_event(
+                camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes, rows
+            )
             self.not_invertible += event.not_invertible
             yield event
             if number % PROGRESS_EVERY == 0:

@@ -52,7 +52,7 @@ def _log(found: Mapping[str, Any]) -> Iterator[str]:
             "frames",
             "empty",
             "detections",
-            "a frame",
+            "per frame",
             "most",
             "rate Hz",
             "gaps",

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.rolling import readings, travels, turned_to_frame
 from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
@@ -42,6 +42,7 @@ class Event:
     # of a rolling shutter that moves; None: it stands still meanwhile.
     travels: Array | None = None
     sizes: Array | None = None  # (m, 2), optional: Width and height of the detections' boxes, distorted px
+    rows: Integers | None = None  # (m,), optional: Row of each detection in the log, or its number in the run
 
     def readings(self, space: Array) -> Array | None:
         """Return when and from where the detections were read (m, 3): `stereophd.core.disparity.rolling.readings`.
@@ -115,6 +116,7 @@ def make_event(
     sigma: Array | None = None,
     frame: int = -1,
     sizes: Array | None = None,
+    rows: Integers | None = None,
 ) -> Event:
     """Undistort the detections of a frame, carrying their noise through the Jacobian.
 
@@ -134,6 +136,8 @@ def make_event(
         Number of the frame.
     sizes : array (m, 2), optional
         Width and height of their boxes, px.
+    rows : array (m,) of int, optional
+        Row of each detection in the log; default its number in the frame.
 
     Returns
     -------
@@ -148,6 +152,7 @@ def make_event(
         time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
         frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],
         None if sizes is None else sizes[order],
+        order if rows is None else rows[order],
     )  # fmt: skip
 
 

@@ -29,6 +29,13 @@ class Trajectory:
     covariances: Array
     existence: Array  # (k,)
 
+    def take(self, places: slice) -> Trajectory:
+        """Return a part of the track."""
+        return Trajectory(
+            self.track_id, self.events[places], self.times[places], self.states[places], self.covariances[places],
+            self.existence[places],
+        )  # fmt: skip
+
 
 def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
     """Return the smoothed trajectory (Rauch, Tung and Striebel 1965) at the same events."""

@@ -97,7 +97,7 @@ def filtered_points(
     stream = EventStream(cameras, frames)
     # scored after every event, not at the times of reports
     report = config.report.model_copy(update={"times": "events"})
-    records = reported_records(multi_filter, multi_filter.motion, stream, report, keep_events=True)
+    records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
     estimates = [record.estimates for record in records]
     if tentative:
         estimates = [one.with_tentative() for one in estimates]

@@ -66,6 +66,8 @@ class Frame:
         True objects (m,), -1 clutter, or None where the log states none. For evaluation only.
     sizes
         Width and height (m, 2) of the boxes, px, or None where the log states none.
+    rows
+        Rows of the log (m,), or None for a frame that is not from a log.
     """
 
     time_s: float
@@ -75,6 +77,7 @@ class Frame:
     sigma: Array | None = None
     object_id: Integers | None = None
     sizes: Array | None = None
+    rows: Integers | None = None
 
 
 class LogReader:
@@ -278,6 +281,7 @@ class LogReader:
                 None if rows.sigma is None else rows.sigma[i:j],
                 None if rows.object_id is None else rows.object_id[i:j],
                 None if rows.sizes is None else rows.sizes[i:j],
+                rows.row[i:j],
             )
 
     def _true_times(self, time_s: Array, camera: Integers) -> Array:

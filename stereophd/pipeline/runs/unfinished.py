@@ -77,12 +77,11 @@ class UnfinishedRun:
         folders = sorted(path for path in self.out.glob(f"{UNFINISHED_PREFIX}*") if is_folder(path))
         for folder in folders:
             for relative in files_below(folder):
-                if not _is_ours(folder, relative):
+                if not _is_ours(folder, relative) and not is_folder(folder / relative):
                     raise InputError(
                         f"output folder {self.out} holds {Path(folder.name, relative)}, which is no part of an "
                         "unfinished run; move it away, or choose another folder"
                     )
-        # Growing files alone are of a run that was killed before its first state.
         holding = [folder for folder in folders if any(folder.glob(f"*{WHOLE}"))]
         if holding and not (resume or force):
             raise InputError(
@@ -96,7 +95,8 @@ class UnfinishedRun:
                 f"({others[0].name}): nothing to resume; use `force=True` to remove it"
             )
         for folder in folders:
-            if folder != self.folder or not resume or folder not in holding:
+            # Growing files alone are of a run that was killed before its first state; empty folders are not ours.
+            if any(folder.iterdir()) and not (folder == self.folder and resume and folder in holding):
                 shutil.rmtree(folder, ignore_errors=True)
 
     @contextlib.contextmanager

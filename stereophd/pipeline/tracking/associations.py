@@ -6,7 +6,7 @@ then, and are forgotten with the label.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,14 +31,16 @@ class Associated:
     camera: str
     frame: int
     pixels: Array  # (k, 2): As in the log, distorted
+    rows: Integers  # (k,): Those of `Event`: a detection is known by its row
     track_ids: Integers  # (k,) of int: (Labels, as long as they are not reported.)
     probabilities: Array  # (k,): Probability that the object of the track exists and made the detection
 
     def take(self, kept: NDArray[Any]) -> Associated:
         """Return some of the rows."""
         return replace(
-            self, pixels=self.pixels[kept], track_ids=self.track_ids[kept], probabilities=self.probabilities[kept]
-        )
+            self, pixels=self.pixels[kept], rows=self.rows[kept], track_ids=self.track_ids[kept],
+            probabilities=self.probabilities[kept],
+        )  # fmt: skip
 
     def columns(self) -> dict[str, Any]:
         """Columns of ``associations.parquet``."""
@@ -67,12 +69,14 @@ class Associations:
 
     def update(self, event: Event, camera: str, claims: Claims | None) -> tuple[Associated, ...]:
         """Take in the claims of an event; return those of the labels that have been reported before it."""
-        if claims is None or event.pixels is None:
+        if claims is None or event.pixels is None or event.rows is None:
             return ()
-        labels, rows, probabilities = _joined(claims)
+        labels, places, probabilities = _joined(claims)
         if not len(labels):
             return ()
-        found = Associated(event.time_s, camera, event.frame, event.pixels[rows], labels, probabilities)
+        found = Associated(
+            event.time_s, camera, event.frame, event.pixels[places], event.rows[places], labels, probabilities
+        )
         ids = np.array([self.known.get(label, -1) for label in labels.tolist()], dtype=np.int64)
         known = ids >= 0
         if not known.all():
@@ -96,37 +100,6 @@ class Associations:
         self.pending = {label: rows for label, rows in self.pending.items() if label in alive}
         waiting = {event for rows in self.pending.values() for event, _ in rows}
         self.claimed = {event: found for event, found in self.claimed.items() if event in waiting}
-
-
-def reduced_to_what_is_left(sure: Sequence[Associated], further: Sequence[Associated]) -> list[Associated]:
-    """Return further rows of an event, reduced so that all rows of a detection add up to at most 1.
-
-    Parameters
-    ----------
-    sure : sequence of Associated
-        Rows of the event that stay as they are.
-    further : sequence of Associated
-        Of each detection these share what the others leave; the negligible ones are left out.
-    """
-    if not further:
-        return []
-    taken, wanted = _totals(sure), _totals(further)
-    out = []
-    for one in further:
-        keys = [tuple(pixel) for pixel in one.pixels.tolist()]
-        room = np.array([max(1.0 - taken.get(key, 0.0), 0.0) / max(wanted[key], LEAST_PROBABILITY) for key in keys])
-        reduced = replace(one, probabilities=one.probabilities * np.minimum(room, 1.0))
-        out.append(reduced.take(reduced.probabilities >= LEAST_PROBABILITY))
-    return [one for one in out if len(one.track_ids)]
-
-
-def _totals(rows: Sequence[Associated]) -> dict[tuple[float, ...], float]:
-    """Return the sum of the probabilities of each detection."""
-    totals: dict[tuple[float, ...], float] = {}
-    for one in rows:
-        for pixel, probability in zip(one.pixels.tolist(), one.probabilities.tolist(), strict=True):
-            totals[tuple(pixel)] = totals.get(tuple(pixel), 0.0) + probability
-    return totals
 
 
 def _joined(claims: Claims) -> tuple[Integers, Integers, Array]:

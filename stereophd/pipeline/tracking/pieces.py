@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.trajectories.joining import join_probabilities
+from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import StereophdError
 from stereophd.io.logs.reading import LogReader
@@ -39,8 +39,7 @@ from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-# Tracks of two pieces are one object if that is more probable than not; below the second it is reported as uncertain.
-PROBABLE = 0.5
+# A join of a smaller probability is reported as uncertain.
 CERTAIN = 0.99
 
 

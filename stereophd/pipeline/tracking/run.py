@@ -72,25 +72,23 @@ def reported_records(
     motion: Motion,
     events: Iterable[Event],
     report: ReportConfig,
-    keep_events: bool = False,
+    reach_back: bool = False,
     journal: Journal | None = None,
     run: RunState[Any] | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
 
-    With `keep_events`, smoothed tracks reach back to detections that the filter did not assign to them. With a
+    With `reach_back`, smoothed tracks reach back to detections that the filter did not assign to them. With a
     `journal` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
-    times, keep_events = report_times(report), keep_events and smooth is not None
+    times = report_times(report)
     if journal is None:
-        records = run_estimator(estimator, events, times, keep_events, run)
+        records = run_estimator(estimator, events, times, smooth is not None, run)
     else:
-        records = journal.records(events, times, keep_events)
+        records = journal.records(events, times, smooth is not None)
     if smooth is not None:
-        records = smoothed_records(
-            records, estimator.rig.cameras, motion, smooth.max_gap_s, smooth.reassociate, report.max_position_std
-        )
+        records = smoothed_records(records, estimator.rig.cameras, motion, smooth, reach_back, report.max_position_std)
     if report.min_track_length <= 0.0:
         return records
     return (lasting if journal is None else journal.lasting)(records, report.min_track_length)

@@ -1,84 +1,125 @@
-"""Smoothed tracks of a whole run, in place of the filtered ones."""
+"""Smoothed tracks of a whole run, in place of the filtered ones.
+
+With `reassociate` smoothed tracks choose their detections anew (`stereophd.core.trajectories.swaps`). What they choose
+is a decision: the likelihood of the whole log made it, and no probability is left to state. Its association has
+probability 1, and all other claims of a track at an event at which its detection changed are dropped. So are the claims
+of others to that detection, if the track is written. All other claims stay those of the filter.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stereophd.core.disparity.events import Event
+from stereophd.config.report import SmoothConfig
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.core.trajectories.chain import NONE, Chain, WholeRun, make_chain, make_run
+from stereophd.core.trajectories.joins import stitch
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
-from stereophd.core.trajectories.stitching import stitch
-from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated, reduced_to_what_is_left
+from stereophd.core.trajectories.swaps import choose_anew
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.reassociated import Given, choose_again, without_claims_of_others
+from stereophd.pipeline.tracking.run_claims import RunClaims, claims_of_run
+
+LOGGER = logging.getLogger("stereophd")
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.
 SEEN_EXISTENCE = 0.5
+# Smoothed states explain the detections of a track worse than filtered ones if their residuals are this many times
+# those, and this many times the noise.
+WORSE = 2.0
+# Number of detections from which this is told.
+LEAST_DETECTIONS = 4
 
 
 def smoothed_records(
     records: Iterable[Record],
     cameras: Sequence[Camera],
     motion: Motion,
-    max_gap_s: float,
-    reassociate: bool = False,
+    settings: SmoothConfig,
+    back: bool = False,
     max_position_std: float | None = None,
 ) -> Iterator[Record]:
-    """Yield the records of a whole run with smoothed estimates in place of the filtered ones.
+    """Yield the records of a whole run, with their events, with smoothed estimates in place of the filtered ones.
 
-    Every track reaches back to its first detection (beyond the filter's, if records carry their events), ends
-    where it was last more probable than not, and is stitched to the track that it continues, if any. Predictions
-    to the times of a grid are smoothed as events are that measure nothing: the state between two events given
-    both, by the motion model. With `reassociate` the smoothed tracks choose their detections anew. Associations are
-    those of tracks that are reported at least once, with `max_position_std` as certain as this.
+    Every track reaches back to its first detection (beyond the filter's, with `back`), ends where it was last more
+    probable than not, and is stitched to the track that it continues, if any. Predictions to the times of a grid are
+    smoothed as events are that measure nothing: the state between two events given both, by the motion model.
+    Associations are those of tracks that are reported at least once, with `max_position_std` as certain as this.
     """
     whole = list(records)
-    times = np.array([record.time_s for record in whole])
+    run = make_run([record.event for record in whole], np.array([record.time_s for record in whole]), cameras, motion)
+    claims = claims_of_run(whole, run)
     labels = np.array([record.first_label for record in whole], dtype=np.int64)
-    trajectories = [_smooth_back(t, label, times, labels, motion) for t, label in _trajectories(whole, times)]
-    extended = _reach_back(trajectories, [record.event for record in whole], times, cameras, motion, max_gap_s)
-    given: Given = {}
-    if reassociate:
-        whole, extended, given = choose_again(whole, extended, cameras, motion)
+    trajectories = _smoothed(_trajectories(whole, run.times), claims, run, labels)
+    extended = [Extended(one) for one in trajectories]
+    if back:
+        extended = _reach_back(trajectories, run, settings.max_gap_s)
+    counts: list[dict[int, Counter[str]]] = [
+        {track_id: Counter(seen) for track_id, seen in record.attributed.items()} for record in whole
+    ]
+    reached = [
+        RunClaims(one.detections, np.full(len(one.detections), one.trajectory.track_id), one.probabilities)
+        for one in extended
+    ]
+    further = claims.take(np.zeros(len(claims.detections), dtype=np.bool_)).join(*reached)
+    given = claims.take(np.zeros(len(claims.detections), dtype=np.bool_))
     trajectories = [one.trajectory for one in extended]
-    continued = stitch(trajectories, motion, max_gap_s)
+    if settings.reassociate and motion.moves:
+        before = [
+            make_chain(one.trajectory, claims.join(more).detections_of(one.trajectory, run), run)
+            for one, more in zip(extended, reached, strict=True)
+        ]
+        after = choose_anew(before, run)
+        # a track that gave all of its detections away is none
+        trajectories = [
+            new.trajectory for old, new in zip(before, after, strict=True) if new.n_detections or not old.n_detections
+        ]
+        gone, given = _changes(before, after)
+        claims, further = (one.without(gone.track_ids, run.event_of(gone.detections), run) for one in (claims, further))
+        claims = claims.join(given)
+        counts = _counts(after, whole, run)
+    else:
+        for one in extended:
+            for event in np.unique(run.event_of(one.detections)).tolist():
+                counts[event].setdefault(one.trajectory.track_id, Counter())[whole[event].camera] += 1
+    name = _names(stitch(trajectories, motion, settings.max_gap_s))
+    reported = np.array([record.reported for record in whole])
+    written = {name(one.track_id) for one in trajectories if _is_written(one, reported, max_position_std)}
+    claims, further = (_of_written(one, given, name, written) for one in (claims, further))
+    associations = claims.join(further.reduced(claims)).by_record(whole, run)
+    rows: list[list[tuple[int, Trajectory, int]]] = [[] for _ in whole]
+    for trajectory in trajectories:
+        for k, number in enumerate(trajectory.events.tolist()):
+            rows[number].append((name(trajectory.track_id), trajectory, k))
+    for record, own, seen, sightings in zip(whole, rows, counts, associations, strict=True):
+        attributed: dict[int, Counter[str]] = {}
+        for track_id, count in seen.items():
+            attributed.setdefault(name(track_id), Counter()).update(count)
+        own.sort(key=lambda row: row[0])
+        yield replace(record, estimates=_estimates(own), attributed=attributed, associations=sightings)
+
+
+def _names(continued: dict[int, int]) -> Callable[[int], int]:
+    """Return what gives the name of a track: that of the first one that it continues."""
 
     def name(track_id: int) -> int:
         while track_id in continued:
             track_id = continued[track_id]
         return track_id
 
-    rows: list[list[tuple[int, Trajectory, int]]] = [[] for _ in whole]
-    for trajectory in trajectories:
-        for k, number in enumerate(trajectory.events.tolist()):
-            rows[number].append((name(trajectory.track_id), trajectory, k))
-    detections: list[dict[int, Counter[str]]] = [{} for _ in whole]
-    for number, record in enumerate(whole):
-        for track_id, counts in record.attributed.items():
-            detections[number].setdefault(name(track_id), Counter()).update(counts)
-    for one in extended:
-        for number in one.detected:
-            track_id = name(one.trajectory.track_id)
-            detections[number].setdefault(track_id, Counter())[whole[number].camera] += 1
-    reported = np.array([record.reported for record in whole])
-    written = {name(one.track_id) for one in trajectories if _is_written(one, reported, max_position_std)}
-    whole = without_claims_of_others(whole, {key: owner for key, owner in given.items() if name(owner) in written})
-    associations = _continued_associations(whole, extended, name, written)
-    for record, found, attributed, sightings in zip(whole, rows, detections, associations, strict=True):
-        found.sort(key=lambda row: row[0])
-        yield replace(record, estimates=_estimates(found), attributed=attributed, associations=sightings)
+    return name
 
 
-def _is_written(trajectory: Trajectory, reported: NDArray[np.bool_], max_position_std: float | None) -> bool:
+def _is_written(trajectory: Trajectory, reported: Array, max_position_std: float | None) -> bool:
     """Whether any estimate of a track is reported, with `max_position_std` one as certain as this."""
     shown = reported[trajectory.events]
     if max_position_std is not None:
@@ -86,59 +127,63 @@ def _is_written(trajectory: Trajectory, reported: NDArray[np.bool_], max_positio
     return bool(shown.any())
 
 
-def _continued_associations(
-    whole: Sequence[Record], extended: Sequence[Extended], name: Callable[[int], int], written: Set[int]
-) -> list[tuple[Associated, ...]]:
-    """Associations of every record, under the names of the stitched tracks (those `written`), each with its own event.
+def _changes(before: Sequence[Chain], after: Sequence[Chain]) -> tuple[RunClaims, RunClaims]:
+    """Return the detections that tracks had before or have after and not both, and of these those that they have."""
+    changed: list[tuple[Integers, int]] = []
+    taken: list[tuple[Integers, int]] = []
+    for old, new in zip(before, after, strict=True):
+        had, has = (one.detections[one.detections != NONE] for one in (old, new))
+        changed.append((np.setxor1d(had, has), old.trajectory.track_id))
+        taken.append((np.setdiff1d(has, had), old.trajectory.track_id))
+    return _decided(changed), _decided(taken)
 
-    With them the detections to which smoothed tracks reach back, with what the filter's claims to these leave.
+
+def _decided(parts: Sequence[tuple[Integers, int]]) -> RunClaims:
+    """Return claims of probability 1, of detections and the track that they belong to."""
+    nothing = np.empty(0, dtype=np.int64)
+    detections = np.concatenate([nothing, *(own for own, _ in parts)])
+    ids = np.concatenate([nothing, *(np.full(len(own), track_id) for own, track_id in parts)])
+    return RunClaims(detections, ids, np.ones(len(ids)))
+
+
+def _counts(tracks: Sequence[Chain], whole: Sequence[Record], run: WholeRun) -> list[dict[int, Counter[str]]]:
+    """Return the detections that tracks have, counted for each record."""
+    counts: list[dict[int, Counter[str]]] = [{} for _ in whole]
+    for track in tracks:
+        for event in track.trajectory.events[track.detections != NONE].tolist():
+            counts[event][track.trajectory.track_id] = Counter({whole[event].camera: 1})
+    return counts
+
+
+def _of_written(claims: RunClaims, given: RunClaims, name: Callable[[int], int], written: Set[int]) -> RunClaims:
+    """Return the claims of the tracks that are written, under the names of the stitched tracks.
+
+    Without what others claim of a detection that one of these was given.
     """
-    numbers = {(one.time_s, one.camera, one.frame): number for number, one in enumerate(whole) if one.is_event}
-    claimed: list[list[Associated]] = [[] for _ in whole]
-    reached: list[list[Associated]] = [[] for _ in whole]
-    for record in whole:
-        for one in record.associations:
-            names = np.array([name(track_id) for track_id in one.track_ids.tolist()])
-            kept = np.array([track_id in written for track_id in names.tolist()], dtype=np.bool_)
-            if kept.any():
-                found = replace(one, track_ids=names)
-                claimed[numbers[one.time_s, one.camera, one.frame]].append(found if kept.all() else found.take(kept))
-    for track in extended:
-        track_id = name(track.trajectory.track_id)
-        if track_id not in written:
-            continue
-        for number, shares in zip(track.detected, track.shares, strict=True):
-            event, record = whole[number].event, whole[number]
-            if event is None or event.pixels is None:
-                continue
-            rows = np.flatnonzero(shares >= LEAST_PROBABILITY)
-            ids = np.full(len(rows), track_id)
-            reached[number].append(
-                Associated(record.time_s, record.camera, record.frame, event.pixels[rows], ids, shares[rows])
-            )
-    return [(*sure, *reduced_to_what_is_left(sure, further)) for sure, further in zip(claimed, reached, strict=True)]
+    ids = np.array(sorted(written), dtype=np.int64)
+    owners = given.take(np.isin(given.renamed(name).track_ids, ids))
+    order = np.argsort(owners.detections)
+    owned, owner = owners.detections[order], owners.track_ids[order]
+    places = np.minimum(np.searchsorted(owned, claims.detections), max(len(owned) - 1, 0))
+    if len(owned):
+        others = (owned[places] == claims.detections) & (owner[places] != claims.track_ids)
+        claims = claims.take(~others)
+    claims = claims.renamed(name)
+    return claims.take(np.isin(claims.track_ids, ids))
 
 
-def _reach_back(
-    trajectories: Sequence[Trajectory],
-    events: Sequence[Event | None],
-    times: NDArray[np.float64],
-    cameras: Sequence[Camera],
-    motion: Motion,
-    max_gap_s: float,
-) -> list[Extended]:
+def _reach_back(trajectories: Sequence[Trajectory], run: WholeRun, max_gap_s: float) -> list[Extended]:
     """Continue all tracks back to the first detections that their objects probably made."""
     begins = np.array([t.times[0] for t in trajectories])
     ends = np.array([t.times[-1] for t in trajectories])
     out = []
     for k, trajectory in enumerate(trajectories):
         about = np.flatnonzero((begins < begins[k]) & (ends >= begins[k] - max_gap_s))
-        others = [trajectories[other] for other in about.tolist()]
-        out.append(reach_back(trajectory, others, events, times, cameras, motion, max_gap_s))
+        out.append(reach_back(trajectory, [trajectories[other] for other in about.tolist()], run, max_gap_s))
     return out
 
 
-def _trajectories(records: Sequence[Record], times: NDArray[np.float64]) -> list[tuple[Trajectory, int]]:
+def _trajectories(records: Sequence[Record], times: Array) -> list[tuple[Trajectory, int]]:
     """Filtered states of every track, in order of identity, with the label of its first report."""
     events: dict[int, list[tuple[int, int]]] = {}
     for number, record in enumerate(records):
@@ -146,9 +191,8 @@ def _trajectories(records: Sequence[Record], times: NDArray[np.float64]) -> list
             events.setdefault(track_id, []).append((number, row))
     out = []
     for track_id, places in sorted(events.items()):
-        found = [records[number].estimates for number, _ in places]
-        rows = [row for _, row in places]
-        existence = np.array([e.existence[row] for e, row in zip(found, rows, strict=True)])
+        parts = [(records[number].estimates, row) for number, row in places]
+        existence = np.array([estimates.existence[row] for estimates, row in parts])
         seen = np.flatnonzero(existence >= min(SEEN_EXISTENCE, existence.max()))
         last = int(seen[-1]) + 1
         numbers = np.array([number for number, _ in places[:last]])
@@ -156,25 +200,53 @@ def _trajectories(records: Sequence[Record], times: NDArray[np.float64]) -> list
             track_id,
             numbers,
             times[numbers],
-            np.array([e.states[row] for e, row in zip(found, rows, strict=True)][:last]),
-            np.array([e.covariances[row] for e, row in zip(found, rows, strict=True)][:last]),
+            np.array([estimates.states[row] for estimates, row in parts[:last]]),
+            np.array([estimates.covariances[row] for estimates, row in parts[:last]]),
             existence[:last],
         )
-        out.append((trajectory, int(found[0].labels[rows[0]])))
+        out.append((trajectory, int(parts[0][0].labels[parts[0][1]])))
     return out
 
 
-def _smooth_back(
-    trajectory: Trajectory,
-    label: int,
-    times: NDArray[np.float64],
-    first_labels: NDArray[np.int64],
-    motion: Motion,
-) -> Trajectory:
-    """Smooth a track and continue it back to the event of its first detection."""
-    born = int(np.searchsorted(first_labels, label, side="right")) - 1
-    earlier = np.arange(max(born, 0), int(trajectory.events[0]))
-    return extend_back(smooth(trajectory, motion), earlier, times[earlier], motion)
+def _smoothed(
+    filtered: Sequence[tuple[Trajectory, int]], claims: RunClaims, run: WholeRun, first_labels: Integers
+) -> list[Trajectory]:
+    """Smooth tracks, and continue each back to the event of its first detection.
+
+    A filtered state may leap to another hypothesis, which the smoother takes for motion. Where smoothed states explain
+    the detections of a track worse than the filtered ones, it is smoothed from these detections alone; if that is no
+    better, it keeps its filtered states, with a warning.
+    """
+    out, kept = [], []
+    for track, label in filtered:
+        smoothed, detections = smooth(track, run.motion), claims.detections_of(track, run)
+        if _is_worse(smoothed, track, detections, run):
+            smoothed = make_chain(track, detections, run).smoothed().trajectory if run.motion.moves else track
+            if _is_worse(smoothed, track, detections, run):
+                smoothed = track
+                kept.append(track.track_id)
+        born = int(np.searchsorted(first_labels, label, side="right")) - 1
+        earlier = np.arange(max(born, 0), int(track.events[0]))
+        out.append(extend_back(smoothed, earlier, run.times[earlier], run.motion))
+    if kept:
+        LOGGER.warning(
+            "report.smooth: %d of %d tracks keep their filtered states, because smoothed ones would explain their "
+            "detections worse (tracks %s%s): is `motion.acceleration_std` large enough?",
+            len(kept), len(filtered), ", ".join(map(str, kept[:5])), " and others" if len(kept) > 5 else "",
+        )  # fmt: skip
+    return out
+
+
+def _is_worse(smoothed: Trajectory, track: Trajectory, detections: Integers, run: WholeRun) -> bool:
+    """Whether smoothed states explain the detections (k,) of a track worse than the filtered ones."""
+    known = np.flatnonzero(detections != NONE)
+    if len(known) < LEAST_DETECTIONS:
+        return False
+    after, before = (
+        np.sqrt(run.squared_residuals(one.events[known], one.states[known], detections[known]).mean() / 2.0)
+        for one in (smoothed, track)
+    )
+    return not after <= WORSE * max(before, 1.0)
 
 
 def _estimates(rows: list[tuple[int, Trajectory, int]]) -> Estimates:

@@ -32,8 +32,8 @@ from stereophd.core.single.settings import (
     InverseDepthSettings,
     ParticleSettings,
 )
+from stereophd.core.trajectories.joins import stitch
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
-from stereophd.core.trajectories.stitching import stitch
 from tests.core.calibration.scenes import make_problem
 from tests.core.disparity.cases import converging, make_camera, oracle_world, random_covariance, state_in, weighted
 from tests.core.disparity.moves import Case, sample_sets

@@ -12,6 +12,7 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.trajectories.chain import make_run
 from stereophd.core.trajectories.reaching_back import reach_back
 from stereophd.core.trajectories.smoothing import Trajectory
 
@@ -62,7 +63,9 @@ def frames(
 
 def begin(seen: Sequence[bool], first: int = 8, max_gap_s: float = 1.0, cameras: Sequence[Camera] = CAMERAS) -> int:
     events, times = frames(seen, cameras)
-    return int(reach_back(known_from(first, 12), [], events, times, cameras, MOTION, max_gap_s).trajectory.events[0])
+    return int(
+        reach_back(known_from(first, 12), [], make_run(events, times, cameras, MOTION), max_gap_s).trajectory.events[0]
+    )
 
 
 def test_to_the_first_of_its_detections() -> None:
@@ -81,9 +84,9 @@ def test_not_further_than_the_gap() -> None:
 def test_the_detections_of_another_track_are_not_its_own() -> None:
     events, times = frames([True] * 12)
     other = known_from(0, 8)
-    found = reach_back(known_from(8, 12), [other], events, times, CAMERAS, MOTION, 1.0)
+    found = reach_back(known_from(8, 12), [other], make_run(events, times, CAMERAS, MOTION), 1.0)
     assert found.trajectory.events[0] == 8
-    assert found.detected == ()
+    assert not len(found.detections)
 
 
 def test_rows_that_are_read_later_see_the_object_further_on() -> None:
@@ -92,14 +95,15 @@ def test_rows_that_are_read_later_see_the_object_further_on() -> None:
     assert begin([True] * 12, cameras=cameras) == 0
     events, times = frames([True] * 12, cameras)
     at_once = [None if e is None else Event(e.time_s, e.camera, e.points, e.covariances, e.areas) for e in events]
-    assert reach_back(known_from(8, 12), [], at_once, times, cameras, MOTION, 1.0).trajectory.events[0] == 8
+    assert reach_back(known_from(8, 12), [], make_run(at_once, times, cameras, MOTION), 1.0).trajectory.events[0] == 8
 
 
 def test_states_are_predicted_back_with_their_uncertainty_and_probability() -> None:
     events, times = frames([False] * 4 + [True, False, True, False] + [True] * 4)
     track = known_from(8, 12)
-    found = reach_back(track, [], events, times, CAMERAS, MOTION, 1.0)
-    assert found.detected == (6, 4)
+    run = make_run(events, times, CAMERAS, MOTION)
+    found = reach_back(track, [], run, 1.0)
+    assert np.unique(run.event_of(found.detections)).tolist() == [4, 6]
     grown = found.trajectory
     np.testing.assert_allclose(grown.states[:, :3], [position(t) for t in grown.times], atol=1e-12)
     assert (np.linalg.eigvalsh(grown.covariances).min(axis=1) > 0.0).all()
@@ -115,7 +119,9 @@ def test_how_often_clutter_is_taken_for_it(clutter: float) -> None:
     begins = []
     for seed in range(300):
         events, times = frames([False] * 8 + [True] * 4, cameras, seed, clutter=int(clutter))
-        begins.append(reach_back(known_from(8, 12), [], events, times, cameras, MOTION, 1.0).trajectory.events[0])
+        begins.append(
+            reach_back(known_from(8, 12), [], make_run(events, times, cameras, MOTION), 1.0).trajectory.events[0]
+        )
     # 5 / (640 480) per px^2, a gate of 29 px^2, of which only the innermost part convinces: below 5e-4 an event
     assert np.mean(np.array(begins) < 8) <= 0.01
 
@@ -128,9 +134,12 @@ def test_predictions_and_events_out_of_view_say_nothing() -> None:
     cameras = (CAMERAS[0], behind)
     events, times = frames([False, False, True, False] + [False] * 4 + [True] * 4, (CAMERAS[0], CAMERAS[1]))
     # two misses of the left camera in between, none of the right one, which looks away
-    found = reach_back(known_from(8, 12), [], events, times, cameras, MOTION, 1.0)
+    found = reach_back(known_from(8, 12), [], make_run(events, times, cameras, MOTION), 1.0)
     assert found.trajectory.events[0] == 2
     nothing: list[Event | None] = [None] * 8
     assert (
-        reach_back(known_from(8, 12), [], nothing + events[8:], times, cameras, MOTION, 1.0).trajectory.events[0] == 8
+        reach_back(
+            known_from(8, 12), [], make_run(nothing + events[8:], times, cameras, MOTION), 1.0
+        ).trajectory.events[0]
+        == 8
     )

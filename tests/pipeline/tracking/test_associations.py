@@ -23,13 +23,12 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.files import read_cameras
 from stereophd.pipeline.tracking.associations import (
     LEAST_PROBABILITY,
-    Associated,
     Associations,
-    reduced_to_what_is_left,
 )
 from stereophd.pipeline.tracking.explained import residuals_px
 from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.run_claims import RunClaims
 from tests.commands.test_track import SCENE
 
 pytestmark = pytest.mark.usefixtures("without_checks")
@@ -78,6 +77,7 @@ def test_claims_wait_until_their_label_is_reported() -> None:
     copy = book.copy()
     (first,) = book.report(estimates((0, 3)))
     assert (first.time_s, first.camera, first.frame) == (1.0, "left", 5)
+    assert first.rows.tolist() == [0]
     assert (first.pixels.tolist(), first.track_ids.tolist(), first.probabilities.tolist()) == ([[10, 20]], [0], [0.75])
     (second,) = book.update(make_event(PINHOLE, 0, 2.0, PIXELS, frame=6), "left", claims((3, 1, 0.9), (8, 0, 0.8)))
     assert (second.pixels.tolist(), second.track_ids.tolist()) == ([[30, 40]], [0])
@@ -106,15 +106,13 @@ def test_rows_of_a_detection_add_up_to_one(
 ) -> None:
     """Rows are (track, detection, probability); those that are sure stay."""
 
-    def rows(of: list[tuple[int, int, float]]) -> list[Associated]:
-        return [Associated(1.0, "left", 5, PIXELS[[k]], np.array([track]), np.array([p])) for track, k, p in of]
+    def rows(of: list[tuple[int, int, float]]) -> RunClaims:
+        table = np.array(of).reshape(-1, 3)
+        return RunClaims(table[:, 1].astype(np.int64), table[:, 0].astype(np.int64), table[:, 2])
 
-    found = [
-        (int(one.track_ids[0]), PIXELS.tolist().index(one.pixels[0].tolist()), float(one.probabilities[0]))
-        for one in reduced_to_what_is_left(rows(sure), rows(further))
-    ]
-    assert [row[:2] for row in found] == [row[:2] for row in expected]
-    assert [row[2] for row in found] == pytest.approx([row[2] for row in expected])
+    found = rows(further).reduced(rows(sure))
+    assert list(zip(found.track_ids, found.detections, strict=True)) == [row[:2] for row in expected]
+    assert found.probabilities.tolist() == pytest.approx([row[2] for row in expected])
 
 
 def test_short_tracks_are_left_out() -> None:

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import json
+import errno
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from stereophd.io.outputs.columns import pack, unpack
 
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
-from stereophd.io.outputs.provenance import sha256_of
+from stereophd.io.outputs.saved import decoder, encode
+from stereophd.io.tables import writing
+from stereophd.pipeline.runs import unfinished
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.tracking import checkpoint, table_journal
+from stereophd.pipeline.tracking import checkpoint
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.loop import RunState
 
@@ -48,28 +48,26 @@ class Killed(BaseException):
 
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the state after every record, and two records in a chunk at most."""
-    monkeypatch.setattr(checkpoint, "KEEP_EVERY_S", 0.0)
-    monkeypatch.setattr(checkpoint, "MOST_SHARE", 1e9)
+    """Keep the state after every record, and two records in a part at most."""
+    monkeypatch.setattr(unfinished, "KEEP_EVERY_S", 0.0)
+    monkeypatch.setattr(unfinished, "MOST_SHARE", 1e9)
+    monkeypatch.setattr(checkpoint, "RECORDS_AT_ONCE", 2)
+    monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 7)
 
 
 def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[], Any]) -> None:
-    """Run until so many records were kept."""
-    count = 0
+    """Run until so many states were kept."""
+    count, keep = 0, UnfinishedRun.keep
 
-    def counted(add: Callable[..., None]) -> Callable[..., None]:
-        def one_more(*arguments: Any) -> None:
-            nonlocal count
-            if count == records:
-                raise Killed
-            count += 1
-            add(*arguments)
-
-        return one_more
+    def counted(*arguments: Any) -> None:
+        nonlocal count
+        if count == records:
+            raise Killed
+        count += 1
+        keep(*arguments)
 
     with monkeypatch.context() as patch:
-        for kind in (checkpoint.RecordJournal, table_journal.TableJournal):
-            patch.setattr(kind, "add", counted(kind.add))
+        patch.setattr(UnfinishedRun, "keep", counted)
         with pytest.raises(Killed):
             run()
 
@@ -104,7 +102,7 @@ def test_resume_gives_the_bytes_of_an_undisturbed_run(
     out = tmp_path / "out"
     for records in (3, 8, 1, 20):
         killed_after(monkeypatch, records, lambda: track(loaded, log, out, resume=True))
-        assert list(out.glob("partial-*/state.npz"))
+        assert list(out.glob("partial-*/state.saved"))
         assert not list(out.glob("*.parquet"))
     with pytest.raises(InputError, match="unfinished run; use `resume=True`"):
         track(loaded, log, out)
@@ -138,10 +136,10 @@ def test_another_configuration_cannot_resume(
 
 @pytest.mark.usefixtures("often")
 def test_a_foreign_file_in_the_way_stays(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
-    mine = tmp_path / "out" / "partial-mine" / "notes.npz"
+    mine = tmp_path / "out" / "partial-mine" / "notes.saved"
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
-    with pytest.raises(InputError, match=r"notes\.npz"):
+    with pytest.raises(InputError, match=r"notes\.saved"):
         track(*scene, tmp_path / "out", force=True)
     assert mine.read_text() == "mine"
 
@@ -151,54 +149,119 @@ def test_a_short_run_keeps_nothing(scene: tuple[LoadedConfig, Path], tmp_path: P
     assert sorted(files(tmp_path / "out")) == ["report.json", "scans.parquet", "tracks.parquet"]
 
 
-@dataclass(frozen=True)
-class Inner:
-    """Part of a `Thing`."""
-
-    rows: Any
-
-
-@dataclass(frozen=True)
-class Thing:
-    """A class with a field of each kind."""
-
-    number: float
-    text: str
-    maybe: float | None
-    inner: Inner
-    counts: dict[int, dict[str, int]]
-    scalar: Any
-    many: tuple[Inner, ...] = ()
-
-
 def test_claims_to_one_event_are_kept_once() -> None:
     """A frame of very many detections: the state grows with their number, not with its square."""
     count = 2000
     rows = np.arange(count)
-    event = Associated(1.0, "left", 7, np.zeros((count, 2)), rows, np.ones(count))
-    run = RunState(None, associations=Associations({-1: 5}, {int(label): [(event, int(label))] for label in rows}))
-    saved = checkpoint.SavedRun.of(run, [])
-    assert len(saved.claimed) == 1
-    restored = saved.run_state(None).associations
+    event = Associated(1.0, "left", 7, np.zeros((count, 2)), rows, rows, np.ones(count))
+    pending = {int(label): [(0, int(label))] for label in rows}
+    run = RunState(None, associations=Associations({-1: 5}, {0: event}, pending, 1))
+    kind: Any = RunState
+    content = encode(run)
+    assert len(content) < 100 * count
+    restored = decoder(kind[None])(content).associations
     assert restored.known == {-1: 5}
-    assert restored.pending == run.associations.pending
+    assert restored.pending == pending
+    assert restored.claimed[0].camera == "left"
 
 
-def test_columns_give_equal_objects() -> None:
-    things = [
-        Thing(0.1 * k, "ab"[k % 2], None if k % 3 else 1.5, Inner(np.full((k, 2), k / 3)), {k: {"a": 1}} if k else {},
-              np.float64(k), (Inner(np.full(k, 0.1)),) * (k % 3))
-        for k in range(5)
-    ]  # fmt: skip
-    back = unpack(pack(things), {"Thing": Thing, "Inner": Inner})
-    for one, other in zip(things, back, strict=True):
-        assert repr(one) == repr(other)
-        assert one.inner.rows.tobytes() == other.inner.rows.tobytes()
+def kept(out: Path) -> dict[str, bytes]:
+    """Return the files of the unfinished run."""
+    return {Path(name).name: text for name, text in files(out).items() if name.startswith("partial-")}
 
 
-def test_a_value_without_a_column_is_a_fault_of_the_program() -> None:
-    with pytest.raises(TypeError, match="rows"):
-        pack([Inner(object())])
+@pytest.mark.usefixtures("often")
+def test_an_unfinished_run_keeps_a_state_and_rows_and_no_records(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for records in (5, 30):
+        killed_after(monkeypatch, records, lambda: track(*scene, tmp_path / "out", force=True))
+        assert set(kept(tmp_path / "out")) == {"state.saved", "scans.parquet.growing", "tracks.parquet.growing"}
+
+
+@pytest.mark.usefixtures("often")
+def test_killed_between_the_tables_and_the_end_continues(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    track(*scene, tmp_path / "whole")
+
+    def raise_killed(*_: Any) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr("stereophd.commands.track.check_losses", raise_killed)
+        with pytest.raises(Killed):
+            track(*scene, out)
+    with monkeypatch.context() as patch:
+        # Nothing but the state after the last record is used: no event is tracked again.
+        patch.setattr(UnfinishedRun, "keep", raise_killed)
+        track(*scene, out, resume=True)
+    assert files(out) == files(tmp_path / "whole")
+
+
+def test_killed_before_the_first_state_begins_anew(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows without a state count for nothing, also without `resume`."""
+    monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 7)
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        # a process that is killed removes nothing
+        patch.setattr("stereophd.pipeline.runs.unfinished.shutil.rmtree", lambda *_, **__: None)
+        killed_after(monkeypatch, 20, lambda: track(*scene, out))
+    assert set(kept(out)) == {"scans.parquet.growing", "tracks.parquet.growing"}
+    track(*scene, out)
+    track(*scene, tmp_path / "whole")
+    assert files(out) == files(tmp_path / "whole")
+
+
+def test_an_error_before_the_first_state_leaves_nothing(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 7)
+    killed_after(monkeypatch, 20, lambda: track(*scene, tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("often")
+@pytest.mark.parametrize("name", ["tracks.parquet.growing", "state.saved"])
+@pytest.mark.parametrize("damage", ["cut off", "link", "another's"])
+def test_what_is_damaged_or_not_ours_is_refused(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, damage: str
+) -> None:
+    out = tmp_path / "out"
+    killed_after(monkeypatch, 20, lambda: track(*scene, out))
+    (path,) = out.glob(f"partial-*/{name}")
+    content = path.read_bytes()
+    if damage == "cut off":
+        path.write_bytes(content[:-1])
+    elif damage == "another's":
+        path.write_bytes(b"mine")
+    else:
+        path.rename(tmp_path / "mine")
+        path.symlink_to(tmp_path / "mine")
+    before = files(tmp_path)
+    with pytest.raises(InputError, match=name):
+        track(*scene, out, resume=True)
+    assert files(tmp_path) == before
+
+
+@pytest.mark.usefixtures("often")
+def test_a_full_disk_is_an_error_that_names_the_folder(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    out = tmp_path / "out"
+    killed_after(monkeypatch, 20, lambda: track(*scene, out))
+    with monkeypatch.context() as patch:
+        patch.setattr("stereophd.io.outputs.saved.sync", full)
+        with pytest.raises(InputError, match=r"cannot write .*out: No space left"):
+            track(*scene, out, resume=True)
+    track(*scene, out, resume=True)
+    assert {path.name for path in out.iterdir()} == {"report.json", "scans.parquet", "tracks.parquet"}
 
 
 def test_resume_tidies_up_after_a_run_that_was_killed_at_its_end(
@@ -208,10 +271,5 @@ def test_resume_tidies_up_after_a_run_that_was_killed_at_its_end(
     track(*scene, out)
     whole = files(out)
     (out / f"{TEMPORARY_PREFIX}lock").write_text("process 1 on nowhere")
-    identity = sha256_of(json.loads(whole["report.json"])["provenance"])
-    left = UnfinishedRun(out, identity).folder
-    left.mkdir()
-    (left / "state.npz").write_bytes(b"")
     track(*scene, out, resume=True)
     assert files(out) == whole
-    assert not left.exists()

@@ -13,7 +13,7 @@ import pytest
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config
-from stereophd.core.trajectories.joining import join_probabilities
+from stereophd.core.trajectories.joins import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame, LogReader

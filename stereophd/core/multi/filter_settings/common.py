@@ -44,7 +44,7 @@ class BirthPrior:
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
     per_s: BirthRate = parameter(
-        "expected number of objects a second that appear in the view of a camera, uniform over its image",
+        "expected number of objects per second that appear in the view of a camera, uniform over its image",
         unit="1/s",
         default=0.1,
         advice="new objects of a minute divided by 60. Larger: tracks start earlier, and more of them are false.",

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
-from stereophd.io.outputs.checkpoints import read_checkpoint, write_checkpoint
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.moments import move
@@ -29,6 +27,7 @@ from stereophd.core.multi.crosswise.history import (
     no_deferred_pairs,
 )
 from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.io.outputs.saved import decoder, encode
 from tests.core.multi.pmb.test_pmb import Frames, Step, gaussian, make_pmb, run
 from tests.core.multi.scenes import make_mixture
 
@@ -311,12 +310,11 @@ def _sighting(time_s: float, camera: int, labels: list[int]) -> ClaimedDetection
     )  # fmt: skip
 
 
-def test_a_checkpoint_holds_the_history(steps: list[Step], tmp_path: Path) -> None:
+def test_a_kept_state_holds_the_history(steps: list[Step]) -> None:
     multi_filter = make_pmb()
     frames = frames_of(multi_filter)
     state = run(multi_filter, frames)[-1][0]
-    write_checkpoint(tmp_path / "state.npz", "one", {"state": state})
-    found = read_checkpoint(tmp_path / "state.npz", "one", [type(state)])["state"]
+    found = decoder(type(state))(encode(state))
     assert state.history is not None
     assert found.history.deferred.due.tolist() == state.history.deferred.due.tolist()
     for one, other in zip(found.history.sightings, state.history.sightings, strict=True):

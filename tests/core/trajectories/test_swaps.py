@@ -12,9 +12,9 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.core.trajectories.chains import Chain, WholeRun
-from stereophd.core.trajectories.reassociation import reassociate
+from stereophd.core.trajectories.chain import NONE, Chain, WholeRun, make_chain, make_run
 from stereophd.core.trajectories.smoothing import Trajectory
+from stereophd.core.trajectories.swaps import choose_anew
 
 MOTION = ConstantVelocity([0.3, 0.3, 0.3])
 RATE, FRAMES = 6.0, 16
@@ -65,16 +65,21 @@ def _scene(
     return events, own
 
 
-def _tracks(events: Sequence[Event | None], own: Sequence[dict[int, int]], cameras: Sequence[Camera] = CAMERAS):
+def _run(events: Sequence[Event | None], cameras: Sequence[Camera] = CAMERAS) -> WholeRun:
+    return make_run(events, np.arange(len(events)) / (RATE * len(cameras)), cameras, MOTION)
+
+
+def _tracks(run: WholeRun, own: Sequence[dict[int, int]]) -> list[Chain]:
     """Tracks smoothed from their detections, right or wrong."""
-    run = WholeRun(tuple(events), tuple(cameras), MOTION)
-    times = np.array([event.time_s for event in events if event is not None])
     out = []
-    for k, detections in enumerate(own):
-        states = np.array([np.concatenate([_at(k, t), VELOCITY]) for t in times])
-        wide = np.tile(np.diag([0.01] * 3 + [0.05] * 3) ** 2, (len(times), 1, 1))
-        begin = Trajectory(k, np.arange(len(times)), times, states, wide, np.ones(len(times)))
-        out.append(Chain(begin, dict(detections), run).smoothed().trajectory)
+    for k, places in enumerate(own):
+        states = np.array([np.concatenate([_at(k, t), VELOCITY]) for t in run.times])
+        wide = np.tile(np.diag([0.01] * 3 + [0.05] * 3) ** 2, (len(run.times), 1, 1))
+        begin = Trajectory(k, np.arange(len(run.times)), run.times, states, wide, np.ones(len(run.times)))
+        detections = np.full(len(run.times), NONE)
+        for event, place in places.items():
+            detections[event] = run.starts[event] + place
+        out.append(make_chain(begin, detections, run).smoothed())
     return out
 
 
@@ -90,16 +95,12 @@ def _exchanged(own: Sequence[dict[int, int]], one: int, other: int, events: Sequ
     return out
 
 
-def _found(own: Sequence[dict[int, int]], found) -> list[dict[int, int]]:
-    """Detections of tracks after the changes."""
+def _found(tracks: Sequence[Chain]) -> list[dict[int, int]]:
+    """Detections of tracks."""
     out = []
-    for detections, track in zip(own, found, strict=True):
-        new = dict(detections)
-        for event, (before, after) in track.changed.items():
-            assert new.pop(event, None) == before
-            if after is not None:
-                new[event] = after
-        out.append(new)
+    for one in tracks:
+        pairs = zip(one.trajectory.events.tolist(), one.detections.tolist(), strict=True)
+        out.append({event: d - int(one.run.starts[event]) for event, d in pairs if d != NONE})
     return out
 
 
@@ -116,15 +117,15 @@ WRONG = {
 def test_neighbours_that_were_exchanged_change_back(wrong: str, seed: int) -> None:
     events, own = _scene(seed)
     given = _exchanged(own, 0, 1, WRONG[wrong])
-    tracks = _tracks(events, given)
-    found = reassociate(tracks, given, events, CAMERAS, MOTION)
-    after = _found(given, found)
+    run = _run(events)
+    found = choose_anew(_tracks(run, given), run)
+    after = _found(found)
     for event in WRONG[wrong]:
         for k in range(4):
             assert after[k].get(event) == own[k].get(event)
     # and the path is where the corner was, by its covariance: beyond it one in a million
     for k, track in enumerate(found):
-        errors = track.trajectory.states[:, :3] - np.array([_at(k, t) for t in tracks[0].times])
+        errors = track.trajectory.states[:, :3] - np.array([_at(k, t) for t in run.times])
         covariances = track.trajectory.covariances[:, :3, :3]
         distances = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
         assert distances.max() < 30.7
@@ -135,7 +136,8 @@ def test_neighbours_that_were_exchanged_change_back(wrong: str, seed: int) -> No
 def test_tracks_that_exchanged_their_objects_for_good_change_back(mixed: tuple[int, ...], seed: int) -> None:
     events, own = _scene(seed)
     given = _exchanged(own, 0, 1, sorted({*range(24, 48)} ^ {*mixed}))
-    after = _found(given, reassociate(_tracks(events, given), given, events, CAMERAS, MOTION))
+    run = _run(events)
+    after = _found(choose_anew(_tracks(run, given), run))
     right = sum(after[k].get(event) == own[k].get(event) for k in range(4) for event in range(len(events)))
     # one in a thousand lies beyond the gate
     assert right >= 4 * len(events) - 2
@@ -145,20 +147,22 @@ def test_tracks_that_exchanged_their_objects_for_good_change_back(mixed: tuple[i
 def test_tracks_that_are_right_stay_as_they_are(readout_s: float) -> None:
     cameras = tuple(_camera(k, readout_s) for k in range(3))
     events, own = _scene(5, cameras)
-    tracks = _tracks(events, own, cameras)
-    found = reassociate(tracks, own, events, cameras, MOTION)
-    changes = sum(len(track.changed) for track in found)
+    run = _run(events, cameras)
+    tracks = _tracks(run, own)
+    found = choose_anew(tracks, run)
+    changes = sum(int((new.detections != old.detections).sum()) for new, old in zip(found, tracks, strict=True))
     # 4.1 of 10^3 detections of a correct track lie beyond the noise that it may give away: at most a few
     assert changes <= 2
     for track, given in zip(found, tracks, strict=True):
-        if not track.changed:
-            assert track.trajectory is given
+        if (track.detections == given.detections).all():
+            assert track is given
 
 
 def test_no_detection_has_two_tracks() -> None:
     events, own = _scene(7)
     given = _exchanged(_exchanged(own, 0, 1, range(0, 9)), 2, 3, range(4, 12))
-    after = _found(given, reassociate(_tracks(events, given), given, events, CAMERAS, MOTION))
+    run = _run(events)
+    after = _found(choose_anew(_tracks(run, given), run))
     for event in range(len(events)):
         held = [detections[event] for detections in after if event in detections]
         assert len(held) == len(set(held))
@@ -169,7 +173,8 @@ def test_a_track_takes_a_detection_that_nobody_has() -> None:
     given = [dict(detections) for detections in own]
     for event in (0, 1, 24):
         del given[2][event]
-    after = _found(given, reassociate(_tracks(events, given), given, events, CAMERAS, MOTION))
+    run = _run(events)
+    after = _found(choose_anew(_tracks(run, given), run))
     assert [after[2].get(event) for event in (0, 1, 24)] == [own[2][event] for event in (0, 1, 24)]
 
 
@@ -178,16 +183,9 @@ def test_predictions_of_a_grid_have_no_detections() -> None:
     events = [None if number == 10 else event for number, event in enumerate(events)]
     for detections in own:
         detections.pop(10, None)
-    times = np.array([number / (RATE * 3) for number in range(len(events))])
-    run = WholeRun(tuple(events), CAMERAS, MOTION)
-    tracks = []
-    for k, detections in enumerate(own):
-        states = np.array([np.concatenate([_at(k, t), VELOCITY]) for t in times])
-        wide = np.tile(np.diag([0.01] * 3 + [0.05] * 3) ** 2, (len(times), 1, 1))
-        begin = Trajectory(k, np.arange(len(times)), times, states, wide, np.ones(len(times)))
-        tracks.append(Chain(begin, dict(detections), run).smoothed().trajectory)
     given = _exchanged(own, 0, 1, [12])
-    after = _found(given, reassociate(tracks, given, events, CAMERAS, MOTION))
+    run = _run(events)
+    after = _found(choose_anew(_tracks(run, given), run))
     assert all(10 not in detections for detections in after)
     assert after[0].get(12) == own[0].get(12)
 
@@ -195,13 +193,14 @@ def test_predictions_of_a_grid_have_no_detections() -> None:
 def test_a_state_without_its_window_does_not_depend_on_the_detections_there() -> None:
     # the two filters together are the smoother of a track that never had those detections
     events, own = _scene(4, missed=0.0)
-    (track, *_) = _tracks(events, own)
-    run = WholeRun(tuple(events), CAMERAS, MOTION)
+    run = _run(events)
+    (chain, *_) = _tracks(run, own)
     place, width = 24, 0.5 / RATE
-    states, covariances = Chain(track, own[0], run).without_window(width)
-    near = np.flatnonzero(np.abs(track.times - track.times[place]) < width)
-    fewer = {event: row for event, row in own[0].items() if event not in near}
-    other = Chain(track, fewer, run)
+    states, covariances = chain.without_window(width)
+    near = np.flatnonzero(np.abs(run.times - run.times[place]) < width)
+    fewer = chain.detections.copy()
+    fewer[near] = NONE
+    other = chain.with_detections(fewer)
     mean, spread, _ = other.ahead
     assert len(near) > 1
     expected = other.smoothed().trajectory
@@ -216,10 +215,11 @@ def test_a_state_without_its_window_does_not_depend_on_the_detections_there() ->
 def test_the_log_likelihood_is_that_of_all_detections_at_once() -> None:
     # an independent computation: the joint Gaussian of all pixels, motion integrated out, linear about the states
     events, own = _scene(6)
-    (track, *_) = _tracks(events, own)
-    run = WholeRun(tuple(events), CAMERAS, MOTION)
-    chain = Chain(track, own[0], run)
-    mean, prior = chain._prior(0)
+    run = _run(events)
+    (chain, *_) = _tracks(run, own)
+    track = chain.trajectory
+    means, priors = chain._prior(np.array([0]))
+    mean, prior = means[0], priors[0]
     count = len(track.times)
     means, joint = np.empty((count, 6)), np.zeros((6 * count, 6 * count))
     marginal = prior
@@ -234,13 +234,13 @@ def test_the_log_likelihood_is_that_of_all_detections_at_once() -> None:
     rows, errors, noises = [], [], []
     for k, event in enumerate(track.events.tolist()):
         if event in own[0]:
-            found = run.event(event)
-            points, jacobians = run.pixels(event, track.states[k][None], 0.0)
+            detection = chain.detections[k : k + 1]
+            points, jacobians = run.look(np.array([event]), track.states[k][None], detection)
             row = np.zeros((2, 6 * count))
             row[:, 6 * k : 6 * k + 6] = jacobians[0]
             rows.append(row)
-            errors.append(found.points[own[0][event]] - points[0] - jacobians[0] @ (means[k] - track.states[k]))
-            noises.append(found.covariances[own[0][event]])
+            errors.append(run.points[detection[0]] - points[0] - jacobians[0] @ (means[k] - track.states[k]))
+            noises.append(run.noises[detection[0]])
     matrix, error = np.concatenate(rows), np.concatenate(errors)
     spread = matrix @ joint @ matrix.T
     for k, noise in enumerate(noises):

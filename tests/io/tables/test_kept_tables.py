@@ -1,0 +1,131 @@
+"""Tables whose rows were kept have the bytes of those written in one go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stereophd.errors import InputError
+from stereophd.io.outputs.saved import GrowingFile, read_frames
+from stereophd.io.tables.kept_tables import KeptTable
+from stereophd.io.tables.schemas import ASSOCIATIONS, DETECTIONS, SCANS, TRACKS
+from stereophd.io.tables.writing import TableWriter
+
+METADATA = {b"stereophd": b"{}" * 500}
+
+
+def rows_of(schema: pa.Schema, count: int, seed: int) -> dict[str, Any]:
+    """Return random columns; texts of few and of many words."""
+    numbers = np.random.default_rng([seed, count])
+    columns: dict[str, Any] = {}
+    for field in schema:
+        if pa.types.is_fixed_size_list(field.type):
+            columns[field.name] = numbers.normal(size=(count, 6, 6))
+        elif pa.types.is_string(field.type):
+            columns[field.name] = f"camera {seed % 3}" if field.name == "camera" else ["é"] * count
+        elif pa.types.is_integer(field.type):
+            columns[field.name] = numbers.integers(-9, 9, count)
+        else:
+            columns[field.name] = numbers.normal(size=count)
+    return columns
+
+
+@pytest.mark.parametrize("schema", [TRACKS, SCANS, ASSOCIATIONS], ids=["tracks", "scans", "associations"])
+@given(steps=st.lists(st.tuples(st.integers(1, 25), st.sampled_from(["on", "keep", "kill", "kill later"])), max_size=8))
+@settings(max_examples=15, deadline=None)
+def test_bytes_are_those_of_one_writer(
+    tmp_path_factory: pytest.TempPathFactory, schema: pa.Schema, steps: list[tuple[int, str]]
+) -> None:
+    folder = tmp_path_factory.mktemp("table")
+    kept = folder / "rows.growing"
+    whole = TableWriter(folder / "whole.parquet", schema, METADATA, row_group_rows=10)
+
+    def continued(length: int | None) -> KeptTable:
+        earlier = () if length is None else read_frames(kept, "me", length)
+        file = GrowingFile(kept, "me", length)
+        return KeptTable(folder / "part.parquet", schema, METADATA, file, earlier, row_group_rows=10)
+
+    table = continued(None)
+    for seed, (count, then) in enumerate(steps):
+        whole.append(rows_of(schema, count, seed))
+        table.append(rows_of(schema, count, seed))
+        if then == "on":
+            continue
+        length = table.keep()
+        if then == "keep":
+            continue
+        if then == "kill later":
+            table.append(rows_of(schema, 30, 99))
+        table.abandon()
+        table = continued(length)
+    whole.close()
+    table.close()
+    assert table.rows == whole.rows
+    assert table.path.read_bytes() == whole.path.read_bytes()
+
+
+def kept_rows(folder: Path) -> tuple[Path, int]:
+    """Return a file with the rows of a table, and how far it counts."""
+    file = GrowingFile(folder / "rows.growing", "me")
+    with KeptTable(folder / "t.parquet", SCANS, None, file) as table:
+        table.append(rows_of(SCANS, 20_000, 1))
+        length = table.keep()
+    return file.path, length
+
+
+@pytest.mark.parametrize("damage", ["cut off", "changed"])
+def test_damaged_rows_are_refused(tmp_path: Path, damage: str) -> None:
+    path, length = kept_rows(tmp_path)
+    content = bytearray(path.read_bytes())
+    content[length // 2] ^= 1
+    path.write_bytes(path.read_bytes()[: length - 1] if damage == "cut off" else content)
+    file = GrowingFile(tmp_path / "other.growing", "me")
+    with pytest.raises(InputError, match="damaged"):
+        KeptTable(tmp_path / "u.parquet", SCANS, None, file, read_frames(path, "me", length))
+
+
+def test_rows_of_another_table_are_refused(tmp_path: Path) -> None:
+    path, length = kept_rows(tmp_path)
+    for earlier in (read_frames(path, "me", length), [b"x"], [b""]):
+        file = GrowingFile(tmp_path / "other.growing", "me")
+        with pytest.raises(InputError, match=r"expected rows of u\.parquet"):
+            KeptTable(tmp_path / "u.parquet", TRACKS, None, file, earlier)
+
+
+def test_nulls_are_kept(tmp_path: Path) -> None:
+    rows = {"time_s": [1.0, 2.0], "camera": "left", "frame": 1, "u_px": [None, 1.0], "v_px": [None, 2.0]}
+    file = GrowingFile(tmp_path / "rows.growing", "me")
+    table = KeptTable(tmp_path / "t.parquet", DETECTIONS, None, file)
+    table.append(rows)
+    length = table.keep()
+    table.abandon()
+    earlier, file = read_frames(file.path, "me", length), GrowingFile(file.path, "me", length)
+    with (
+        KeptTable(tmp_path / "t.parquet", DETECTIONS, None, file, earlier),
+        TableWriter(tmp_path / "whole.parquet", DETECTIONS) as whole,
+    ):
+        whole.append(rows)
+    assert (tmp_path / "t.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
+
+
+def test_row_groups_of_the_usual_size(tmp_path: Path) -> None:
+    """Replayed with pages of several kinds."""
+    rows = tmp_path / "rows.growing"
+    with TableWriter(tmp_path / "whole.parquet", TRACKS, METADATA) as whole:
+        table = KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, GrowingFile(rows, "me"))
+        for seed in range(5):
+            whole.append(rows_of(TRACKS, 10_000, seed))
+            table.append(rows_of(TRACKS, 10_000, seed))
+        length = table.keep()
+        table.abandon()
+    earlier, file = read_frames(rows, "me", length), GrowingFile(rows, "me", length)
+    KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, file, earlier).close()
+    assert (tmp_path / "whole.parquet").read_bytes() == (tmp_path / "part.parquet").read_bytes()
+    assert pq.read_metadata(tmp_path / "part.parquet").num_row_groups == 4
