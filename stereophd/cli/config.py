@@ -22,7 +22,7 @@ class Command(StrEnum):
     EXPERIMENT = "experiment"
 
 
-@app.command("show", cls=options.Command)
+@app.command("show", cls=options.PlainCommand)
 def show_command(
     context: typer.Context,
     config: options.Config,
@@ -49,7 +49,7 @@ def show_command(
     print_data(f"# sha256 {loaded.sha256}\n{text.rstrip()}")
 
 
-@app.command("check", cls=options.Command)
+@app.command("check", cls=options.PlainCommand)
 def check_command(
     context: typer.Context,
     config: options.Config,
@@ -80,7 +80,7 @@ def check_command(
         print_data(f"{config}: ok (cameras: {cameras_text}; length in {loaded.config.units.length})")
 
 
-@app.command("schema", cls=options.Command)
+@app.command("schema", cls=options.PlainCommand)
 def schema_command(
     json: options.Json = False,
     quiet: options.Quiet = False,

@@ -22,7 +22,7 @@ class Session:
     printed: bool = False  # whether the one document of `json` is on stdout
 
 
-class Command(typer.core.TyperCommand):
+class PlainCommand(typer.core.TyperCommand):
     """A command whose help names arguments by their words alone, without the types of Python."""
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]
