@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.config.loading import LoadedConfig, as_loaded
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
@@ -47,7 +48,6 @@ from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.calibration import CalibrationConfig
-    from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.pipeline.runs.progress import Progress
 
@@ -68,7 +68,7 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def calibrate(
-    loaded: LoadedConfig,
+    loaded: LoadedConfig | Path | str,
     log_path: Path | str,
     out_dir: Path | str,
     force: bool = False,
@@ -83,7 +83,7 @@ def calibrate(
 
     Parameters
     ----------
-    loaded : LoadedConfig
+    loaded : LoadedConfig or path
         With a ``calibration`` and a ``filter`` section, and cameras at the prior mean.
     log_path : path
         Detection log.
@@ -120,6 +120,7 @@ def calibrate(
     GateError
         The data determine less than `require`. Everything has been written; the error carries the report.
     """
+    loaded = as_loaded(loaded)
     if require not in ACCEPTED:
         raise InputError(f"`require`: expected determined or partly, found {require}")
     if jobs == 0:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stereophd.commands.calibrate import FILES, calibrate
+from stereophd.config.loading import LoadedConfig, as_loaded
 from stereophd.io.outputs.atomic import tidy
 from stereophd.io.outputs.provenance import provenance
 from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
@@ -15,9 +16,6 @@ from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Columns of ``summary.parquet`` besides those of every batch; the standard deviations are the largest of the cameras.
 COLUMNS = {
@@ -29,7 +27,7 @@ COLUMNS = {
 
 
 def calibrate_logs(
-    loaded: LoadedConfig,
+    loaded: LoadedConfig | Path | str,
     logs: Sequence[Path | str],
     out_dir: Path | str,
     force: bool = False,
@@ -45,7 +43,7 @@ def calibrate_logs(
 
     Parameters
     ----------
-    loaded : LoadedConfig
+    loaded : LoadedConfig or path
         The same as in `stereophd.commands.calibrate.calibrate`.
     logs : sequence of path
         Detection logs, or patterns.
@@ -75,6 +73,7 @@ def calibrate_logs(
     InputError
         As `stereophd.commands.track_logs.track_logs`.
     """
+    loaded = as_loaded(loaded)
     from joblib import effective_n_jobs
 
     record = provenance("calibrate", loaded.record)

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stereophd.config.loading import LoadedConfig, as_loaded
 from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.checks.run import check_log
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 REPORT_VERSION = 1
 
 
-def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
+def check(loaded: LoadedConfig | Path | str, log_path: Path | str) -> dict[str, Any]:
     """Check a log against a configuration; nothing is written.
 
     Parameters
     ----------
-    loaded : LoadedConfig
+    loaded : LoadedConfig or path
         With cameras.
     log_path : path
         Detection log.
@@ -36,6 +34,7 @@ def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
     InputError
         The configuration has no cameras; the log is not usable.
     """
+    loaded = as_loaded(loaded)
     findings = check_log(loaded, log_path)
     return {
         "report_version": REPORT_VERSION,

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from stereophd.config.loading import LoadedConfig, as_loaded
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PartStore
@@ -33,9 +33,6 @@ from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.report.installed import can_draw
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 FIGURE_FILES = ("figure.png", "figure.svg")
 FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
 
@@ -43,7 +40,7 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def experiment(
-    loaded: LoadedConfig,
+    loaded: LoadedConfig | Path | str,
     out_dir: Path | str,
     jobs: int = 1,
     dask: str | None = None,
@@ -56,7 +53,7 @@ def experiment(
 
     Parameters
     ----------
-    loaded : LoadedConfig
+    loaded : LoadedConfig or path
         With an ``experiment`` section.
     out_dir : path
         Output folder. Finished runs are kept there until all are done.
@@ -85,6 +82,7 @@ def experiment(
     StereophdError
         A run failed again and again; finished runs are kept.
     """
+    loaded = as_loaded(loaded)
     settings = loaded.config.experiment
     if settings is None:
         raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")

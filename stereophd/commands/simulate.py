@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stereophd.config.loading import LoadedConfig, as_loaded
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
@@ -28,7 +29,6 @@ from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
 from stereophd.pipeline.simulation import build_scene
 
 if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
     from stereophd.config.simulate import SimulateConfig
 
 DETECTIONS_FILE = "detections.parquet"
@@ -44,7 +44,7 @@ PROGRESS_EVERY = 500
 
 
 def simulate(
-    loaded: LoadedConfig,
+    loaded: LoadedConfig | Path | str,
     out_dir: Path | str,
     runs: int | None = None,
     force: bool = False,
@@ -59,7 +59,7 @@ def simulate(
 
     Parameters
     ----------
-    loaded : LoadedConfig
+    loaded : LoadedConfig or path
         With a ``simulate`` section and cameras.
     out_dir : path
         Folder of the files, or of the folders ``run-0000``, ``run-0001``, ... of several runs; all
@@ -87,6 +87,7 @@ def simulate(
         No ``simulate`` section, no object fits into the view, a bad number of runs or jobs, or an
         output folder that cannot be used.
     """
+    loaded = as_loaded(loaded)
     config, settings = loaded.config, check_simulation(loaded)
     if runs is not None and runs < 1:
         raise InputError(f"runs: expected at least 1, found {runs}")

@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stereophd.config.loading import LoadedConfig, as_loaded
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
@@ -50,9 +51,6 @@ from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
 FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
@@ -62,7 +60,7 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def track(
-    loaded: LoadedConfig,
+    loaded: LoadedConfig | Path | str,
     log_path: Path | str,
     out_dir: Path | str,
     force: bool = False,
@@ -79,7 +77,7 @@ def track(
 
     Parameters
     ----------
-    loaded : LoadedConfig
+    loaded : LoadedConfig or path
         With a ``filter`` section and cameras.
     log_path : path
         Detection log.
@@ -118,6 +116,7 @@ def track(
         The configuration has no filter or no cameras; the log is not usable; the output folder holds
         other files or cannot be written to.
     """
+    loaded = as_loaded(loaded)
     loaded, motion = with_estimated_motion(loaded, log_path)
     tracking = build_tracking(loaded, threads)
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)

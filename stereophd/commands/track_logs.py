@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stereophd.commands.track import FILES, track
+from stereophd.config.loading import LoadedConfig, as_loaded
 from stereophd.io.outputs.provenance import provenance
 from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Columns of ``summary.parquet`` besides those of every batch.
 COLUMNS = {
@@ -27,7 +25,7 @@ COLUMNS = {
 
 
 def track_logs(
-    loaded: LoadedConfig,
+    loaded: LoadedConfig | Path | str,
     logs: Sequence[Path | str],
     out_dir: Path | str,
     force: bool = False,
@@ -46,7 +44,7 @@ def track_logs(
 
     Parameters
     ----------
-    loaded : LoadedConfig
+    loaded : LoadedConfig or path
         With a ``filter`` section and cameras.
     logs : sequence of path
         Detection logs, or patterns such as ``day-*/detections.parquet``.
@@ -75,6 +73,7 @@ def track_logs(
     InputError
         No log fits a pattern, one is given twice, or the output folder cannot be used.
     """
+    loaded = as_loaded(loaded)
     items = log_items(logs)
     record = provenance("track", loaded.record)
     keywords = {"threads": threads, "pieces_s": pieces_s, "overlap_s": overlap_s, "plots": plots}

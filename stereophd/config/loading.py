@@ -141,6 +141,29 @@ def load_config(
     return _loaded(config, source, inputs, tree)
 
 
+def as_loaded(config: LoadedConfig | Path | str | Mapping[str, Any]) -> LoadedConfig:
+    """Return the configuration that a caller of a command means.
+
+    Parameters
+    ----------
+    config
+        What `load_config` or `make_config` returned, the path of a file, or values as `make_config` takes them.
+
+    Raises
+    ------
+    InputError
+        It is none of these, or not valid.
+    """
+    if isinstance(config, LoadedConfig):
+        return config
+    if isinstance(config, str | Path):
+        return load_config(config)
+    if isinstance(config, Mapping):
+        return make_config(config)
+    kind = type(config).__name__
+    raise InputError(f"configuration: expected a path, a mapping or what `load_config` returns, found {kind}")
+
+
 def make_config(values: Mapping[str, Any], name: str = "configuration") -> LoadedConfig:
     """Make a configuration from values in memory, as a file holds them.
 
