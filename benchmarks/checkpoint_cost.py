@@ -34,14 +34,14 @@ from unittest.mock import patch
 
 import pyarrow.parquet as pq
 from scipy.stats import t as student
-from stereophd.pipeline.tracking.table_journal import TableJournal
 
 from stereophd.commands import track as command
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.tracking import checkpoint
-from stereophd.pipeline.tracking.checkpoint import RecordJournal
+from stereophd.pipeline.runs import unfinished
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
+from stereophd.pipeline.tracking.checkpoint import Journal, RecordFile
 from stereophd.pipeline.tracking.run import open_journal
 
 SCENE = ("simulate.frame_rate_hz=30", "simulate.objects.velocity_std=0.001", "simulate.objects.box.z=[80,200]")
@@ -58,8 +58,8 @@ def main() -> int:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args()
     # Half of the time is the other run's.
-    checkpoint.KEEP_EVERY_S = 2.0 * options.every
-    checkpoint.MOST_SHARE /= 2.0
+    unfinished.KEEP_EVERY_S = 2.0 * options.every
+    unfinished.MOST_SHARE /= 2.0
     missed = False
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -128,8 +128,8 @@ class Pair:
         threads = [threading.Thread(target=self._track, args=(kept,)) for kept in (True, False)]
         with ExitStack() as stack:
             stack.enter_context(patch.object(command, "open_journal", self._journal))
-            for kind in (RecordJournal, TableJournal):
-                stack.enter_context(patch.object(kind, "_keep", self._timed(kind._keep, state=True)))
+            stack.enter_context(patch.object(UnfinishedRun, "save", self._timed(UnfinishedRun.save, state=True)))
+            stack.enter_context(patch.object(RecordFile, "add", self._timed(RecordFile.add)))
             stack.enter_context(patch.object(TableWriter, "_flush", self._timed(TableWriter._flush)))
             for thread in threads:
                 thread.start()
@@ -153,7 +153,7 @@ class Pair:
             self._turns[not kept].release()
             self._turns[kept].acquire()
 
-    def _journal(self, *arguments: Any) -> RecordJournal | TableJournal | None:
+    def _journal(self, *arguments: Any) -> Journal | None:
         """Keep nothing of the run without checkpoints: Arrow alone writes its tables."""
         return open_journal(*arguments) if threading.current_thread().name == str(True) else None
 

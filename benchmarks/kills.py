@@ -38,12 +38,12 @@ QUICKSTART = CONFIGS / "quickstart.yaml"
 # Most kills in a row before a run may come to its end.
 MOST_KILLS = 3
 
-# Seconds between two checkpoints; a whole run of `track` takes some tenths of a second.
-OFTEN_S = 0.25
-TRACK_OFTEN_S = 0.02
+# Seconds between two states that are kept; a whole run of `track` takes some tenths of a second.
+OFTEN_S = 0.02
 
-# Rows of a group of a table: few, so that tables of seconds have several.
+# Rows of a group of a table, and records of a part: few, so that runs of seconds have several.
 ROW_GROUP_ROWS = 200
+RECORDS_AT_ONCE = 20
 
 # Where the shared memory of worker processes lies.
 SHARED_MEMORY = Path("/dev/shm")
@@ -147,7 +147,7 @@ def killed_and_resumed(
         if ended:
             break
         wrong = wrong or check_killed(case, expected, out)
-        kept += any(out.parent.glob("**/*.npz")) or any(out.parent.glob("*.checkpoint"))
+        kept += any(out.glob("**/*.saved"))
         if wrong:
             return kills + 1, kept, wrong
     if files(out) != expected:
@@ -166,12 +166,12 @@ def cases(folder: Path) -> dict[str, Case]:
     from stereophd.commands.track_logs import track_logs
     from stereophd.config.loading import load_config
     from stereophd.io.tables import writing as table_writing
-    from stereophd.pipeline.calibration import checkpoint as calibration_checkpoint
+    from stereophd.pipeline.runs import unfinished
     from stereophd.pipeline.tracking import checkpoint
 
     table_writing.ROW_GROUP_ROWS = ROW_GROUP_ROWS
-    checkpoint.KEEP_EVERY_S, checkpoint.MOST_SHARE = TRACK_OFTEN_S, 1e9
-    calibration_checkpoint.CHECKPOINT_EVERY_S, calibration_checkpoint.MOST_SHARE = OFTEN_S, 1e9
+    unfinished.KEEP_EVERY_S, unfinished.MOST_SHARE = OFTEN_S, 1e9
+    checkpoint.RECORDS_AT_ONCE = RECORDS_AT_ONCE
     loaded = load_config(QUICKSTART, ["simulate.duration_s=5"])
     simulate(loaded, folder / "scenes", runs=3)
     logs = sorted((folder / "scenes").glob("*/detections.parquet"))

@@ -74,8 +74,7 @@ def commands(out: Path, data: Path | None) -> dict[str, list[str]]:
             "--cameras", str(scene / "guess.yaml"), *words,
         ]  # fmt: skip
     runs["evaluate_calibration"] = [
-        "evaluate", "--cameras", str(out / "calibrate_annealed/cameras.yaml"),
-        "--true-cameras", str(scene / "cameras.yaml"),
+        "evaluate-cameras", str(out / "calibrate_annealed/cameras.yaml"), str(scene / "cameras.yaml"),
     ]  # fmt: skip
     for name, count in {"table2": 20, "figure11": 4, "figure12": 2, "figure7": 1}.items():
         runs[f"experiment_{name}"] = ["experiment", f"configs/paper/{name}.yaml", "--set", f"experiment.runs={count}"]

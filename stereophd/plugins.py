@@ -22,6 +22,7 @@ from stereophd.errors import InputError
 # Package -> group of entry points.
 GROUPS = {
     "stereophd.io.formats": "stereophd.formats",
+    "stereophd.core.bodies.shapes": "stereophd.shapes",
     "stereophd.core.motion": "stereophd.motion",
     "stereophd.core.multi.filter_settings": "stereophd.filters",
     "stereophd.core.geometry.lenses": "stereophd.lenses",

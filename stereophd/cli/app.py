@@ -36,6 +36,7 @@ from stereophd.cli import (
 )
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import PlainCommand, Session
+from stereophd.cli.parameters import command
 from stereophd.errors import GateError, InputError, StereophdError
 
 EXIT_USAGE = 2
@@ -60,17 +61,18 @@ for _name, _command, _purpose in (
     ("import", importing.import_command, "Convert detections and cameras of another program."),
     ("init", init.init_command, "Write a configuration with values estimated from a log."),
     ("info", info.info_command, "Describe a log, a table, cameras or an output folder."),
-    ("check", check.check_command, "Check whether a log fits cameras and settings, and why not."),
+    ("check", check.check_command, "Check whether a log fits cameras and settings."),
     ("simulate", simulate.simulate_command, "Simulate scenes and their detection logs."),
     ("track", track.track_command, "Estimate 3-D tracks from detection logs."),
     ("calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects."),
-    ("evaluate", evaluate.evaluate_command, "Score tracks or calibrated cameras against the truth."),
+    ("evaluate", evaluate.evaluate_command, "Score tracks against the truth."),
+    ("evaluate-cameras", evaluate.evaluate_cameras_command, "Score calibrated cameras against true ones."),
     ("report", report.report_command, "Write one page (HTML) about runs and their scores."),
     ("export", export.export_command, "Write tracks or cameras as a file of another program."),
     ("experiment", experiment.experiment_command, "Compare methods over many runs of a scenario."),
     ("compile", compile.compile_command, "Compile the kernels ahead, for containers and CI jobs."),
 ):
-    app.command(_name, cls=PlainCommand, short_help=_purpose)(_command)
+    app.command(_name, cls=PlainCommand, short_help=_purpose)(command(_command))
 app.add_typer(config.app, name="config", help="Show or check a configuration, or print its JSON schema.")
 
 
@@ -194,7 +196,7 @@ def _explain_usage(error: Exception, session: Session) -> int:
         print(context.get_help(), file=sys.stderr)
         return EXIT_USAGE
     name = "stereophd" if context is None else context.command_path
-    message = error.format_message().rstrip(".").replace("Value error, ", "")  # type: ignore[attr-defined]
+    message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
     message = f"{message} (see '{name} --help')"
     _report_error(f"error: {message}", "usage", EXIT_USAGE, session, message)
     return EXIT_USAGE

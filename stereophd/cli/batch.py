@@ -5,22 +5,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
-from stereophd.cli.terminal import print_data, quiet_pipe, to_json
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from stereophd.cli.terminal import print_data, to_json
+from stereophd.report.tables import SummaryTable, table_text
 
 # Not in the table: the folder identifies the log, and messages are printed below the table.
 _NOT_IN_TABLE = frozenset({"log", "message"})
-
-# Characters of a line of the table where no terminal limits it.
-_PIPED_WIDTH = 180
 
 
 def are_many(paths: Sequence[Path]) -> bool:
@@ -45,7 +40,7 @@ def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = Fals
     if session.json:
         print_data(to_json(found))
     elif not session.quiet:
-        _print_table(rows, found)
+        print_data(table_text(_table(rows, found)))
     code = found["exit_code"]
     if code == 0 and strict and any(row.get("warnings") for row in rows):
         code = 1
@@ -61,32 +56,13 @@ def say_what_is_kept(out: Path) -> None:
         print(f"finished parts are kept in {out}; --resume continues", file=sys.stderr)
 
 
-def _print_table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> None:
-    """Print a row for each input, and the messages of those that failed."""
-    from rich.console import Console
-    from rich.markup import escape
-
-    console = Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH)
-    with quiet_pipe():
-        console.print(_table(rows))
-        for row in rows:
-            if row["message"]:
-                console.print(f"{escape(row['folder'])}: {escape(with_flags(row['message']))}", highlight=False)
-        console.print(f"{found['done']} done, {found['failed']} failed", highlight=False)
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    names = [name for name in rows[0] if name not in _NOT_IN_TABLE]
-    for name in names:
-        words = name in ("folder", "status")
-        table.add_column(name, justify="left" if words else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*(escape(_text(row[name])) for name in names))
-    return table
+def _table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> SummaryTable:
+    """Return a row for each input; below are the messages of those that failed."""
+    names = tuple(name for name in rows[0] if name not in _NOT_IN_TABLE)
+    messages = [f"{row['folder']}: {with_flags(row['message'])}" for row in rows if row["message"]]
+    words = tuple(column for column, name in enumerate(names) if name in ("folder", "status"))
+    cells = tuple(tuple(_text(row[name]) for name in names) for row in rows)
+    return SummaryTable("", names, cells, (*messages, f"{found['done']} done, {found['failed']} failed"), words)
 
 
 def _text(value: Any) -> str:

@@ -8,28 +8,20 @@ from typing import Annotated, Any
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, exit_if_strict, load, print_data, print_report
+from stereophd.cli.terminal import exit_if_strict, load, print_data, print_report
 from stereophd.wording import counted
 
 MARKS = {"ok": "ok", "warning": "WARNING", "not checked": "not checked"}
 
 
 def check_command(
-    context: typer.Context,
-    config: options.Config,
+    session: options.Session,
+    words: options.ConfigWords,
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Detection log (Parquet).", show_default=False)],
-    cameras: options.Cameras = None,
     strict: options.Strict = False,
-    overrides: options.Set = None,
-    seed: options.Seed = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Check whether a log fits the cameras and the settings; name likely causes and remedies."""
-    session = begin(context)
-    loaded = load(config, overrides, seed, cameras)
+    loaded = load(words)
     from stereophd.commands.check import check
 
     report = check(loaded, log)

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, print_data, print_report
+from stereophd.cli.terminal import print_data, print_report
+
+Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
 
 
 def compile_command(
-    context: typer.Context,
-    jobs: options.Jobs = 1,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
+    session: options.Session,
+    jobs: Jobs = 1,
 ) -> None:
     """Compile the kernels of `track` and keep them: for images of containers and the cache of a CI job."""
-    session = begin(context)
     from stereophd.commands.compile import compile_kernels
 
     report = compile_kernels(jobs)

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, load, print_data, to_json
+from stereophd.cli.parameters import command
+from stereophd.cli.terminal import load, print_data, to_json
 
 app = typer.Typer(help="Show or check a configuration, or print its JSON schema.", no_args_is_help=True)
 
@@ -23,23 +24,16 @@ class Command(StrEnum):
 
 
 @app.command("show", cls=options.PlainCommand)
+@command
 def show_command(
-    context: typer.Context,
-    config: options.Config,
-    cameras: options.Cameras = None,
-    overrides: options.Set = None,
-    seed: options.Seed = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
+    session: options.Session,
+    words: options.ConfigWords,
 ) -> None:
     """Print the complete configuration.
 
     Defaults, overrides and cameras are filled in.
     """
-    session = begin(context)
-    loaded = load(config, overrides, seed, cameras)
+    loaded = load(words)
     if session.json:
         print_data(to_json(loaded.resolved))
         return
@@ -50,43 +44,32 @@ def show_command(
 
 
 @app.command("check", cls=options.PlainCommand)
+@command
 def check_command(
-    context: typer.Context,
-    config: options.Config,
-    cameras: options.Cameras = None,
-    overrides: options.Set = None,
-    seed: options.Seed = None,
-    command: Annotated[
+    session: options.Session,
+    words: options.ConfigWords,
+    for_command: Annotated[
         Command | None, typer.Option("--for", help="Check also what this command needs.", show_default=False)
     ] = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Check a configuration, and print every fault.
 
     Each fault is printed with its file, line and key; a configuration without a fault is ok.
     """
-    session = begin(context)
-    loaded = load(config, overrides, seed, cameras)
+    loaded = load(words)
     from stereophd.commands.check_config import check_config
 
-    check_config(loaded, None if command is None else command.value)
+    check_config(loaded, None if for_command is None else for_command.value)
     if session.json:
         print_data(to_json({"ok": True, "cameras": list(loaded.cameras), "config_sha256": loaded.sha256}))
     elif not session.quiet:
         cameras_text = ", ".join(loaded.cameras) or "none"
-        print_data(f"{config}: ok (cameras: {cameras_text}; length in {loaded.config.units.length})")
+        print_data(f"{words.config}: ok (cameras: {cameras_text}; length in {loaded.config.units.length})")
 
 
 @app.command("schema", cls=options.PlainCommand)
-def schema_command(
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
-) -> None:
+@command
+def schema_command(session: options.Session) -> None:
     """Print the JSON schema, which editors use.
 
     --json changes nothing.

@@ -9,27 +9,22 @@ from typing import Annotated, Any
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, print_data, print_report, progress_bar
+from stereophd.cli.terminal import print_data, print_report, progress_bar
 from stereophd.site import page
 
 
 def demo_command(
-    context: typer.Context,
+    session: options.Session,
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder of the demonstration; created if missing.", show_default=False)
     ],
     force: options.Force = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Simulate, track and score a small scene, and write a page to open in a browser.
 
     Three cameras that are not synchronised watch a hall. The first run compiles the numerical kernels, which takes up
     to a minute.
     """
-    session = begin(context)
     from stereophd.commands.demo import demo
 
     with progress_bar(session, "demo") as progress:

@@ -10,11 +10,11 @@ import typer
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
 from stereophd.cli.import_options import FORMAT_HELP
-from stereophd.cli.terminal import begin, print_data, print_report
+from stereophd.cli.terminal import print_data, print_report
 
 
 def export_command(
-    context: typer.Context,
+    session: options.Session,
     form: Annotated[
         str,
         typer.Argument(metavar="FORMAT", help=FORMAT_HELP, show_default=False),
@@ -30,13 +30,8 @@ def export_command(
         bool, typer.Option("--tentative", help="Write tentative estimates too, not only confirmed ones.")
     ] = False,
     force: options.Force = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Write tracks or cameras as a file of another program."""
-    session = begin(context)
     from stereophd.commands.export import export
     from stereophd.io.interchange.base import ExportOptions
 

@@ -8,56 +8,35 @@ from __future__ import annotations
 
 import re
 
-# Parameter -> option; other words in backquotes, such as sections of a configuration, stay.
-FLAGS = {
-    "align": "--align",
-    "at": "--at",
-    "base": "--base",
+from stereophd.commands.options import OPTIONS
+from stereophd.options import declarations
+
+# Parameter -> option, where no class of options declares it; other words in backquotes, such as sections, stay.
+_SHELL = {
     "box_point": "--box-point",
-    "cameras_path": "--cameras",
     "columns": "--column",
-    "cutoff": "--cutoff",
-    "dask": "--dask",
     "detector": "--sigma-px",
-    "fail_above": "--fail-above",
-    "fail_below": "--fail-below",
     "fill": "--fill",
-    "force": "--force",
     "frames": "--frames",
-    "from_s": "--from",
     "image_sizes": "--image-size",
-    "jobs": "--jobs",
     "kind": "--kind",
     "least_score": "--least-score",
     "length_unit": "--length-unit",
-    "log_path": "--log",
-    "match_distance": "--match-distance",
-    "max_gap_s": "--max-gap",
     "offsets": "--offset",
-    "order": "--order",
-    "ospa2_window": "--ospa2-window",
     "out_dir": "--out",
     "overrides": "--set",
-    "pieces_s": "--pieces",
-    "overlap_s": "--overlap",
     "pixel_origin": "--pixel-origin",
-    "plots": "--plots",
     "rate_hz": "--rate",
     "rates": "--fps",
     "rename": "--rename",
-    "require": "--require",
-    "resume": "--resume",
     "rows_from": "--rows-from",
     "seed": "--seed",
-    "seen_by": "--seen-by",
-    "tentative": "--tentative",
     "time_unit": "--time-unit",
-    "to_s": "--to",
     "tracks": "--track",
-    "true_path": "--true-cameras",
     "undistorted": "--undistorted",
-    "within_s": "--within",
 }
+_DECLARED = [item for kind in OPTIONS.values() for item in declarations(kind).items()]
+FLAGS = _SHELL | {name: declared.flag_of(name) for name, declared in _DECLARED}
 _PARAMETER = re.compile(r"(?<!`)`([a-z][a-z0-9_]*)(?:=True)?`(?!`)")
 
 

@@ -11,14 +11,14 @@ import typer
 from stereophd.cli import import_options as of
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
-from stereophd.cli.terminal import begin, print_data, print_report
+from stereophd.cli.terminal import print_data, print_report
 from stereophd.cli.unused_options import refuse
 
 Value = TypeVar("Value")
 
 
 def import_command(
-    context: typer.Context,
+    session: options.Session,
     form: of.Form,
     sources: of.Sources,
     out: options.Out,
@@ -41,15 +41,10 @@ def import_command(
     p_detect: of.PDetect = 0.9,
     clutter: of.Clutter = 1.0,
     force: options.Force = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Convert files of another program to detections.parquet, cameras.yaml and report.json."""
-    session = begin(context)
     if sigma_px is None:
-        refuse(context, ("p_detect", "clutter"), "with --sigma-px PX, found none: the detectors are estimated")
+        refuse(session, ("p_detect", "clutter"), "with --sigma-px PX, found none: the detectors are estimated")
     from stereophd.commands.importing import import_recording
     from stereophd.io.interchange.base import ImportOptions
 

@@ -8,22 +8,17 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, print_data, print_report
+from stereophd.cli.terminal import print_data, print_report
 
 
 def info_command(
-    context: typer.Context,
+    session: options.Session,
     path: Annotated[
         Path,
         typer.Argument(metavar="FILE|DIR", help="Log, table, cameras, configuration or folder.", show_default=False),
     ],
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Describe what a log, a table, a file of cameras or an output folder holds, and what made it."""
-    session = begin(context)
     from stereophd.commands.info import info
     from stereophd.report.inspection import info_text
 

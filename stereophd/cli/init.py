@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, exit_if_strict, print_data, print_report
+from stereophd.cli.terminal import exit_if_strict, print_data, print_report
 from stereophd.cli.unused_options import refuse
 
 
@@ -32,7 +32,7 @@ class LengthUnit(StrEnum):
 
 
 def init_command(
-    context: typer.Context,
+    session: options.Session,
     folder: Annotated[
         Path,
         typer.Argument(metavar="DIR", help="Folder of the new config.yaml; created if missing.", show_default=False),
@@ -60,15 +60,10 @@ def init_command(
     ] = None,
     strict: options.Strict = False,
     force: options.Force = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Write a commented configuration, with values estimated from a log and cameras as far as these show them."""
-    session = begin(context)
     if log is None:
-        refuse(context, ("strict",), "with --log FILE, which is checked, found none")
+        refuse(session, ("strict",), "with --log FILE, which is checked, found none")
     from stereophd.commands.init import init
 
     report = init(

@@ -20,6 +20,7 @@ class Session:
     verbosity: int = 0
     debug: bool = False
     printed: bool = False  # whether the one document of `json` is on stdout
+    context: typer.Context | None = None  # of the command that runs
 
 
 class PlainCommand(typer.core.TyperCommand):
@@ -57,11 +58,6 @@ Logs = Annotated[
         metavar="LOG", help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'.", show_default=False
     ),
 ]
-Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
-Dask = Annotated[
-    str | None,
-    option("--dask", "ADDRESS", "Run the parts (logs, pieces, runs) on a Dask cluster, such as tcp://host:8786."),
-]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]
 
 
@@ -81,17 +77,8 @@ Set = Annotated[
     ),
 ]
 Seed = Annotated[int | None, option("--seed", "N", "Seed of the run.")]
-Plots = Annotated[
-    bool | None,
-    typer.Option(
-        "--plots/--no-plots",
-        help="Make plots (needs the extra 'plot'); default: if it is installed.",
-        show_default=False,
-    ),
-]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
-ForceSize = Annotated[bool, typer.Option("--force-size", help="Run even if that takes very long or much disk space.")]
 # The callbacks of Json, Quiet, Verbose and Debug put their values into the session, where the commands read them.
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON document.", callback=_to_session("json"), is_eager=True)
@@ -128,3 +115,22 @@ Debug = Annotated[
         is_eager=True,
     ),
 ]
+
+
+@dataclass(frozen=True)
+class ConfigWords:
+    """A configuration, its cameras, and what replaces its values."""
+
+    config: Config
+    cameras: Cameras = None
+    overrides: Set = None
+    seed: Seed = None
+
+
+@dataclass(frozen=True)
+class SceneWords:
+    """A configuration with the cameras that it names."""
+
+    config: Config
+    overrides: Set = None
+    seed: Seed = None

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin, print_data, print_report
+from stereophd.cli.terminal import print_data, print_report
 
 
 def report_command(
-    context: typer.Context,
+    session: options.Session,
     folders: Annotated[
         list[Path],
         typer.Argument(
@@ -24,13 +24,8 @@ def report_command(
     truths: Annotated[list[Path] | None, options.option("--truth", "FILE", "Truth elsewhere (repeatable).")] = None,
     title: Annotated[str, typer.Option("--title", metavar="TEXT", help="Title of the page.")] = "stereophd report",
     force: options.Force = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = 0,
-    debug: options.Debug = False,
 ) -> None:
     """Write one self-contained page (needs the extra 'report'): tracks, cameras, residuals, scores, settings."""
-    session = begin(context)
     from stereophd.commands.report import report
 
     found = report(folders, out, logs=logs or (), truths=truths or (), title=title, force=force)

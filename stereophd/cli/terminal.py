@@ -5,18 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from stereophd.cli import interrupts, memory
 from stereophd.cli.flags import with_flags
-from stereophd.cli.options import Session
+from stereophd.cli.options import ConfigWords, SceneWords, Session
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from stereophd.config.loading import LoadedConfig
 
 # 128 + SIGPIPE, as the shell reports a program that wrote into a closed pipe.
@@ -31,6 +29,7 @@ def begin(context: typer.Context) -> Session:
     import logging
 
     session = context.ensure_object(Session)
+    session.context = context
     level = logging.ERROR if session.quiet else max(logging.WARNING - 10 * session.verbosity, logging.DEBUG)
     logger = logging.getLogger("stereophd")
     handler = logging.StreamHandler(sys.stderr)
@@ -45,11 +44,12 @@ def begin(context: typer.Context) -> Session:
     return session
 
 
-def load(config: Path, overrides: list[str] | None, seed: int | None, cameras: Path | None) -> LoadedConfig:
-    """Load the configuration of a command."""
+def load(words: ConfigWords | SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
+    """Load the configuration of a command; `further` overrides come after those of the command line."""
     from stereophd.config.loading import load_config
 
-    return load_config(config, overrides or [], seed, cameras)
+    cameras = words.cameras if isinstance(words, ConfigWords) else None
+    return load_config(words.config, [*(words.overrides or ()), *further], words.seed, cameras)
 
 
 def print_data(text: str) -> None:
@@ -125,14 +125,19 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 @contextlib.contextmanager
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
-    """Yield a function (done, total) for the steps of a run: it moves a bar on stderr if that is a terminal."""
+    """Yield a function (done, total) for the steps of a run: it moves a bar on stderr if that is a terminal.
+
+    The bar shows the time that remains, and the time since the start.
+    """
     if session.quiet or not sys.stderr.isatty():
         yield lambda done, total: interrupts.check()
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TimeElapsedColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(
+        *Progress.get_default_columns(), TimeElapsedColumn(), console=Console(stderr=True), transient=True
+    ) as bar:
         task = bar.add_task(label, total=None)
 
         def advance(done: float, total: float) -> None:

@@ -12,19 +12,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-import typer
-
+from stereophd.cli.options import Session
 from stereophd.errors import InputError
 
 LOGGER = logging.getLogger("stereophd")
 
 
-def refuse(context: typer.Context, names: Sequence[str], use: str) -> None:
+def refuse(session: Session, names: Sequence[str], use: str) -> None:
     """Refuse parameters that the user states, and that act only in another use.
 
     Parameters
     ----------
-    context : typer.Context
+    session : Session
     names : sequence of str
         Names of parameters of the command.
     use : str
@@ -35,25 +34,26 @@ def refuse(context: typer.Context, names: Sequence[str], use: str) -> None:
     InputError
         One of them is on the command line.
     """
-    for option in _stated(context, names):
+    for option in _stated(session, names):
         raise InputError(f"{option}: expected only {use}")
 
 
-def report(context: typer.Context, names: Sequence[str], use: str) -> None:
+def report(session: Session, names: Sequence[str], use: str) -> None:
     """Warn of parameters that the user states, and that act only in another use; otherwise the same as `refuse`."""
-    for option in _stated(context, names):
+    for option in _stated(session, names):
         LOGGER.warning("%s does nothing here: it acts only %s", option, use)
 
 
-def report_jobs_beside_dask(context: typer.Context, dask: str | None) -> None:
+def report_jobs_beside_dask(session: Session, dask: str | None) -> None:
     """Warn of a stated --jobs where a cluster does the work."""
     if dask is not None:
-        report(context, ("jobs",), "without --dask, whose cluster does the work")
+        report(session, ("jobs",), "without --dask, whose cluster does the work")
 
 
-def _stated(context: typer.Context, names: Sequence[str]) -> list[str]:
+def _stated(session: Session, names: Sequence[str]) -> list[str]:
     """Return the options of the parameters that are on the command line."""
-    out = []
+    context, out = session.context, []
+    assert context is not None
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name in names and source is not None and source.name == "COMMANDLINE":

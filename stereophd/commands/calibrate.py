@@ -6,12 +6,13 @@ import contextlib
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.config.loading import LoadedConfig, as_loaded
+from stereophd.commands.options import CalibrateOptions
+from stereophd.config.loading import takes_config
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
@@ -20,6 +21,7 @@ from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter
+from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
@@ -48,6 +50,7 @@ from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.calibration import CalibrationConfig
+    from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.pipeline.runs.progress import Progress
 
@@ -67,44 +70,29 @@ WITH_CAMERAS = ("geometry.", "settings.")
 LOGGER = logging.getLogger("stereophd")
 
 
+@takes_config
+@takes(CalibrateOptions)
 def calibrate(
-    loaded: LoadedConfig | Path | str,
+    loaded: LoadedConfig,
     log_path: Path | str,
     out_dir: Path | str,
-    force: bool = False,
-    jobs: int = 1,
-    resume: bool = False,
-    plots: bool | None = None,
+    *,
+    options: CalibrateOptions,
     progress: Progress | None = None,
-    require: Literal["determined", "partly"] | None = None,
-    force_size: bool = False,
 ) -> dict[str, Any]:
     """Calibrate cameras from a detection log (paper section VII).
 
     Parameters
     ----------
-    loaded : LoadedConfig or path
+    loaded : LoadedConfig
         With a ``calibration`` and a ``filter`` section, and cameras at the prior mean.
     log_path : path
         Detection log.
     out_dir : path
         Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
         cameras ``cameras.yaml``, and the tables of ``track`` made with them.
-    force : bool
-        Whether the outputs of an earlier run, and the checkpoint of an unfinished one, may be replaced.
-    jobs : int
-        Processes (threads, of particles; -1: as many as there are cores); the outputs do not depend on it.
-    resume : bool
-        Continue from the checkpoint of an interrupted run, or begin where there is none; the outputs are those of an
-        uninterrupted one. The results of a finished run stay as they are.
-    plots : bool, optional
-        Whether to draw plots; default if matplotlib is installed.
     progress : callable, optional
         Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
-    require : str, optional
-        The least that the data must determine: all directions of the cameras (``determined``) or some (``partly``).
-    force_size : bool
-        Whether a calibration that takes very long is confirmed.
 
     Returns
     -------
@@ -115,28 +103,25 @@ def calibrate(
     ------
     InputError
         Configuration, log, checkpoint or output folder are not usable; the calibration needs too much memory.
-    SizeError
-        It takes very long, and is not confirmed.
     GateError
         The data determine less than `require`. Everything has been written; the error carries the report.
     """
-    loaded = as_loaded(loaded)
-    if require not in ACCEPTED:
-        raise InputError(f"`require`: expected determined or partly, found {require}")
-    if jobs == 0:
+    if options.require not in ACCEPTED:
+        raise InputError(f"`require`: expected determined or partly, found {options.require}")
+    if options.jobs == 0:
         raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     from joblib import effective_n_jobs
 
-    jobs = effective_n_jobs(jobs)
+    jobs = effective_n_jobs(options.jobs)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
     record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
-    if resume and (done := finished_report(out_dir, record, force)) is not None:
-        return _accepted(done, require, log_path)
+    if options.resume and (done := finished_report(out_dir, record, options.force)) is not None:
+        return _accepted(done, options.require, log_path)
     recording = problem.recording
     size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
-    check_size(size, f"{log_path}: calibration", out_dir, force_size)
-    drawn = whether_to_draw(plots)
+    check_size(size, f"{log_path}: calibration", out_dir)
+    drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
@@ -144,8 +129,8 @@ def calibrate(
     unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))
-        held.enter_context(unfinished.held(resume, force))
-        out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists))
+        held.enter_context(unfinished.held(options.resume, options.force))
+        out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
         outcome = _outcome(loaded, section, problem, unfinished, jobs, progress)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, problem, outcome, to_metadata(record))
@@ -165,7 +150,7 @@ def calibrate(
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
             write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
-    return _accepted(report, require, log_path)
+    return _accepted(report, options.require, log_path)
 
 
 def _findings_of(report: dict[str, Any]) -> list[dict[str, Any]]:

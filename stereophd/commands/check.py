@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stereophd.config.loading import LoadedConfig, as_loaded
+from stereophd.config.loading import LoadedConfig, takes_config
 from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.checks.run import check_log
@@ -13,12 +13,13 @@ from stereophd.pipeline.checks.run import check_log
 REPORT_VERSION = 1
 
 
-def check(loaded: LoadedConfig | Path | str, log_path: Path | str) -> dict[str, Any]:
+@takes_config
+def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
     """Check a log against a configuration; nothing is written.
 
     Parameters
     ----------
-    loaded : LoadedConfig or path
+    loaded : LoadedConfig
         With cameras.
     log_path : path
         Detection log.
@@ -34,7 +35,6 @@ def check(loaded: LoadedConfig | Path | str, log_path: Path | str) -> dict[str, 
     InputError
         The configuration has no cameras; the log is not usable.
     """
-    loaded = as_loaded(loaded)
     findings = check_log(loaded, log_path)
     return {
         "report_version": REPORT_VERSION,

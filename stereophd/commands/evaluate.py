@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from stereophd.commands.options import EvaluateOptions
 from stereophd.core.metrics.truth.interpolation import (
     DEFAULT_GAP_STEPS,
 )
@@ -15,6 +15,7 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.options import takes
 from stereophd.pipeline.evaluation.gates import Limits, check_limits, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
@@ -24,9 +25,9 @@ from stereophd.pipeline.evaluation.inputs import (
     read_tracks,
     read_truth,
 )
-from stereophd.pipeline.evaluation.options import Options, check_options
+from stereophd.pipeline.evaluation.options import check_options, scoring_values
 from stereophd.pipeline.evaluation.report import build_report, write_per_scan
-from stereophd.pipeline.evaluation.scale import PAPER_CUTOFF, default_cutoff, warn_of_another_scene
+from stereophd.pipeline.evaluation.scale import default_cutoff, warn_of_another_scene
 from stereophd.pipeline.evaluation.scoring import score_tracks
 from stereophd.report.installed import whether_to_draw
 
@@ -37,31 +38,13 @@ REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
 PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg"))
 
 
+@takes(EvaluateOptions)
 def evaluate(
     tracks_path: Path | str,
     truth_path: Path | str,
     out_dir: Path | str | None = None,
     *,
-    order: float = 2.0,
-    cutoff: float | None = None,
-    base: Literal["euclidean", "mahalanobis"] = "euclidean",
-    from_s: float | None = None,
-    to_s: float | None = None,
-    max_gap_s: float | None = None,
-    at: Literal["times", "events"] = "times",
-    log_path: Path | str | None = None,
-    seen_by: int | None = None,
-    within_s: float | None = None,
-    ospa2_window: int = 10,
-    tentative: bool = False,
-    align: Literal["none", "rigid", "similarity"] = "none",
-    align_clock: bool = False,
-    match_distance: float | None = None,
-    fail_above: Mapping[str, float] | None = None,
-    fail_below: Mapping[str, float] | None = None,
-    cameras_path: Path | str | None = None,
-    force: bool = False,
-    plots: bool | None = None,
+    options: EvaluateOptions,
 ) -> dict[str, Any]:
     """Score tracks against the truth, and write ``report.json``, ``per_scan.parquet`` and plots.
 
@@ -72,45 +55,6 @@ def evaluate(
         those that reported nothing; without it, the times of the truth stand in for them.
     out_dir : path, optional
         Where to write; nothing is written without it.
-    order, cutoff : float
-        Order p and cutoff c of OSPA and GOSPA; c in the length unit of the files, or a number of standard
-        deviations for the base ``mahalanobis``. The default of c is `evaluation.cutoff` of the configuration of
-        the tracks; without it 20 cm for files in centimetres, the paper's, and 20 standard deviations.
-    base : str
-        Base distance: ``euclidean``, or ``mahalanobis`` with the covariance of the estimate (paper VIII-C).
-    from_s, to_s : float, optional
-        Closed interval of times that are scored.
-    max_gap_s : float, optional
-        Longest interval of the truth that is interpolated over; default 1.5 times its median step. Times in a
-        longer one, or outside the truth, are counted but not scored.
-    at : str
-        ``times``: each distinct time once, after its last event; ``events``: after every event.
-    log_path, seen_by, within_s : path, int, float, optional
-        Score only objects that at least `seen_by` cameras detected in the last `within_s` seconds according to the log
-        (by its ``object_id``; without one, any detection counts). Other objects and the estimates assigned to them are
-        left out.
-    ospa2_window : int
-        Number of scored scans in a window of OSPA(2).
-    tentative : bool
-        Score tentative estimates too, not only confirmed ones.
-    align : str
-        ``rigid``: score the tracks after the rotation and translation that bring them nearest to the truth, as those
-        of cameras that calibrated themselves; ``similarity``: and after a change of scale.
-    align_clock : bool
-        Score the tracks after a change of the offset and rate of their clock, estimated with the frame.
-    match_distance : float, optional
-        Tracks and objects nearer than this, in the unit of c, may be matched: for all figures but OSPA, OSPA(2), GOSPA
-        and HOTA. Default c. Where objects are nearer to each other than this, a match may be wrong from the first time
-        on and yet be kept.
-    fail_above, fail_below : mapping, optional
-        Limits of figures, such as ``{"ospa.mean": 0.8}``.
-    cameras_path : path, optional
-        ``cameras.yaml`` with the clocks of the log and the cameras to draw; default the cameras in the
-        provenance of the tracks.
-    force : bool
-        Replace an earlier evaluation in `out_dir`.
-    plots : bool, optional
-        Whether to draw plots; default if matplotlib is installed.
 
     Returns
     -------
@@ -126,47 +70,33 @@ def evaluate(
         A figure is beyond its limit (or is not a number). Everything has been written; the error carries the
         report as `report`.
     """
-    chosen = PAPER_CUTOFF if cutoff is None else cutoff
-    options = Options(
-        order, chosen, base, from_s, to_s, max_gap_s, at, seen_by, within_s, ospa2_window, tentative, align,
-        align_clock, match_distance,
-    )  # fmt: skip
-    check_options(options, log_path)
-    run = partial(
-        _run, _input_paths(tracks_path, truth_path, log_path, cameras_path), options, cutoff is not None,
-        Limits(fail_above or {}, fail_below or {}),
-    )  # fmt: skip
+    check_options(options, options.log_path)
+    inputs = _input_paths(tracks_path, truth_path, options.log_path, options.cameras_path)
     if out_dir is None:
-        report = run(None, False)
+        report = _run(inputs, options, None, False)
     else:
-        draw = whether_to_draw(plots)
-        with OutputFolder(out_dir, [REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES], force) as out:
-            report = run(out, draw)
+        draw = whether_to_draw(options.plots)
+        with OutputFolder(out_dir, [REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES], options.force) as out:
+            report = _run(inputs, options, out, draw)
     raise_if_failed(report, tracks_path)
     return report
 
 
-def _run(
-    inputs: dict[str, Path],
-    options: Options,
-    has_cutoff: bool,
-    limits: Limits,
-    out: OutputFolder | None,
-    draw: bool,
-) -> dict[str, Any]:
+def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | None, draw: bool) -> dict[str, Any]:
     """Read, score, and write all files of the output folder."""
     tracks = read_tracks(inputs["tracks"])
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)
     unit = _common_unit({"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}, inputs)
-    if not has_cutoff:
+    if options.cutoff is None:
         options = replace(options, cutoff=default_cutoff(options.base, unit, tracks.metadata, inputs["tracks"]))
     sightings = None if options.seen_by is None else read_sightings(inputs["log"], cameras)
     max_gap_s = DEFAULT_GAP_STEPS * truth.step_s if options.max_gap_s is None else options.max_gap_s
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
     warn_of_another_scene(inputs, tracks, truth, scored.scans)
+    limits = Limits(options.fail_above or {}, options.fail_below or {})
     check_limits(limits, {**scored.figures, "scans": scored.scans})
-    record = provenance("evaluate", asdict(options), inputs=inputs, length_unit=unit)
+    record = provenance("evaluate", scoring_values(options), inputs=inputs, length_unit=unit)
     report = build_report(scored, options, max_gap_s, unit, record, limits)
     if out is not None:
         write_json(out.path(REPORT_NAME), report)
@@ -178,7 +108,7 @@ def _run(
             pictures = Pictures(
                 columns=scored.columns,
                 order=options.order,
-                cutoff=options.cutoff,
+                cutoff=options.known_cutoff,
                 base=options.base,
                 truth=truth,
                 max_gap_s=max_gap_s,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import ValidationError
 
+from stereophd.commands.options import EvaluateCamerasOptions
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
 from stereophd.core.arrays import Array
@@ -25,6 +25,7 @@ from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import finite_or_none, write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance
 from stereophd.io.tables.reading import open_parquet
+from stereophd.options import takes
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, raise_if_failed
@@ -50,15 +51,14 @@ class Posterior:
     log_weights: Array
 
 
+@takes(EvaluateCamerasOptions)
 def evaluate_calibration(
     cameras_path: Path | str,
     true_path: Path | str,
     out_dir: Path | str | None = None,
     loaded: LoadedConfig | None = None,
-    reference: str | None = None,
-    fail_above: Mapping[str, float] | None = None,
-    fail_below: Mapping[str, float] | None = None,
-    force: bool = False,
+    *,
+    options: EvaluateCamerasOptions,
 ) -> dict[str, Any]:
     """Compare two camera files, and write ``report.json``.
 
@@ -72,12 +72,6 @@ def evaluate_calibration(
     loaded : LoadedConfig, optional
         Scenario (``simulate``) and priors (``calibration``) whose Cramer-Rao bound is reported, its cameras the true
         ones.
-    reference : str, optional
-        Camera that fixes the frame; default that of the posterior, else the first whose poses agree, else the first.
-    fail_above, fail_below : mapping, optional
-        Limits of figures, such as ``{"joint.rotation_deg": 0.5}``.
-    force : bool
-        Replace an earlier evaluation in `out_dir`.
 
     Returns
     -------
@@ -93,7 +87,7 @@ def evaluate_calibration(
     """
     estimated, true, unit = _read_pair(cameras_path, true_path)
     posterior = _posterior_of(Path(cameras_path), [camera.name for camera in true])
-    chosen = _reference(estimated, true, posterior, reference, true_path)
+    chosen = _reference(estimated, true, posterior, options.reference, true_path)
     report: dict[str, Any] = {
         "report_version": 1,
         "length_unit": unit,
@@ -105,14 +99,14 @@ def evaluate_calibration(
         report["posterior"] = posterior_figures(posterior, true)
     if loaded is not None:
         report["bounds"] = bound_figures(loaded, true)
-    limits, figures = Limits(fail_above or {}, fail_below or {}), {"joint": report["joint"]}
+    limits, figures = Limits(options.fail_above or {}, options.fail_below or {}), {"joint": report["joint"]}
     check_limits(limits, figures)
     report["gates"] = gates(limits, figures)
     if out_dir is not None:
         inputs = {"cameras": cameras_path, "true_cameras": true_path}
-        options = {"reference": report["reference"]}
-        record = provenance("evaluate", options if loaded is None else loaded.record, inputs=inputs, length_unit=unit)
-        with OutputFolder(out_dir, [REPORT_NAME], force) as out:
+        values = {"reference": report["reference"]} if loaded is None else loaded.record
+        record = provenance("evaluate", values, inputs=inputs, length_unit=unit)
+        with OutputFolder(out_dir, [REPORT_NAME], options.force) as out:
             write_json(out.path(REPORT_NAME), {**report, "provenance": record})
     raise_if_failed(report, cameras_path)
     return report

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from stereophd.commands.evaluate import PER_SCAN_NAME, PLOT_NAMES, REPORT_NAME, evaluate
+from stereophd.commands.options import EvaluateOptions
 from stereophd.errors import InputError
 from stereophd.io.outputs.provenance import provenance
 from stereophd.io.tables.schemas import FLOAT, INTEGER
+from stereophd.options import takes
 from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, run_batch
 from stereophd.pipeline.runs.progress import Progress
@@ -25,15 +28,14 @@ COLUMNS = {
 }
 
 
+@takes(EvaluateOptions)
 def evaluate_runs(
     tracks_dir: Path | str,
     truth_dir: Path | str,
     out_dir: Path | str,
-    force: bool = False,
+    *,
+    options: EvaluateOptions,
     progress: Progress | None = None,
-    jobs: int = 1,
-    dask: str | None = None,
-    **options: Any,
 ) -> dict[str, Any]:
     """Score the tracks of many runs against the truths of the same names.
 
@@ -46,14 +48,8 @@ def evaluate_runs(
     out_dir : path
         Folder for the outputs: ``NAME/`` for each run, with the files of `stereophd.commands.evaluate.evaluate`, and
         ``summary.parquet``.
-    force : bool
-        Whether the outputs of an earlier evaluation may be replaced.
     progress : callable, optional
         Called with the runs done and their number.
-    jobs, dask : int, str
-        The same as in `stereophd.commands.track_logs.track_logs`.
-    **options
-        The same as in `stereophd.commands.evaluate.evaluate`.
 
     Returns
     -------
@@ -65,27 +61,25 @@ def evaluate_runs(
     InputError
         A folder or an option cannot be used.
     """
-    if options.get("log_path") is not None:
+    if options.log_path is not None:
         raise InputError("`log_path`: expected the tracks of one run, found a folder of runs")
     pairs = pairs_by_name(Path(tracks_dir), Path(truth_dir), "tracks.parquet", "truth.parquet")
     items = [
         Item(name, str(tracks), (Path(os.path.abspath(tracks)), Path(os.path.abspath(truth))))
         for name, (tracks, truth) in pairs.items()
     ]
-    plain = {name: None if value is None else str(value) for name, value in options.items()}
-    record = provenance("evaluate", plain)
+    each = replace(options, jobs=1, dask=None)
+    values = {name: None if value is None else str(value) for name, value in vars(each).items() if name != "force"}
     files = (REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES)
-    batch = Batch(items, partial(_evaluate, force, options), _values, files, COLUMNS, record)
-    return run_batch(batch, out_dir, jobs, dask, force, progress=progress)
+    batch = Batch(items, partial(_evaluate, each), _values, files, COLUMNS, provenance("evaluate", values))
+    return run_batch(batch, out_dir, options.jobs, options.dask, options.force, progress=progress)
 
 
-def _evaluate(
-    force: bool, options: Mapping[str, Any], item: Item, out: Path, progress: Progress | None
-) -> Mapping[str, Any]:
+def _evaluate(options: EvaluateOptions, item: Item, out: Path, progress: Progress | None) -> Mapping[str, Any]:
     """Score one run."""
     if progress is not None:
         progress(0, 1)
-    return evaluate(item.paths[0], item.paths[1], out, force=force, **options)
+    return evaluate(item.paths[0], item.paths[1], out, options=options)
 
 
 def _values(report: Mapping[str, Any]) -> Mapping[str, Any]:

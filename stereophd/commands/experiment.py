@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from stereophd.config.loading import LoadedConfig, as_loaded
+from stereophd.commands.options import ExperimentOptions
+from stereophd.config.loading import takes_config
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PartStore
-from stereophd.experiments.engine.plan import effort_of, plan_parts
+from stereophd.experiments.engine.plan import memory_of, plan_parts
 from stereophd.experiments.engine.results import (
     RUNS_FILE,
     SUMMARY_FILE,
@@ -28,10 +30,14 @@ from stereophd.experiments.engine.results import (
 from stereophd.experiments.engine.summary import QuantityCheck
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN
 from stereophd.io.outputs.atomic import OutputFolder, output_lock
+from stereophd.options import takes
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.report.installed import can_draw
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
 
 FIGURE_FILES = ("figure.png", "figure.svg")
 FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
@@ -39,36 +45,21 @@ FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
 LOGGER = logging.getLogger("stereophd")
 
 
+@takes_config
+@takes(ExperimentOptions)
 def experiment(
-    loaded: LoadedConfig | Path | str,
-    out_dir: Path | str,
-    jobs: int = 1,
-    dask: str | None = None,
-    resume: bool = False,
-    force: bool = False,
-    progress: Progress | None = None,
-    force_size: bool = False,
+    loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress | None = None
 ) -> Results:
     """Run an experiment, and write ``runs.parquet``, ``summary.parquet``, ``timing.json`` and the figure.
 
     Parameters
     ----------
-    loaded : LoadedConfig or path
+    loaded : LoadedConfig
         With an ``experiment`` section.
     out_dir : path
         Output folder. Finished runs are kept there until all are done.
-    jobs : int
-        Processes on this machine; 1: this one.
-    dask : str, optional
-        Address of a Dask scheduler whose workers do the runs instead.
-    resume : bool
-        Whether runs that an earlier call finished are taken over; only those missing are done.
-    force : bool
-        Whether results of an earlier experiment may be replaced.
     progress : callable, optional
         Called with the runs done and their total.
-    force_size : bool
-        Whether to run even if that takes very long.
 
     Returns
     -------
@@ -82,25 +73,24 @@ def experiment(
     StereophdError
         A run failed again and again; finished runs are kept.
     """
-    loaded = as_loaded(loaded)
     settings = loaded.config.experiment
     if settings is None:
         raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
-    if jobs < 1:
-        raise InputError(f"`jobs`: expected at least 1, found {jobs}")
+    if options.jobs < 1:
+        raise InputError(f"`jobs`: expected at least 1, found {options.jobs}")
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
-    size = size_of_experiment(loaded, settings.runs, len(parts), *effort_of(parts, settings.runs))
-    check_size(size, f"{loaded.path}: experiment", out, force_size)
+    size = size_of_experiment(loaded, settings.runs, len(parts), memory_of(parts))
+    check_size(size, f"{loaded.path}: experiment", out)
     store = PartStore(out, loaded)
     with output_lock(out):
-        if is_finished(store, loaded, resume, force, FILES):
+        if is_finished(store, loaded, options.resume, options.force, FILES):
             return read_results(loaded, settings, out)
-        with store.unfinished.held(resume, force):
+        with store.unfinished.held(options.resume, options.force):
             bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
             wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
             check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
-            execute(wanted, store, jobs, dask, progress, check.see)
+            execute(wanted, store, options.jobs, options.dask, progress, check.see)
             results, runs = gather_results(loaded, settings, parts, store.read())
             with OutputFolder(out, [*FILES, *UNFINISHED_FILES], force=True) as files:
                 write_results(results, runs, loaded, files)
@@ -116,7 +106,7 @@ def finished_runs(loaded: LoadedConfig, out_dir: Path | str) -> int:
 def _draw(results: Results, out: OutputFolder) -> None:
     """Draw the figure, if matplotlib is installed."""
     if not can_draw():
-        LOGGER.info("no figure: it needs matplotlib (pip install matplotlib)")
+        LOGGER.info("no figure: it needs matplotlib (pip install 'stereophd[plot]')")
         return
     # Costly to import, and matplotlib is an extra.
     from stereophd.report.experiment_plots import write_figure

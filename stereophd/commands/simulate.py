@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stereophd.config.loading import LoadedConfig, as_loaded
+from stereophd.commands.options import SimulateOptions
+from stereophd.config.loading import takes_config
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
@@ -24,11 +25,13 @@ from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.tables.schemas import TRUTH
 from stereophd.io.tables.writing import TableWriter
+from stereophd.options import takes
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
 from stereophd.pipeline.simulation import build_scene
 
 if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
     from stereophd.config.simulate import SimulateConfig
 
 DETECTIONS_FILE = "detections.parquet"
@@ -43,14 +46,10 @@ FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
 PROGRESS_EVERY = 500
 
 
+@takes_config
+@takes(SimulateOptions)
 def simulate(
-    loaded: LoadedConfig | Path | str,
-    out_dir: Path | str,
-    runs: int | None = None,
-    force: bool = False,
-    jobs: int = 1,
-    progress: Progress | None = None,
-    force_size: bool = False,
+    loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Simulate the scene of a configuration and write ``detections.parquet truth.parquet cameras.yaml``.
 
@@ -59,21 +58,13 @@ def simulate(
 
     Parameters
     ----------
-    loaded : LoadedConfig or path
+    loaded : LoadedConfig
         With a ``simulate`` section and cameras.
     out_dir : path
         Folder of the files, or of the folders ``run-0000``, ``run-0001``, ... of several runs; all
         appear together or not at all.
-    runs : int, optional
-        Number of runs; None: one, in `out_dir` itself, equal to run 0 of several.
-    force : bool
-        Whether the outputs of an earlier run may be replaced.
-    jobs : int
-        Processes for several runs; the files do not depend on it.
     progress : callable, optional
         Called with ``(done, total)``: frames of one run, runs of several.
-    force_size : bool
-        Whether to run even if that takes very long or much disk space.
 
     Returns
     -------
@@ -87,20 +78,19 @@ def simulate(
         No ``simulate`` section, no object fits into the view, a bad number of runs or jobs, or an
         output folder that cannot be used.
     """
-    loaded = as_loaded(loaded)
-    config, settings = loaded.config, check_simulation(loaded)
+    config, settings, runs = loaded.config, check_simulation(loaded), options.runs
     if runs is not None and runs < 1:
         raise InputError(f"runs: expected at least 1, found {runs}")
-    if jobs == 0:
+    if options.jobs == 0:
         raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
-    check_size(size_of_simulation(loaded, runs or 1), f"{loaded.path}: simulate", out_dir, force_size)
+    check_size(size_of_simulation(loaded, runs or 1), f"{loaded.path}: simulate", out_dir, options.force_size)
     if runs is None:
-        with OutputFolder(out_dir, FILES, force) as out:
+        with OutputFolder(out_dir, FILES, options.force) as out:
             counts = [_simulate_run(loaded, 0, {name: out.path(name) for name in FILES}, progress)]
     else:
-        with OutputFolder(out_dir, [f"run-*/{name}" for name in FILES], force) as out:
+        with OutputFolder(out_dir, [f"run-*/{name}" for name in FILES], options.force) as out:
             paths = [{name: out.path(f"run-{run:04d}/{name}") for name in FILES} for run in range(runs)]
-            counts = _simulate_runs(loaded, paths, jobs, progress)
+            counts = _simulate_runs(loaded, paths, options.jobs, progress)
     return {
         "runs": runs or 1,
         "seed": config.seed,

@@ -10,17 +10,19 @@ import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stereophd.config.loading import LoadedConfig, as_loaded
+from stereophd.commands.options import TrackOptions
+from stereophd.config.loading import takes_config
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
+from stereophd.options import takes
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
@@ -51,6 +53,9 @@ from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
 
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
 CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
 FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
@@ -59,25 +64,21 @@ REPORT_VERSION = 1
 LOGGER = logging.getLogger("stereophd")
 
 
+@takes_config
+@takes(TrackOptions)
 def track(
-    loaded: LoadedConfig | Path | str,
+    loaded: LoadedConfig,
     log_path: Path | str,
     out_dir: Path | str,
-    force: bool = False,
-    threads: int = 1,
+    *,
+    options: TrackOptions,
     progress: Progress | None = None,
-    resume: bool = False,
-    pieces_s: float | None = None,
-    overlap_s: float | None = None,
-    jobs: int = 1,
-    dask: str | None = None,
-    plots: bool = False,
 ) -> dict[str, Any]:
     """Track the objects of a detection log.
 
     Parameters
     ----------
-    loaded : LoadedConfig or path
+    loaded : LoadedConfig
         With a ``filter`` section and cameras.
     log_path : path
         Detection log.
@@ -85,25 +86,8 @@ def track(
         Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written. Where detectors
         are estimated, also for ``cameras.yaml``, the cameras with the detectors found; with ``report.associations``,
         also for ``associations.parquet``.
-    force : bool
-        Whether the outputs of an earlier run may be replaced.
-    threads : int
-        Threads that carry samples between disparity spaces; the outputs do not depend on it.
     progress : callable, optional
         Called with the rows done and their total.
-    resume : bool
-        Whether to continue an unfinished run of this configuration and log, and to leave the results of a finished
-        one as they are; the outputs are those of an undisturbed run.
-    pieces_s : float, optional
-        Length of a piece, s: the log is cut in time, the pieces are tracked independently, and their tracks are joined.
-        The last piece is shorter, or longer by up to the overlap.
-    overlap_s : float, optional
-        Time before its own span from which a piece is tracked, s; by default 60, or the length of shorter pieces.
-    jobs, dask : int, str
-        Processes of this machine, or the address of a Dask scheduler, for the pieces; the outputs do not depend on
-        them.
-    plots : bool
-        Whether to draw views, timelines of the tracks and, with ``report.associations``, residuals by camera.
 
     Returns
     -------
@@ -116,16 +100,15 @@ def track(
         The configuration has no filter or no cameras; the log is not usable; the output folder holds
         other files or cannot be written to.
     """
-    loaded = as_loaded(loaded)
     loaded, motion = with_estimated_motion(loaded, log_path)
-    tracking = build_tracking(loaded, threads)
+    tracking = build_tracking(loaded, options.threads)
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     record = provenance("track", loaded.record, inputs={"detections": log_path})
-    if pieces_s is not None:
-        overlap_s = overlap_of(pieces_s, overlap_s)
-        record["pieces"] = {"length_s": pieces_s, "overlap_s": overlap_s}
+    if options.pieces_s is not None:
+        options = replace(options, overlap_s=overlap_of(options.pieces_s, options.overlap_s))
+        record["pieces"] = {"length_s": options.pieces_s, "overlap_s": options.overlap_s}
     unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
-    if resume and (report := finished_report(out_dir, record, force)) is not None:
+    if options.resume and (report := finished_report(out_dir, record, options.force)) is not None:
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
@@ -133,17 +116,18 @@ def track(
     with _compilation(kind), output_lock(out_dir):
         findings = check_log(loaded, log_path, thorough=False)
         with (
-            unfinished.held(resume, force),
-            OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), force or unfinished.exists) as out,
+            unfinished.held(options.resume, options.force),
+            OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists) as out,
         ):
-            tracking = with_estimated_detectors(tracking, loaded, stream, threads)
+            tracking = with_estimated_detectors(tracking, loaded, stream, options.threads)
             stream = stream.with_cameras(tracking.cameras)
-            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots and whether_to_draw(plots))
-            if pieces_s is None:
+            plots = options.plots and whether_to_draw(options.plots)
+            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots)
+            if options.pieces_s is None:
                 journal = open_journal(unfinished, tracking)
                 report = run.write(tracking.records(stream, journal), findings, out, journal=journal)
             else:
-                joined = run.in_pieces(pieces_s, overlap_of(pieces_s, overlap_s), threads, jobs, dask, progress)
+                joined = run.in_pieces(options, progress)
                 report = run.write(run.lasting(joined.records()), findings, out, joined)
     return report
 
@@ -160,16 +144,17 @@ class _Run:
     motion: dict[str, Any] | None = None
     plots: bool = False
 
-    def in_pieces(
-        self, length_s: float, overlap_s: float, threads: int, jobs: int, dask: str | None, progress: Progress | None
-    ) -> JoinedPieces:
+    def in_pieces(self, options: TrackOptions, progress: Progress | None) -> JoinedPieces:
         """Track the log in pieces."""
+        length_s, overlap_s = options.pieces_s, options.overlap_s
+        assert length_s is not None
+        assert overlap_s is not None
         log = Path(os.path.abspath(self.stream.source))
         unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)
-        work = PieceWork(self.loaded, self.tracking.cameras, log, unfinished, threads)
+        work = PieceWork(self.loaded, self.tracking.cameras, log, unfinished, options.threads)
         ahead = self.loaded.config.report.smooth is not None
         pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
-        track_pieces(work, pieces, jobs, dask, progress)
+        track_pieces(work, pieces, options.jobs, options.dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible
         return joined

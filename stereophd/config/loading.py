@@ -5,11 +5,11 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
+Words = ParamSpec("Words")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -141,27 +143,28 @@ def load_config(
     return _loaded(config, source, inputs, tree)
 
 
-def as_loaded(config: LoadedConfig | Path | str | Mapping[str, Any]) -> LoadedConfig:
-    """Return the configuration that a caller of a command means.
+def takes_config(
+    function: Callable[Concatenate[LoadedConfig, Words], Result],
+) -> Callable[Concatenate[LoadedConfig | Path | str | Mapping[str, Any], Words], Result]:
+    """Let a command whose first parameter is a loaded configuration also take its path, or its values as a mapping.
 
-    Parameters
-    ----------
-    config
-        What `load_config` or `make_config` returned, the path of a file, or values as `make_config` takes them.
-
-    Raises
-    ------
-    InputError
-        It is none of these, or not valid.
+    What is none of these raises `InputError`.
     """
-    if isinstance(config, LoadedConfig):
-        return config
-    if isinstance(config, str | Path):
-        return load_config(config)
-    if isinstance(config, Mapping):
-        return make_config(config)
-    kind = type(config).__name__
-    raise InputError(f"configuration: expected a path, a mapping or what `load_config` returns, found {kind}")
+
+    @wraps(function)
+    def call(
+        config: LoadedConfig | Path | str | Mapping[str, Any], /, *arguments: Words.args, **words: Words.kwargs
+    ) -> Result:
+        if isinstance(config, str | Path):
+            config = load_config(config)
+        elif isinstance(config, Mapping):
+            config = make_config(config)
+        elif not isinstance(config, LoadedConfig):
+            kind = type(config).__name__
+            raise InputError(f"configuration: expected a path, a mapping or what `load_config` returns, found {kind}")
+        return function(config, *arguments, **words)
+
+    return call
 
 
 def make_config(values: Mapping[str, Any], name: str = "configuration") -> LoadedConfig:

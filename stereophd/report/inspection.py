@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.pipeline.inspection.cameras import sketch
+from stereophd.report.tables import aligned
 from stereophd.wording import counted
 
 # Tracks and files listed one by one.
@@ -77,7 +78,7 @@ def _log(found: Mapping[str, Any]) -> Iterator[str]:
             for name, c in found["cameras"].items()
         ),
     ]
-    yield from table(rows)
+    yield from aligned(rows)
     if found["times_backwards"]:
         yield f"times go backwards in {found['times_backwards']} places: rows are not in order of time"
     for name, c in found["cameras"].items():
@@ -106,7 +107,7 @@ def _objects(found: Mapping[str, Any]) -> Iterator[str]:
     rows = [("id", "first s", "last s", "rows")]
     shown = found["rows_by_object"][:ROWS_SHOWN]
     rows += [(str(r["id"]), _number(r["first_s"], 6), _number(r["last_s"], 6), str(r["rows"])) for r in shown]
-    yield from table(rows)
+    yield from aligned(rows)
     if found["objects"] > len(shown):
         yield f"... and {found['objects'] - len(shown)} shorter ones"
 
@@ -133,7 +134,7 @@ def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
                 detector or f"{noise} px, pD {c['p_detect']:g}, clutter {c['clutter_per_frame']:g}",
             )
         )
-    yield from table(rows)
+    yield from aligned(rows)
     if found["distances"] is not None:
         near, far = found["distances"]["nearest"], found["distances"]["farthest"]
         yield f"distances between cameras: {near:.4g} to {far:.4g} {unit}"
@@ -164,7 +165,7 @@ def _folder(found: Mapping[str, Any]) -> Iterator[str]:
     if files:
         rows = [("file", "kind", "what")]
         rows += [(Path(file["path"]).name, file["kind"], _brief(file)) for file in files[:ROWS_SHOWN]]
-        yield from table(rows)
+        yield from aligned(rows)
     if len(files) > ROWS_SHOWN:
         yield f"... and {len(files) - ROWS_SHOWN} more"
     if pictures:
@@ -199,16 +200,6 @@ def _table(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"{found['first_s']:.6g} to {found['last_s']:.6g} s"
     for name, kind in found.get("columns", {}).items():
         yield f"  {name}  {kind}"
-
-
-def table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows as lines with aligned columns: the first to the left, the others to the right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        words = [row[0].ljust(widths[0]), *(word.rjust(width) for word, width in zip(row[1:], widths[1:], strict=True))]
-        lines.append("  ".join(words).rstrip())
-    return lines
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from stereophd.report.inspection import table
+from stereophd.report.tables import CHECKS, SummaryTable, table_text
 from stereophd.wording import counted, percent
 
 # Tracks that the terminal lists.
@@ -19,20 +18,6 @@ TRACKS_SHOWN = 20
 CAMERAS_SHOWN = 6
 # Numbers from here on are written with powers of ten.
 LARGEST_PLAIN = 1e7
-
-
-# The table whose cells are sentences.
-CHECKS = "Checks"
-
-
-@dataclass(frozen=True)
-class SummaryTable:
-    """A table of texts."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()  # Lines below the table
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -82,15 +67,6 @@ def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN
 def summary_text(report: Mapping[str, Any]) -> str:
     """Return the verdict and the tables of a report as text for a terminal."""
     return "\n\n".join([verdict(report), *map(table_text, run_tables(report))])
-
-
-def table_text(one: SummaryTable) -> str:
-    """Return a table as text for a terminal: its title, and its rows and notes indented."""
-    if one.title == CHECKS:
-        rows = [f"  {name} ({camera}): {found} Remedy: {remedy}." for name, camera, found, remedy in one.rows]
-    else:
-        rows = [f"  {line}" for line in table([one.header, *one.rows])] if one.rows else []
-    return "\n".join([one.title, *rows, *(f"  {note}" for note in one.notes)])
 
 
 def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:

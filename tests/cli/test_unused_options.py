@@ -10,6 +10,8 @@ import pytest
 import typer
 
 from stereophd.cli.app import app
+from stereophd.commands.options import OPTIONS
+from stereophd.options import declarations
 
 from .conftest import Outcome, write_config
 from .test_import import write_calibration
@@ -20,21 +22,23 @@ Call = Callable[..., Outcome]
 # act, or are REPORTED.
 ALWAYS = {"--out", "--json", "--quiet", "--verbose", "--debug", "--set", "--seed", "--force", "--force-size", "--help"}
 
-# Command -> its further options that act in every use.
+# Command -> its further options that act in every use: those that are declared so, and those of the shell alone.
 ACTING = {
-    "calibrate": {"--cameras", "--resume", "--plots", "--require", "--strict"},
+    "calibrate": {"--cameras", "--strict"},
     "check": {"--cameras", "--strict"},
     "compile": {"--jobs"},
     "config check": {"--cameras", "--for"},
     "config show": {"--cameras"},
-    "evaluate": {"--true-cameras", "--fail-above", "--fail-below"},
-    "experiment": {"--dask", "--resume"},
+    "evaluate-cameras": {"--config"},
     "import": {"--cameras"},
     "init": {"--log", "--cameras", "--length-unit", "--kind"},
     "report": {"--log", "--truth", "--title"},
-    "simulate": {"--cameras", "--runs"},
-    "track": {"--cameras", "--pieces", "--resume", "--smooth", "--associations", "--plots", "--strict"},
-}  # fmt: skip
+    "simulate": {"--cameras"},
+    "track": {"--cameras", "--smooth", "--associations", "--strict"},
+}
+for _name, _kind in OPTIONS.items():
+    _declared = {declared.flag_of(name) for name, declared in declarations(_kind).items() if not declared.use}
+    ACTING[_name] = ACTING.get(_name, set()) | (_declared - ALWAYS)
 
 # The filter of one object.
 SINGLE = {"kind": "single", "prior": {"depth_range": [50, 200], "velocity_std": 1.0}}
@@ -54,16 +58,6 @@ REFUSED = [
     (["evaluate", "a", "b"], ["--log", "c"], "--seen-by: expected --seen-by, --within and --log together"),
     (["evaluate", "a", "b"], ["--within", "1"], "--seen-by: expected --seen-by, --within and --log together"),
     (["evaluate", "a", "b"], ["--seen-by", "1"], "--seen-by: expected --seen-by, --within and --log together"),
-    (["evaluate", "a", "b"], ["--config", "c"], "--config: expected only for the scores of cameras"),
-    *(
-        (["evaluate", "--cameras", "a", "--true-cameras", "b"], words, f"{words[0]}: expected only for the scores of")
-        for words in (
-            ["--order", "2"], ["--cutoff", "1"], ["--base", "euclidean"], ["--from", "1"], ["--to", "1"],
-            ["--max-gap", "1"], ["--at", "times"], ["--log", "a"], ["--seen-by", "1"], ["--within", "1"],
-            ["--ospa2-window", "3"], ["--tentative"], ["--align", "rigid"], ["--align-clock"], ["--plots"],
-            ["--jobs", "2"], ["--dask", "d"], ["--match-distance", "1"],
-        )
-    ),
     (["import", "csv", "TABLE", "--out", "c"], ["--p-detect", "0.5"], "--p-detect: expected only with --sigma-px"),
     (["import", "csv", "TABLE", "--out", "c"], ["--clutter", "0.5"], "--clutter: expected only with --sigma-px"),
     *(
@@ -102,10 +96,10 @@ REFUSED = [
     (["export", "csv", "TRACKS", "--out", "OUT"], ["--rate", "9"], "--rate: expected an option that a file of format"),
 ]  # fmt: skip
 
-# The two uses of evaluate.
+# The two commands that score.
 SCORES = (
     ["evaluate", "TRACKS", "TRUTH", "--cutoff", "20"],
-    ["evaluate", "--cameras", "NATIVE", "--true-cameras", "NATIVE"],
+    ["evaluate-cameras", "NATIVE", "NATIVE"],
 )
 
 # The same for options that the contract of the command line accepts in every use: a warning, and the same outputs.
@@ -116,7 +110,7 @@ REPORTED = [
     (["calibrate", "CONFIG", "b", "c", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
     (["experiment", "CONFIG", "--out", "c", "--dask", "d:1"], ["--jobs", "2"], "--jobs does nothing here"),
     *((use, ["--force"], "--force does nothing here: it acts only with --out DIR") for use in SCORES),
-    (SCORES[0], ["--seed", "1"], "--seed does nothing here: it acts only for the scores of cameras, with --config"),
+    (SCORES[0], ["--seed", "1"], "--seed does nothing here: it acts only for the scores of cameras"),
     (SCORES[1], ["--seed", "1"], "--seed does nothing here: it acts only with --config CONFIG"),
 ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd.commands.calibrate import calibrate, checkpoint_path
+from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
@@ -161,10 +162,9 @@ def test_an_interrupted_run_continues_to_the_same_result(
 
     with pytest.raises((KeyboardInterrupt, SystemError)):
         calibrate(loaded(scene, overrides), log, tmp_path / "out", plots=False, progress=interrupt)
-    assert not (tmp_path / "out").exists()
-    assert checkpoint_path(tmp_path / "out").exists()
+    assert list((tmp_path / "out").glob("partial-*/*.saved"))
+    assert not list((tmp_path / "out").glob("*.*"))
     calibrate(loaded(scene, overrides), log, tmp_path / "out", plots=False, resume=True, progress=lambda *_: None)
-    assert not checkpoint_path(tmp_path / "out").exists()
     # the default method is annealed
     whole = result if method == "annealed" else tmp_path / "whole"
     if method != "annealed":
@@ -183,31 +183,39 @@ def test_an_interrupted_run_continues_to_the_same_result(
         assert not (whole / "cameras.yaml").exists()
 
 
+def kept_file(out: Path) -> Path:
+    """Return the one file of an unfinished run."""
+    (path,) = out.glob("partial-*/*.saved")
+    return path
+
+
 def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None:
-    log = scene / "detections.parquet"
-    checkpoint_path(tmp_path / "out").write_bytes(b"not a checkpoint")
+    log, out = scene / "detections.parquet", tmp_path / "out"
+    foreign = out / "partial-0123456789abcdef" / "starts.saved"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_bytes(b"mine")
     for words in ({"resume": True}, {"force": True}, {"resume": True, "force": True}):
-        with pytest.raises(InputError, match="found another file; move it away"):
-            calibrate(loaded(scene), log, tmp_path / "out", **words)
-    assert checkpoint_path(tmp_path / "out").read_bytes() == b"not a checkpoint"
-    checkpoint_path(tmp_path / "out").unlink()
+        with pytest.raises(InputError, match="no part of an unfinished run; move it away"):
+            calibrate(loaded(scene), log, out, **words)
+    assert foreign.read_bytes() == b"mine"
+    shutil.rmtree(out)
 
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
     # without a checkpoint, a run that may resume begins at the start
     with pytest.raises(KeyboardInterrupt):
-        calibrate(loaded(scene), log, tmp_path / "out", resume=True, progress=stop)
-    kept = checkpoint_path(tmp_path / "out").read_bytes()
+        calibrate(loaded(scene), log, out, resume=True, progress=stop)
+    kept = kept_file(out).read_bytes()
     other = loaded(scene, (*QUICK, "seed=2"))
-    with pytest.raises(InputError, match="found another's"):
-        calibrate(other, log, tmp_path / "out", resume=True)
+    with pytest.raises(InputError, match="an unfinished run of another configuration"):
+        calibrate(other, log, out, resume=True)
     with pytest.raises(InputError, match="an unfinished run; use `resume=True`"):
-        calibrate(loaded(scene), log, tmp_path / "out")
-    assert checkpoint_path(tmp_path / "out").read_bytes() == kept
+        calibrate(loaded(scene), log, out)
+    assert kept_file(out).read_bytes() == kept
     with pytest.raises(KeyboardInterrupt):
-        calibrate(other, log, tmp_path / "out", resume=True, force=True, progress=stop)
-    assert checkpoint_path(tmp_path / "out").read_bytes() != kept
+        calibrate(other, log, out, resume=True, force=True, progress=stop)
+    assert kept_file(out).read_bytes() != kept
 
 
 def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:

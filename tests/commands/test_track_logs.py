@@ -190,7 +190,7 @@ def test_evaluate_of_runs_tells_a_gate_from_a_fault(loaded: LoadedConfig, scenes
 def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
     loaded: LoadedConfig, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def calibrate(loaded: LoadedConfig, log: Path, out: Path, force: bool, **words: Any) -> dict[str, Any]:
+    def calibrate(loaded: LoadedConfig, log: Path, out: Path, **words: Any) -> dict[str, Any]:
         if log.stat().st_size < 10:
             raise InputError(f"{log}: no log")
         out.mkdir(parents=True)

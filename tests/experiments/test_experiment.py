@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -21,6 +20,7 @@ from stereophd.experiments.engine.parts import experiment_hash
 from stereophd.experiments.engine.plan import cases_of
 from stereophd.experiments.kinds import multi_object
 from stereophd.io.outputs.provenance import METADATA_KEY
+from stereophd.io.outputs.saved import MARK
 
 from .conftest import Load
 
@@ -230,7 +230,7 @@ class TestResume:
             experiment(loaded, out, progress=interrupt)
         assert [p.name for p in out.iterdir()] == [f"partial-{experiment_hash(loaded)[:16]}"]
         assert finished_runs(loaded, out) == 5  # and the bounds of both cases
-        with pytest.raises(InputError, match="unfinished experiment; use `resume=True` or `force=True`"):
+        with pytest.raises(InputError, match="unfinished run; use `resume=True` to continue it, or `force=True`"):
             experiment(loaded, out)
         before = len(fake.runs)
         experiment(loaded, out, resume=True)
@@ -248,7 +248,7 @@ class TestResume:
 
         with pytest.raises(KeyboardInterrupt):
             experiment(load(), out, progress=interrupt)
-        with pytest.raises(InputError, match="holds runs of another configuration"):
+        with pytest.raises(InputError, match="unfinished run of another configuration"):
             experiment(load("seed=4"), out, resume=True)
         experiment(load("experiment.runs=6"), out, resume=True)
         experiment(load("experiment.runs=6"), tmp_path / "whole")
@@ -317,10 +317,10 @@ class TestFailures:
 
 def test_a_damaged_part_is_an_error_that_names_it(load: Load, tmp_path: Path) -> None:
     loaded, out = load(), tmp_path / "out"
-    part = out / f"partial-{experiment_hash(loaded)[:16]}" / "a.parquet"
+    part = out / f"partial-{experiment_hash(loaded)[:16]}" / "a.saved"
     part.parent.mkdir(parents=True)
-    part.write_bytes(b"PAR1 and no more")
-    with pytest.raises(InputError, match=r"a\.parquet: expected a part of an experiment"):
+    part.write_bytes(MARK + b"no more")
+    with pytest.raises(InputError, match=r"a\.saved: expected an unfinished run of this configuration"):
         experiment(loaded, out, resume=True)
 
 
@@ -334,9 +334,9 @@ def test_files_of_others_are_left_alone(load: Load, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["partial-of-my-thesis", "partial-0123456789abcdef"])
 def test_a_folder_that_only_looks_like_ours_is_left_alone(load: Load, tmp_path: Path, name: str) -> None:
-    foreign = tmp_path / "out" / name / "data.parquet"
+    foreign = tmp_path / "out" / name / "data.saved"
     foreign.parent.mkdir(parents=True)
-    pq.write_table(pa.table({"dear": [1]}), foreign)
-    with pytest.raises(InputError, match=rf"holds {name}/data\.parquet, which is not a part of an experiment"):
+    foreign.write_text("dear")
+    with pytest.raises(InputError, match=rf"holds {name}/data\.saved, which is no part of an unfinished run"):
         experiment(load(), tmp_path / "out", force=True)
-    assert pq.read_table(foreign).to_pydict() == {"dear": [1]}
+    assert foreign.read_text() == "dear"

@@ -133,7 +133,7 @@ def test_ctrl_c_leaves_a_folder_that_can_be_resumed(
     )
     waiting = multiprocessing.Event()
     for _ in range(GIVE_UP_S * 20):
-        if len(list(out.glob("partial-*/*.parquet"))) >= 2 or process.poll() is not None:
+        if len(list(out.glob("partial-*/*.saved"))) >= 2 or process.poll() is not None:
             break
         waiting.wait(0.05)
     os.killpg(process.pid, signal.SIGINT)

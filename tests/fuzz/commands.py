@@ -47,16 +47,18 @@ def changed(base: dict[str, Any], changes: Sequence[tuple[Keys, Any]]) -> dict[s
     return document
 
 
-def outcome(command: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, str]:
+def outcome(command: list[str], capfd: pytest.CaptureFixture[str], patience_s: float | None = None) -> tuple[int, str]:
     """Run a command in this process; return its exit code, and what it says on stderr.
 
-    One that does not end is ended, with exit code 3.
+    One that does not end is ended, with exit code 3; with `NoEnd` where the test states its patience.
     """
     capfd.readouterr()
     try:
-        with bounded(LONGEST_S):
+        with bounded(patience_s or LONGEST_S):
             code = run(command)
     except NoEnd as error:
+        if patience_s is not None:
+            raise
         return 3, f"{capfd.readouterr().err}{error}"
     return code, capfd.readouterr().err
 

@@ -42,7 +42,7 @@ READING = {
         "evaluate", "tracked/tracks.parquet", "out/truth.parquet", "--cutoff", "1", "--cameras", "out/cameras.yaml",
         "--log", "out/detections.parquet", "--seen-by", "1", "--within", "1", "--out", "scores", "--no-plots",
     ],
-    "evaluate cameras": ["evaluate", "--cameras", "out/cameras.yaml", "--true-cameras", "out/cameras.yaml"],
+    "evaluate cameras": ["evaluate-cameras", "out/cameras.yaml", "out/cameras.yaml"],
     "export tracks": ["export", "csv", "tracked/tracks.parquet", "--out", "tracks.csv"],
     "export tracks at a rate": ["export", "trc", "tracked/tracks.parquet", "--rate", "20", "--out", "tracks.trc"],
     "export cameras": ["export", "opencv", "out/cameras.yaml", "--out", "exported"],

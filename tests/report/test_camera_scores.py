@@ -1,4 +1,4 @@
-"""The table of `evaluate --true-cameras`: words and units, and nothing that is empty."""
+"""The table of `evaluate-cameras`: words and units, and nothing that is empty."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_errors_of_two_files(
 ) -> None:
     (tmp_path / "estimate.yaml").write_text(estimate)
     (tmp_path / "true.yaml").write_text(TRUE)
-    words = ["evaluate", "--cameras", f"{tmp_path}/estimate.yaml", "--true-cameras", f"{tmp_path}/true.yaml"]
+    words = ["evaluate-cameras", f"{tmp_path}/estimate.yaml", f"{tmp_path}/true.yaml"]
     assert run(words) == 0
     text = capsys.readouterr().out
     assert text.splitlines()[:2] == POSES
@@ -67,7 +67,7 @@ def test_errors_of_two_files(
 def test_limits_and_their_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, text in (("estimate", WRONG), ("true", TRUE)):
         (tmp_path / f"{name}.yaml").write_text(text)
-    words = ["evaluate", "--cameras", f"{tmp_path}/estimate.yaml", "--true-cameras", f"{tmp_path}/true.yaml"]
+    words = ["evaluate-cameras", f"{tmp_path}/estimate.yaml", f"{tmp_path}/true.yaml"]
     assert run([*words, "--fail-above", "joint.rotation_deg=0.5", "--fail-below", "joint.center=1"]) == 1
     assert rows(capsys.readouterr().out)[-4:] == [
         "Limits", "figure value fails if passed",

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
-from rich.console import Console
 
-from stereophd.cli.tables import print_evaluation
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
+from stereophd.report.scores import scores_text
 from stereophd.report.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
 
 
@@ -193,14 +190,8 @@ def report(**changes) -> dict:
     return values | changes
 
 
-def printed(values: dict) -> str:
-    stream = io.StringIO()
-    print_evaluation(values, Console(file=stream, width=120))
-    return stream.getvalue()
-
-
 def test_the_table_says_the_figures_with_units():
-    text = printed(report())
+    text = scores_text(report())
     for expected in (
         "1.25 cm",
         "p 2, c 20 cm, euclidean",
@@ -233,7 +224,7 @@ def test_the_table_of_a_run_without_identities_or_covariances():
     changes |= dict.fromkeys(("idf1", "id_precision", "id_recall"))
     changes["confirmation"] = {"mean_s": None, "median_s": None, "first_report_mean_s": None, "objects": 0, "never": 2}
     changes["hota"] = dict.fromkeys(("mean", "detection", "association", "localisation"))
-    text = printed(report(**changes, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
+    text = scores_text(report(**changes, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
     assert "no identities" in text
     assert "seen by 2 cameras within 0.2 s" in text
     assert " cm" not in text

@@ -8,6 +8,8 @@ that is expected with probability p_detect counts by that part; so the bound is 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
@@ -21,15 +23,21 @@ from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.motion.base import Motion
 
 
+class TruePositions(NamedTuple):
+    """True position of every object at every frame of every camera."""
+
+    objects: Integers  # (n,): 0, 1, ...
+    cameras: Integers  # (n,)
+    times: Array  # (n,), s
+    positions: Array  # (n, 3)
+
+
 def calibration_bound(
     parameters: ParameterSet,
     values: Array,
     reference: int,
     motion: Motion,
-    objects: Integers,
-    cameras: Integers,
-    times: Array,
-    positions: Array,
+    truth: TruePositions,
     scale: ScaleMeasurement | None = None,
 ) -> Array:
     """Return the bound on the covariance (m, m) of the parameter values.
@@ -44,11 +52,12 @@ def calibration_bound(
         Index of the reference camera.
     motion : Motion
         How the objects move.
-    objects, cameras, times, positions : arrays (n,), (n,), (n,), (n, 3)
-        True position of every object (0, 1, ...) at every frame of every camera; those in view are used.
+    truth : TruePositions
+        Those in view are used.
     scale : ScaleMeasurement, optional
         What is known of the scale.
     """
+    objects, cameras, times, positions = truth
     built = parameters.build(values)
     seen = np.zeros(len(times), dtype=bool)
     precisions, log_times, heights = np.zeros((len(times), 2, 2)), np.zeros(len(times)), np.zeros(len(times))

@@ -12,11 +12,12 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.disparity.linear_move import linear_components
 from stereophd.core.disparity.moved import Moved, room_for_moved
 from stereophd.core.disparity.rule_move import rule_components
@@ -40,35 +41,33 @@ def minimum_in_view(samples: int) -> int:
     return max(min(FEWEST_SAMPLES, samples // 2), samples // 8)
 
 
+class Sources(NamedTuple):
+    """Gaussians to be carried: where they are, and how their objects move until they arrive."""
+
+    # (n, d), (n, d, d): Gaussians in the disparity spaces of their home cameras; d is 6, or 3 for static objects
+    means: Array
+    covariances: Array
+    homes: Array  # (n, 30): Packed home space of each component (`DisparitySpace.packed`), at the component's time
+    intervals: MotionArrays  # The motion in the world from each component's time to the arrival (`Motion.arrays`)
+
+
 def move(
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    dts: Array,
+    sources: Sources,
     destination: Array,
-    motion: Motion,
     sets: SampleSets,
     turn: int,
     p_detect: float = 1.0,
-    important: NDArray[np.bool_] | None = None,
+    important: Booleans | None = None,
     threads: int = 1,
     region: Array | None = None,
-    intervals: MotionArrays | None = None,
 ) -> Moved:
     """Carry Gaussians into the disparity space of a camera, over an interval of time.
 
     Parameters
     ----------
-    means, covariances : arrays (n, d), (n, d, d)
-        Gaussians in the disparity spaces of their home cameras; d is 6, or 3 for static objects.
-    homes : array (n, 30)
-        Packed home space of each component (`DisparitySpace.packed`), at the component's time.
-    dts : array (n,)
-        Time from each component to the destination, s; any sign.
+    sources : Sources
     destination : array (30,)
         Packed space to go to.
-    motion : Motion
-        How objects move in the world.
     sets : SampleSets
         Samples, and with them the method.
     turn : int
@@ -82,22 +81,21 @@ def move(
         Components are shared out over this many threads; the result does not depend on it.
     region : array (8,), optional
         Where objects can be: see `stereophd.core.disparity.trips.region_mask`.
-    intervals : MotionArrays, optional
-        Those of `motion` over `dts`, where they are known already.
 
     Returns
     -------
     Moved
     """
+    means, covariances, homes, intervals = sources
     samples = sets.turn(turn)
     first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
     second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
     moved = room_for_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
-    which, intervals = np.arange(len(means)), motion.arrays(dts) if intervals is None else intervals
+    which = np.arange(len(means))
     if sets.method in ("adaptive", "unscented", "linear"):
-        which = _low_order(means, covariances, homes, intervals, destination, sets, region, moved)
+        which = _low_order(sources, destination, sets, region, moved)
 
     def run(part: slice) -> None:
         carry_components(
@@ -121,7 +119,7 @@ def world_moments(
     By the moments of the samples. A component whose mean disparity is not positive is at infinity and
     has no position: its rows are NaN. Samples more than ten times further away than the mean are left
     out (a Gaussian in disparity has no moments in depth). For static objects the velocity is 0.
-    Parameters as `move`.
+    Parameters as `Sources` and `move`; `dts` (n,) are times from each component, s, of any sign.
     """
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
@@ -140,17 +138,9 @@ def _rule_points(rows: int) -> Array:
     return np.concatenate([cubature_points(rows), np.zeros((rows, 1))], axis=1)
 
 
-def _low_order(
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    motion: MotionArrays,
-    destination: Array,
-    sets: SampleSets,
-    region: Array,
-    moved: Moved,
-) -> NDArray[np.intp]:
+def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: Array, moved: Moved) -> NDArray[np.intp]:
     """Move by the unscented or the linear rule; return which components still need samples."""
+    means, covariances, homes, motion = sources
     points = _rule_points(12 if means.shape[1] == 6 else 3)
     axes = noise_axes(destination, motion.noise_std)
     adaptive = sets.method == "adaptive"

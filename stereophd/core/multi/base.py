@@ -16,7 +16,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.births.birth import birth_moments, newborn_prior
@@ -141,23 +141,18 @@ class DisparityFilter(ABC):
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
         mixture = state.mixture
         weights = mixture.weights * self.settings.survival_per_s**elapsed
-        homes, dts = self.rig.spaces(mixture.cameras, mixture.times), event.time_s - mixture.times
-        motion = self.motion.arrays(dts)
+        homes = self.rig.spaces(mixture.cameras, mixture.times)
+        motion = self.motion.arrays(event.time_s - mixture.times)
         p_detect = self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0
         moved = move(
-            mixture.means,
-            mixture.covariances,
-            homes,
-            dts,
+            Sources(mixture.means, mixture.covariances, homes, motion),
             self.rig.space(event.camera, event.time_s),
-            self.motion,
             self.sets,
             state.n_events,
             p_detect,
             weights >= IMPORTANT_WEIGHT,
             self.threads,
             self.rig.region,
-            motion,
         )
         total = keep_surviving_weights(
             weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,

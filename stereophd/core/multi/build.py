@@ -1,4 +1,4 @@
-"""From the settings of a filter to the filter: the module ``multi/WORD/filter.py`` of its word has it as ``FILTER``.
+"""From settings to the filter: the module of their word (``multi/WORD/filter.py``) has it as ``FILTER``.
 
 Of a plug-in it is the module ``filter`` inside the package that holds the settings. Settings are read without compiled
 code, so that they do not know their filters.

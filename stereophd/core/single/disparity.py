@@ -16,7 +16,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moments import Sources, move, world_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
@@ -40,6 +40,12 @@ OBSERVATION = {size: np.eye(2, size) for size in (3, 6)}
 WIDE = 1e7
 # Over an image, the divisor of the map between the disparity spaces of rectified cameras is 1 to this.
 RECTIFIED_TOLERANCE = 1e-6
+
+
+def _sources(motion: Motion, state: GaussianState, home: Array, time_s: float) -> Sources:
+    """Return a state as it is carried from its home space to a time."""
+    intervals = motion.arrays(np.array([time_s - state.home_s]))
+    return Sources(state.mean[None], state.covariance[None], home[None], intervals)
 
 
 @dataclass(frozen=True)
@@ -85,12 +91,8 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
             return state.mean, state.covariance
         for shift in (0.0, WIDE):
             moved = move(
-                state.mean[None],
-                state.covariance[None],
-                self._home(state)[None],
-                np.array([time_s - state.home_s]),
+                _sources(self.motion, state, self._home(state), time_s),
                 space if shift == 0.0 else widened(space),
-                self.motion,
                 self.sets,
                 state.n_events,
                 important=IMPORTANT,
@@ -183,12 +185,8 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
             return state.mean, state.covariance
         home = self.rig.space(0, time_s)
         moved = move(
-            state.mean[None],
-            state.covariance[None],
-            home[None],
-            np.array([time_s - state.home_s]),
+            _sources(self.motion, state, home, time_s),
             widened(home),
-            self.motion,
             self.sets,
             state.n_events,
         )

@@ -35,16 +35,6 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Effort:
-    """Estimated size of the work of a method in a case, besides making the scenes; the order of magnitude."""
-
-    # `run_s`, `bounds_s`: Processor time of a run, and of the bounds, s.
-    run_s: float = 0.0
-    bounds_s: float = 0.0
-    memory_bytes: float = 0.0
-
-
-@dataclass(frozen=True)
 class Kind:
     """A kind of scenario."""
 
@@ -55,8 +45,8 @@ class Kind:
     # Bounds on the mean (or the root mean square) of quantities, where they are known.
     bounds: Callable[[LoadedConfig], Sequence[Series]]
     check: Callable[[LoadedConfig], None]  # Raises `InputError` where the configuration lacks what the kind needs
-    # The size of the work, estimated before it begins.
-    effort: Callable[[LoadedConfig], Effort] = lambda loaded: Effort()
+    # Memory that a run needs besides making its scene, bytes, estimated before it begins.
+    memory: Callable[[LoadedConfig], float] = lambda loaded: 0.0
 
 
 def scenario_of(config: Config, expected: type[Scenario]) -> Scenario:

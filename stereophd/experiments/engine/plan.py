@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from stereophd.config.experiment import ExperimentConfig, Settings
 from stereophd.config.loading import variant
-from stereophd.experiments.engine.base import Effort, find_kind
+from stereophd.experiments.engine.base import find_kind
 from stereophd.experiments.engine.work import BOUND_METHOD, Part
 
 if TYPE_CHECKING:
@@ -33,14 +33,9 @@ def check_experiment(loaded: LoadedConfig) -> None:
         plan_parts(loaded, loaded.config.experiment)
 
 
-def effort_of(parts: Sequence[Part], runs: int) -> tuple[float, float]:
-    """Return the processor time of all runs and bounds, s, and the memory that the largest needs, bytes: estimates."""
-    seconds, memory = 0.0, 0.0
-    for part in parts:
-        effort: Effort = find_kind(part.kind).effort(part.config)
-        seconds += effort.bounds_s if part.method == BOUND_METHOD else runs * effort.run_s
-        memory = max(memory, effort.memory_bytes)
-    return seconds, memory
+def memory_of(parts: Sequence[Part]) -> float:
+    """Return the memory that the largest run needs besides making its scene, bytes: an estimate."""
+    return max((find_kind(part.kind).memory(part.config) for part in parts), default=0.0)
 
 
 def plan_parts(loaded: LoadedConfig, settings: ExperimentConfig) -> list[Part]:

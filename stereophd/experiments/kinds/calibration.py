@@ -17,7 +17,7 @@ import numpy as np
 
 from stereophd.config.experiment import CalibrationScenario
 from stereophd.core.arrays import Array
-from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.calibration.unknowns.observability import UNDETERMINED, observability, pose_spread, posed_cameras
@@ -28,7 +28,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_ME
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, build_scale
@@ -51,9 +51,8 @@ if TYPE_CHECKING:
 INTERVAL_90 = 1.6448536269514722
 
 
-# Measured, for estimates of the order of magnitude: processor time of a pair of objects in a calibration, and of the
-# bound at a time, s; memory of that bound, bytes.
-PAIR_S, BOUND_S, TIME_BYTES = 1e-3, 5e-3, 5e3
+# Memory of the bound at a time, bytes (measured).
+TIME_BYTES = 5e3
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -92,15 +91,11 @@ def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
     """Bounds on the covariance (t, m, m) of the parameters at the times of the scenario, for the scene of a run."""
     scene, guessed, parameters, reference, true = _setting(loaded, number)
     motion, scale = build_motion(loaded.config, loaded.path), build_scale(guessed, parameters)
-    objects, cameras, at, positions = scene_positions(scene)
+    truth = scene_positions(scene)
     bounds = []
     for time_s in _times(loaded).tolist():
-        past = at <= time_s + SAME_TIME_S
-        bounds.append(
-            calibration_bound(
-                parameters, true, reference, motion, objects[past], cameras[past], at[past], positions[past], scale
-            )
-        )
+        past = TruePositions(*(values[truth.times <= time_s + SAME_TIME_S] for values in truth))
+        bounds.append(calibration_bound(parameters, true, reference, motion, past, scale))
     return np.array(bounds)
 
 
@@ -225,15 +220,13 @@ def _root(values: Array) -> float:
     return float(np.sqrt((values**2).mean()))
 
 
-def effort(loaded: LoadedConfig) -> Effort:
-    """Estimate the work: calibration and bounds, which are computed at every time of the scenario."""
+def memory(loaded: LoadedConfig) -> float:
+    """Estimate the memory of the calibration, and of the bounds, which are computed at every time of the scenario."""
     assert loaded.config.simulate is not None
     settings, scene = scenario_of(loaded.config, CalibrationScenario), counts_of_scene(loaded)
     times = loaded.config.simulate.duration_s / settings.every_s
-    bounds_s = times * BOUND_S
     size = size_of_calibration(calibration_section(loaded), scene.frames, scene.detections)
-    run_s = size.seconds + scene.objects**2 * PAIR_S
-    return Effort(run_s + bounds_s, settings.bound_scenes * bounds_s, times * TIME_BYTES + size.memory_bytes)
+    return times * TIME_BYTES + size.memory_bytes
 
 
-KIND = Kind(run, bounds, check, effort)
+KIND = Kind(run, bounds, check, memory)

@@ -10,12 +10,12 @@ from stereophd.config.experiment import LocalisationScenario
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
 from stereophd.errors import InputError, unknown_camera
-from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
 from stereophd.experiments.single_object.runs import LocalisationProblem, localisation_bound, localisation_run
 from stereophd.experiments.single_object.series import (
+    OBSERVATION_BYTES,
     bounds_of,
     last_of,
-    observation_effort,
     rig_of,
     series_of_errors,
     single_config,
@@ -74,10 +74,10 @@ def _scenario(loaded: LoadedConfig) -> LocalisationProblem:
     return LocalisationProblem(rig, np.array(settings.position), single_config(loaded).prior, sequence)
 
 
-def effort(loaded: LoadedConfig) -> Effort:
-    """Estimate the work: an observation takes as long whatever is observed."""
+def memory(loaded: LoadedConfig) -> float:
+    """Estimate the memory of the observations."""
     settings = scenario_of(loaded.config, LocalisationScenario)
-    return observation_effort(loaded, len(settings.sequence) * settings.rounds)
+    return len(settings.sequence) * settings.rounds * OBSERVATION_BYTES
 
 
-KIND = Kind(run, bounds, check, effort)
+KIND = Kind(run, bounds, check, memory)

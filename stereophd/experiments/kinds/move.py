@@ -15,7 +15,7 @@ from stereophd.config.model import Config
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError, unknown_camera
-from stereophd.experiments.engine.base import Effort, Kind, Series, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, scenario_of
 from stereophd.experiments.single_object.move_comparison import (
     MoveCase,
     MoveMoments,
@@ -29,9 +29,6 @@ from stereophd.pipeline.build import build_motion
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
-
-# Measured: processor time of a sample of the reference, s.
-REFERENCE_SAMPLE_S = 1e-6
 
 AXES = ("u", "v", "d")
 
@@ -104,10 +101,4 @@ def _moments(found: MoveMoments) -> list[Series]:
     return series
 
 
-def effort(loaded: LoadedConfig) -> Effort:
-    """Estimate the work, which is that of the reference."""
-    samples = scenario_of(loaded.config, MoveScenario).reference_samples
-    return Effort(bounds_s=samples * REFERENCE_SAMPLE_S)
-
-
-KIND = Kind(run, bounds, check, effort)
+KIND = Kind(run, bounds, check)

@@ -22,9 +22,8 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_filter
-from stereophd.pipeline.runs.sizes import SceneCounts, counts_of_scene
 from stereophd.pipeline.simulation import build_scene, scene_motion
 from stereophd.pipeline.stream import EventStream, frames_in_order
 from stereophd.pipeline.tracking.run import reported_records
@@ -34,11 +33,6 @@ if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
     from stereophd.core.multi.state.estimates import Estimates
     from stereophd.io.logs.reading import Frame
-
-
-# Measured, for estimates of the order of magnitude: processor time of the filter for an event and for a detection, of a
-# score, and of a detection that the known association fits at a time, s.
-EVENT_S, DETECTION_S, SCORE_S, KNOWN_S = 5e-4, 1e-4, 3e-4, 2.5e-6
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -163,18 +157,4 @@ def no_bounds(loaded: LoadedConfig) -> list[Series]:
     return []
 
 
-def filter_seconds(scene: SceneCounts) -> float:
-    """Return an estimate of the processor time of the filter for a scene, s."""
-    return scene.frames * EVENT_S + scene.detections * DETECTION_S
-
-
-def effort(loaded: LoadedConfig) -> Effort:
-    """Estimate the work: the filter for every event, or all data so far at every time; and the scores."""
-    scene = counts_of_scene(loaded)
-    seconds = scene.truths * SCORE_S
-    if scenario_of(loaded.config, MultiObjectScenario).tracker == "known_association":
-        return Effort(seconds + scene.frames**2 * scene.alive * KNOWN_S)
-    return Effort(seconds + filter_seconds(scene))
-
-
-KIND = Kind(run, no_bounds, check, effort)
+KIND = Kind(run, no_bounds, check)

@@ -25,10 +25,9 @@ from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
-from stereophd.experiments.kinds.multi_object import filter_seconds, filtered_points, scene_truth
+from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.kinds.multi_object import filtered_points, scene_truth
 from stereophd.pipeline.build import build_filter
-from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import frames_in_order
 
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
     from stereophd.io.logs.reading import Frame
 
-# Measured, for estimates of the order of magnitude: processor time of a frame and of a detection of the bound, s.
-FRAME_S, DETECTION_S = 2e-4, 1e-4
 # Squared Mahalanobis distance beyond which a detection is not that of a landmark: 99.99 % of a pixel's.
 GATE = 18.4
 
@@ -207,12 +204,4 @@ def _root_median(squared: Array) -> float:
     return float(np.sqrt(np.median(squared))) if len(squared) else float("nan")
 
 
-def effort(loaded: LoadedConfig) -> Effort:
-    """Estimate the work of the filter, and of making the scenes of the bound."""
-    scene = counts_of_scene(loaded)
-    scene_s = scene.frames * FRAME_S + scene.detections * DETECTION_S
-    bound_scenes = scenario_of(loaded.config, StaticSceneScenario).bound_scenes
-    return Effort(filter_seconds(scene), bound_scenes * scene_s)
-
-
-KIND = Kind(run, bounds, check, effort)
+KIND = Kind(run, bounds, check)

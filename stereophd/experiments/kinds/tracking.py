@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +9,11 @@ import numpy as np
 from stereophd.config.experiment import TrackingScenario
 from stereophd.core.numerics.random_streams import BOUND_TRAJECTORIES, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Effort, Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
 from stereophd.experiments.single_object.runs import TrackingProblem, tracking_bound, tracking_run
 from stereophd.experiments.single_object.series import (
+    OBSERVATION_BYTES,
     bounds_of,
-    observation_effort,
     rig_of,
     series_of_errors,
     single_config,
@@ -24,10 +23,6 @@ from stereophd.pipeline.tracking.single import estimator_settings
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
-
-
-# Measured: processor time of the bound of a trajectory for an observation, s.
-BOUND_STEP_S = 1e-4
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -85,12 +80,9 @@ def _scenario(loaded: LoadedConfig) -> TrackingProblem:
     )
 
 
-def effort(loaded: LoadedConfig) -> Effort:
-    """Estimate the work: that of the observations, and of the bound for each drawn trajectory."""
-    settings = scenario_of(loaded.config, TrackingScenario)
-    observations = settings.steps * len(loaded.cameras)
-    bound_s = settings.bound_trajectories * observations * BOUND_STEP_S
-    return replace(observation_effort(loaded, observations), bounds_s=bound_s)
+def memory(loaded: LoadedConfig) -> float:
+    """Estimate the memory of the observations."""
+    return scenario_of(loaded.config, TrackingScenario).steps * len(loaded.cameras) * OBSERVATION_BYTES
 
 
-KIND = Kind(run, bounds, check, effort)
+KIND = Kind(run, bounds, check, memory)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.base import Motion
@@ -139,12 +139,13 @@ def compare_move(
     """Carry the Gaussian over by one method, once, with one of its sample sets, and compare with the reference."""
     settings = MomentsSettings(method=method, samples=samples)
     moved = move(
-        case.mean[None],
-        case.covariance[None],
-        case.home.packed()[None],
-        np.array([case.dt]),
+        Sources(
+            case.mean[None],
+            case.covariance[None],
+            case.home.packed()[None],
+            case.motion.arrays(np.array([case.dt])),
+        ),
         case.destination.packed() if case.in_view else widened(case.destination.packed()),
-        case.motion,
         sample_sets(settings, case.motion, rng),
         int(rng.integers(SETS_IN_TURN)),
         important=np.array([True]),

@@ -12,15 +12,14 @@ from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.metrics.errors.consistency import nees
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Effort, Series
+from stereophd.experiments.engine.base import Series
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 
-# Measured, for estimates of the order of magnitude: processor time of an observation and of a particle in it, s; its
-# bytes.
-OBSERVATION_S, PARTICLE_S, OBSERVATION_BYTES = 2e-4, 1e-7, 5e3
+# Memory of an observation, bytes (measured).
+OBSERVATION_BYTES = 5e3
 
 
 def single_config(loaded: LoadedConfig) -> SingleSettings:
@@ -42,13 +41,6 @@ def rig_of(loaded: LoadedConfig) -> Rig:
     """Return the cameras with their disparity spaces."""
     config = loaded.config
     return make_rig(loaded.build_cameras(), config.disparity.baseline, config.disparity.rectification)
-
-
-def observation_effort(loaded: LoadedConfig, observations: int) -> Effort:
-    """Estimate the work of the estimator of a configuration for a number of observations, and of their bounds."""
-    particles = getattr(single_config(loaded).estimator, "particles", 0)
-    run_s = observations * (OBSERVATION_S + particles * PARTICLE_S)
-    return Effort(run_s, observations * OBSERVATION_S, observations * OBSERVATION_BYTES)
 
 
 def series_of_errors(

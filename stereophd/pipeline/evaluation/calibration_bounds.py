@@ -6,11 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
-from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.unknowns.observability import PoseSpread, pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.geometry.camera import Camera
@@ -64,16 +63,13 @@ def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int) ->
     if settings is None:
         raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
     scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, 0))
-    objects, cameras, times, positions = scene_positions(scene)
+    positions = scene_positions(scene)
     return calibration_bound(
-        truth, np.zeros(truth.size), reference, scene.motion, objects, cameras, times, positions,
-        build_scale(loaded, truth),
-    )  # fmt: skip
+        truth, np.zeros(truth.size), reference, scene.motion, positions, build_scale(loaded, truth)
+    )
 
 
-def scene_positions(
-    scene: Scene,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
+def scene_positions(scene: Scene) -> TruePositions:
     """True position of every object at every frame of every camera."""
     objects, cameras, times, positions = [], [], [], []
     for window in scene.windows():
@@ -85,4 +81,4 @@ def scene_positions(
             cameras.append(np.full(len(row), number))
             times.append(instants[instant])
             positions.append(states[row, instant, :3])
-    return np.concatenate(objects), np.concatenate(cameras), np.concatenate(times), np.concatenate(positions)
+    return TruePositions(*map(np.concatenate, (objects, cameras, times, positions)))

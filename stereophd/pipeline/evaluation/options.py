@@ -3,60 +3,111 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from stereophd.errors import InputError
+from stereophd.options import option, options
 
 # What may be changed of the tracks before they are scored: nothing, their frame, their frame and scale.
 ALIGNMENTS = ("none", "rigid", "similarity")
 
-
-@dataclass(frozen=True)
-class Options:
-    """How tracks are scored; see `evaluate`."""
-
-    order: float
-    cutoff: float
-    base: Literal["euclidean", "mahalanobis"]
-    from_s: float | None
-    to_s: float | None
-    max_gap_s: float | None
-    at: Literal["times", "events"]
-    seen_by: int | None
-    within_s: float | None
-    ospa2_window: int
-    tentative: bool
-    align: Literal["none", "rigid", "similarity"] = "none"
-    align_clock: bool = False
-    match_distance: float | None = None
+# The use in which only objects count that the log shows.
+SEEN = "objects that are seen"
 
 
-def check_options(options: Options, log_path: Path | str | None) -> None:
+@options
+class ScoreOptions:
+    """How tracks are scored."""
+
+    order: float = option("Order of OSPA and GOSPA.", default=2.0, metavar="P")
+    cutoff: float | None = option(
+        "Cutoff of OSPA and GOSPA, in the unit of length, or a number of standard deviations for the base mahalanobis; "
+        "default: evaluation.cutoff of the tracks' configuration, else 20 for files in centimetres, the paper's, and "
+        "20 standard deviations.",
+        default=None,
+        metavar="C",
+    )
+    base: Literal["euclidean", "mahalanobis"] = option(
+        "Base distance of OSPA and GOSPA: euclidean, or mahalanobis with the covariance of the estimate (paper "
+        "VIII-C).",
+        default="euclidean",
+    )
+    from_s: float | None = option("First time that is scored, s.", default=None, metavar="T", flag="from")
+    to_s: float | None = option("Last time that is scored, s.", default=None, metavar="T", flag="to")
+    max_gap_s: float | None = option(
+        "Never interpolate the truth across a longer gap, s: times in it are counted but not scored; default: 1.5 "
+        "median steps.",
+        default=None,
+        metavar="S",
+        flag="max-gap",
+    )
+    at: Literal["times", "events"] = option(
+        "Score each time once, after its last event, or every event.", default="times"
+    )
+    seen_by: int | None = option(
+        "Score only objects that N cameras detected in the last seconds (within) according to the log, by its "
+        "object_id; without one, any detection counts.",
+        default=None,
+        metavar="N",
+        least=1,
+        use=SEEN,
+    )
+    within_s: float | None = option("Time span of seen-by, s.", default=None, metavar="S", flag="within", use=SEEN)
+    ospa2_window: int = option("Scored scans in a window of OSPA(2).", default=10, metavar="SCANS", least=1)
+    tentative: bool = option("Score tentative estimates too, not only confirmed ones.", default=False)
+    align: Literal["none", "rigid", "similarity"] = option(
+        "Before scoring, align the tracks with the truth by a rigid motion (and a scale): for calibrated cameras whose "
+        "frame differs from that of the truth.",
+        default="none",
+    )
+    align_clock: bool = option(
+        "Score the tracks after a change of their clock's offset and rate, found with the alignment.", default=False
+    )
+    match_distance: float | None = option(
+        "Match tracks and objects nearer than this, for all figures but OSPA, GOSPA and HOTA, in the unit of length; "
+        "default: the cutoff. Choose it below the distance between objects: else a match may be wrong from the first "
+        "time on and yet be kept.",
+        default=None,
+        metavar="D",
+    )
+
+    @property
+    def known_cutoff(self) -> float:
+        """The cutoff, once it is known."""
+        assert self.cutoff is not None
+        return self.cutoff
+
+
+def scoring_values(stated: ScoreOptions) -> dict[str, Any]:
+    """Return the values of the fields of `ScoreOptions`, for the provenance."""
+    return {each.name: getattr(stated, each.name) for each in fields(ScoreOptions)}
+
+
+def check_options(stated: ScoreOptions, log_path: Path | str | None) -> None:
     """Raise InputError for options out of range or that do not go together."""
-    if not (math.isfinite(options.cutoff) and options.cutoff > 0.0):
-        raise InputError(f"`cutoff`: expected a finite number above 0, found {options.cutoff}")
-    distance = options.match_distance
-    if distance is not None and not (math.isfinite(distance) and distance > 0.0):
-        raise InputError(f"`match_distance`: expected a finite number above 0, found {distance}")
+    for name in ("cutoff", "match_distance"):
+        value = getattr(stated, name)
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"`{name}`: expected a finite number above 0, found {value}")
     for name, low in (("order", 1.0), ("max_gap_s", 0.0), ("within_s", 0.0)):
-        value = getattr(options, name)
+        value = getattr(stated, name)
         if value is not None and not (math.isfinite(value) and value >= low):
             raise InputError(f"`{name}`: expected a finite number of at least {low:g}, found {value}")
     for name, choices in (("base", ("euclidean", "mahalanobis")), ("at", ("times", "events")), ("align", ALIGNMENTS)):
-        if getattr(options, name) not in choices:
-            raise InputError(f"`{name}`: expected {' or '.join(choices)}, found {getattr(options, name)}")
+        if getattr(stated, name) not in choices:
+            raise InputError(f"`{name}`: expected {' or '.join(choices)}, found {getattr(stated, name)}")
     for name in ("from_s", "to_s"):
-        value = getattr(options, name)
+        value = getattr(stated, name)
         if value is not None and not math.isfinite(value):
             raise InputError(f"`{name}`: expected a finite time in seconds, found {value}")
-    if options.from_s is not None and options.to_s is not None and options.from_s > options.to_s:
-        raise InputError(f"`from_s`: expected a time not after `to_s`, found {options.from_s} > {options.to_s}")
-    together = (options.seen_by, options.within_s, log_path)
+    if stated.from_s is not None and stated.to_s is not None and stated.from_s > stated.to_s:
+        raise InputError(f"`from_s`: expected a time not after `to_s`, found {stated.from_s} > {stated.to_s}")
+    together = (stated.seen_by, stated.within_s, log_path)
     if any(value is None for value in together) and together != (None, None, None):
         raise InputError("`seen_by`: expected `seen_by`, `within_s` and `log_path` together, found only some of them")
-    if options.seen_by is not None and options.seen_by < 1:
-        raise InputError(f"`seen_by`: expected at least one camera, found {options.seen_by}")
-    if options.ospa2_window < 1:
-        raise InputError(f"`ospa2_window`: expected at least one scan, found {options.ospa2_window}")
+    if stated.seen_by is not None and stated.seen_by < 1:
+        raise InputError(f"`seen_by`: expected at least one camera, found {stated.seen_by}")
+    if stated.ospa2_window < 1:
+        raise InputError(f"`ospa2_window`: expected at least one scan, found {stated.ospa2_window}")

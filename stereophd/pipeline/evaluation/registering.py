@@ -15,13 +15,13 @@ from stereophd.core.metrics.truth.registration import Freedom, Registration, reg
 from stereophd.core.metrics.truth.visibility import Sightings
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
-from stereophd.pipeline.evaluation.options import Options
+from stereophd.pipeline.evaluation.options import ScoreOptions
 
 LOGGER = logging.getLogger("stereophd")
 
 
 def registration_of(
-    tracks: Tracks, truth: Truth, options: Options, max_gap_s: float, path: Path
+    tracks: Tracks, truth: Truth, options: ScoreOptions, max_gap_s: float, path: Path
 ) -> Registration | None:
     """Return the motion and the map of time from tracks to truth that the options state; None without one.
 

@@ -16,7 +16,7 @@ from stereophd.io.outputs.json_text import plain
 from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.evaluation.gates import Limits, gates
-from stereophd.pipeline.evaluation.options import Options
+from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registration_report
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ class Scored:
 
 
 def build_report(
-    scored: Scored, options: Options, max_gap_s: float, unit: str | None, record: Mapping[str, Any], limits: Limits
+    scored: Scored, options: ScoreOptions, max_gap_s: float, unit: str | None, record: Mapping[str, Any], limits: Limits
 ) -> dict[str, Any]:
     """Return the report: figures, what they mean, their `limits`, where they come from (`record`); NaN as None."""
-    parameters = {"order": options.order, "cutoff": options.cutoff, "base": options.base}
+    parameters = {"order": options.order, "cutoff": options.known_cutoff, "base": options.base}
     result = dict(scored.figures)
     result["ospa"] = {**result["ospa"], **parameters}
     result["ospa2"] = {**result["ospa2"], "window_scans": options.ospa2_window}
@@ -57,7 +57,7 @@ def build_report(
             **result,
             "scans": scored.scans,
             "window": {"from_s": options.from_s, "to_s": options.to_s, "at": options.at},
-            "match_distance": options.cutoff if options.match_distance is None else options.match_distance,
+            "match_distance": options.known_cutoff if options.match_distance is None else options.match_distance,
             "max_gap_s": max_gap_s,
             "seen_by": visible,
             "tentative": options.tentative,

@@ -26,7 +26,7 @@ from stereophd.core.metrics.truth.interpolation import (
 from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
-from stereophd.pipeline.evaluation.options import Options
+from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
 from stereophd.pipeline.evaluation.report import Scored
 from stereophd.pipeline.evaluation.scale import warn_of_wrong_matches
@@ -36,7 +36,7 @@ def score_tracks(
     tracks: Tracks,
     truth: Truth,
     sightings: Sightings | None,
-    options: Options,
+    options: ScoreOptions,
     max_gap_s: float,
     tracks_path: Path,
 ) -> Scored:
@@ -82,7 +82,7 @@ def score_tracks(
             points,
             cameras >= options.seen_by,
             options.order,
-            options.cutoff,
+            options.known_cutoff,
             mahalanobis=mahalanobis,
         )
         scans["unseen"] = int(emptied.sum())
@@ -90,17 +90,19 @@ def score_tracks(
         estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
     if len(time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
-    scores = score_scans(estimates, points, options.order, options.cutoff, mahalanobis=mahalanobis)
-    distance = options.cutoff if options.match_distance is None else options.match_distance
+    scores = score_scans(estimates, points, options.order, options.known_cutoff, mahalanobis=mahalanobis)
+    distance = options.known_cutoff if options.match_distance is None else options.match_distance
     scores, matchable = match_within(
-        estimates, points, scores, options.order, options.cutoff, distance, mahalanobis=mahalanobis
+        estimates, points, scores, options.order, options.known_cutoff, distance, mahalanobis=mahalanobis
     )
     beside = beside_another(estimates, points, scores, matchable)
     warn_of_wrong_matches(tracks_path, beside, len(scores.pair_scan), distance)
     near = matchable
-    if distance != options.cutoff:
-        near = near_pairs(estimates, points, options.cutoff, mahalanobis=mahalanobis)
-    ospa2 = track_ospa(estimates, points, options.ospa2_window, options.order, options.cutoff, mahalanobis=mahalanobis)
+    if distance != options.known_cutoff:
+        near = near_pairs(estimates, points, options.known_cutoff, mahalanobis=mahalanobis)
+    ospa2 = track_ospa(
+        estimates, points, options.ospa2_window, options.order, options.known_cutoff, mahalanobis=mahalanobis
+    )
     errors = pair_errors(estimates, points, scores)
     waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
     return Scored(
@@ -112,7 +114,7 @@ def score_tracks(
     )
 
 
-def _estimates(tracks: Tracks, events: Events, options: Options, path: Path) -> PointSets:
+def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path) -> PointSets:
     """Return the estimates that were reported after each event."""
     rows, start = _rows(events)
     covariance = tracks.covariance[rows]
@@ -143,7 +145,7 @@ def _first_reports(tracks: Tracks) -> FirstReports:
     return first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
 
 
-def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: Options, path: Path) -> str:
+def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: ScoreOptions, path: Path) -> str:
     def span(time_s: NDArray[Any]) -> str:
         return f"{time_s.min():g} to {time_s.max():g} s" if len(time_s) else "none"
 

@@ -1,7 +1,7 @@
-"""How large a run is going to be, estimated before it begins.
+"""How much memory and disk space a run is going to need, estimated before it begins.
 
-A run that does not fit into the memory or on the disk is refused. A run that takes very long, or fills much of a disk,
-may be wanted, but more often a number in the configuration is wrong: it begins only if the user confirms it.
+A run that does not fit is refused. One that fills much of a disk may be wanted, but more often a number in the
+configuration is wrong: it begins only if the user confirms it. How long a run takes is shown by its progress.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ from stereophd.errors import InputError, SizeError
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
-# Beyond these a run must be confirmed.
-LONGEST_S, LARGEST_DISK_BYTES = 6 * 3600.0, 50e9
+# Beyond this a run must be confirmed.
+LARGEST_DISK_BYTES = 50e9
 
-# Measured with `simulate` on one core, for an estimate of the order of magnitude: time of a frame, a detection, an
-# object in a frame, a drawn object, an object at a time of the truth; bytes of the files; bytes in memory.
-_FRAME_S, _DETECTION_S, _STATE_S, _OBJECT_S, _TRUTH_S = 4e-5, 1e-6, 3e-6, 1e-3, 5e-7
-_DETECTION_FILE, _TRUTH_FILE = 16.0, 40.0
-_LEAST_RUN_S, _RUN_FILE = 1e-3, 100.0
+# Measured with `simulate`: bytes of a detection, an object at a time of the truth and a run in the files; bytes in
+# memory of an object in a frame, a detection, a drawn object and a run.
+_DETECTION_FILE, _TRUTH_FILE, _RUN_FILE = 16.0, 40.0, 100.0
 _STATE_MEMORY, _DETECTION_MEMORY, _OBJECT_MEMORY, _RUN_MEMORY = 200.0, 150.0, 3000.0, 2000.0
 
 
@@ -34,7 +32,6 @@ _STATE_MEMORY, _DETECTION_MEMORY, _OBJECT_MEMORY, _RUN_MEMORY = 200.0, 150.0, 30
 class Size:
     """Estimates for a run."""
 
-    seconds: float  # Processor time
     memory_bytes: float
     disk_bytes: float
     cause: str  # What the size comes from, for the message: numbers that the configuration states
@@ -91,18 +88,13 @@ def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -
     states = scene.frames * scene.alive
     share = min(1.0, INSTANTS_PER_WINDOW / max(scene.frames, 1.0))
     memory = share * (states * _STATE_MEMORY + scene.detections * _DETECTION_MEMORY) + scene.objects * _OBJECT_MEMORY
-    seconds = scene.frames * _FRAME_S + scene.detections * _DETECTION_S + states * _STATE_S + scene.objects * _OBJECT_S
-    # also where the truth is not written: it shows whether an object stays in view
-    seconds += scene.truths * scene.alive * _TRUTH_S
     disk = scene.detections * _DETECTION_FILE + scene.truths * scene.alive * _TRUTH_FILE if kept else 0.0
     each = "1 run of" if runs == 1 else f"{runs:.3g} runs, each of"
     cause = f"{each} {scene.frames:.3g} frames, {scene.objects:.3g} objects and {scene.clutter:.3g} false detections"
-    return Size(runs * seconds, memory + runs * _RUN_MEMORY, runs * disk, cause)
+    return Size(memory + runs * _RUN_MEMORY, runs * disk, cause)
 
 
-def size_of_experiment(
-    loaded: LoadedConfig, runs: int, parts: int, work_s: float = 0.0, work_bytes: float = 0.0
-) -> Size:
+def size_of_experiment(loaded: LoadedConfig, runs: int, parts: int, work_bytes: float = 0.0) -> Size:
     """Estimate the size of an experiment: its scenes, what its scenario does with them, and the bookkeeping.
 
     Parameters
@@ -110,19 +102,18 @@ def size_of_experiment(
     loaded : LoadedConfig
     runs, parts : int
         Number of runs of each part, and of parts: methods in cases.
-    work_s, work_bytes : float
-        Processor time of the work of all runs besides making scenes, s, and the memory that it needs.
+    work_bytes : float
+        Memory that the work of a run needs besides making its scene.
     """
     total = runs * parts
-    scenes = Size(0.0, 0.0, 0.0, "1 run" if total == 1 else f"{total:.3g} runs")
+    scenes = Size(0.0, 0.0, "1 run" if total == 1 else f"{total:.3g} runs")
     if loaded.config.simulate is not None:
         scenes = size_of_simulation(loaded, total, kept=False)
-    seconds = max(scenes.seconds, total * _LEAST_RUN_S) + work_s
-    return Size(seconds, scenes.memory_bytes + total * _RUN_MEMORY + work_bytes, total * _RUN_FILE, scenes.cause)
+    return Size(scenes.memory_bytes + total * _RUN_MEMORY + work_bytes, total * _RUN_FILE, scenes.cause)
 
 
-def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> None:
-    """Refuse a run that does not fit, and one that is very large and not confirmed.
+def check_size(size: Size, where: str, folder: Path | str, confirmed: bool = True) -> None:
+    """Refuse a run that does not fit, and one that fills much of the disk and is not confirmed.
 
     Parameters
     ----------
@@ -132,7 +123,7 @@ def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> N
     folder : path
         Output folder.
     confirmed : bool
-        Whether the user accepts any time and any disk space.
+        Whether the user accepts any disk space.
 
     Raises
     ------
@@ -152,10 +143,10 @@ def check_size(size: Size, where: str, folder: Path | str, confirmed: bool) -> N
             f"{where}: expected a run that fits on the disk ({_bytes(disk)} free), found one of about "
             f"{_bytes(size.disk_bytes)} ({size.cause})"
         )
-    if not confirmed and (size.seconds > LONGEST_S or size.disk_bytes > LARGEST_DISK_BYTES):
+    if not confirmed and size.disk_bytes > LARGEST_DISK_BYTES:
         raise SizeError(
-            f"{where}: this takes about {_time(size.seconds)} on one core and {_bytes(size.disk_bytes)} on the disk "
-            f"({size.cause})"
+            f"{where}: this takes about {_bytes(size.disk_bytes)} on the disk ({size.cause}); use `force_size=True` to "
+            "run it"
         )
 
 
@@ -193,10 +184,3 @@ def _bytes(count: float) -> str:
             return f"{count:.3g} {unit}"
         count /= 1000.0
     return f"{count:.3g} TB"
-
-
-def _time(seconds: float) -> str:
-    for unit, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:.3g} {unit}"
-    return f"{seconds:.3g} s"

@@ -1,4 +1,4 @@
-"""What an unfinished run has done: a folder inside its output folder, from which ``--resume`` continues.
+"""What an unfinished run has done: a folder inside its output folder, from which a later one continues.
 
 `track`, the pieces of a long log, `calibrate` and `experiment` keep their work here in the same way. A whole file holds
 one object and is there or not. A growing file holds what is too much to be written each time, such as the rows of a

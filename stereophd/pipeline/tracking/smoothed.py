@@ -33,9 +33,9 @@ LOGGER = logging.getLogger("stereophd")
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.
 SEEN_EXISTENCE = 0.5
-# Smoothed states explain the detections of a track worse than filtered ones if their residuals are this many times
-# those, and this many times the noise.
-WORSE = 2.0
+# Smoothed states explain the detections of a track worse than filtered ones if one of twenty has a residual more than
+# this many times the filter's, and this many times what noise gives (95 % of a chi-square with 2 degrees of freedom).
+WORSE, QUANTILE, NOISE = 2.0, 0.95, 5.99
 # Number of detections from which this is told.
 LEAST_DETECTIONS = 4
 
@@ -243,10 +243,10 @@ def _is_worse(smoothed: Trajectory, track: Trajectory, detections: Integers, run
     if len(known) < LEAST_DETECTIONS:
         return False
     after, before = (
-        np.sqrt(run.squared_residuals(one.events[known], one.states[known], detections[known]).mean() / 2.0)
+        np.quantile(run.squared_residuals(one.events[known], one.states[known], detections[known]), QUANTILE)
         for one in (smoothed, track)
     )
-    return not after <= WORSE * max(before, 1.0)
+    return not after <= WORSE**2 * max(before, NOISE)
 
 
 def _estimates(rows: list[tuple[int, Trajectory, int]]) -> Estimates:

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator
 
 from stereophd.core.numerics.compilation.kernel_cache import is_kept, place_to_keep
+from stereophd.core.numerics.compilation.trusted_folders import make_folder
 
 # Longest wait for the process at the end of a run, s.
 _PATIENCE_S = 5.0
@@ -67,7 +68,8 @@ def main(kind: str, parent: int) -> None:
     if place is None:
         return
     with contextlib.suppress(OSError):
-        place.mkdir(parents=True, exist_ok=True)
+        if not make_folder(place):
+            return
         with open(place / f"compiling-{kind}.lock", "w") as lock:
             if _locked(lock.fileno()):
                 prepare_last_first(kind)

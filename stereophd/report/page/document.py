@@ -14,7 +14,8 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
-from stereophd.report.summaries import SummaryTable, number, run_tables, share, tracking_part, verdict
+from stereophd.report.summaries import number, run_tables, share, tracking_part, verdict
+from stereophd.report.tables import SummaryTable
 
 # Tracks that the page lists; thousands of rows would make it slow.
 TRACKS_LISTED = 200

@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.base import Motion
@@ -56,10 +56,12 @@ class Case:
     motion: Motion
 
     def move(self, sets: SampleSets, turn: int = 0, p_detect: float = 1.0, important: bool = False) -> Moved:
-        return move(
-            self.mean[None], self.covariance[None], self.home.packed()[None], np.array([self.dt]),
-            self.destination.packed(), self.motion, sets, turn, p_detect, np.array([important]),
-        )  # fmt: skip
+        return move(self.sources, self.destination.packed(), sets, turn, p_detect, np.array([important]))
+
+    @property
+    def sources(self) -> Sources:
+        intervals = self.motion.arrays(np.array([self.dt]))
+        return Sources(self.mean[None], self.covariance[None], self.home.packed()[None], intervals)
 
     def trip(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return oracle_trip(self.mean, self.covariance, samples, self.home, self.destination, self.dt, self.motion)

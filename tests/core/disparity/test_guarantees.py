@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.disparity import moments
-from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moments import Sources, move, world_moments
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -90,17 +90,15 @@ def test_threads_do_not_change_a_bit(method: str, size: int, monkeypatch: pytest
     )
     means = home.from_world(world[:, :size])
     covariances = np.stack([random_covariance(rng, [6.0, 6.0, 0.5, 9.0, 9.0, 0.2][:size]) for _ in range(count)])
+    intervals = motion.arrays(rng.uniform(-1, 1, count))
     arguments = (
-        means,
-        covariances,
-        np.tile(home.packed(), (count, 1)),
-        rng.uniform(-1, 1, count),
+        Sources(means, covariances, np.tile(home.packed(), (count, 1)), intervals),
         destination.packed(),
     )
     parts = moments._slices(count, 64, 3)
     assert len(parts) == 3  # the threads are really used
     assert [k for part in parts for k in range(count)[part]] == list(range(count))
-    results = [move(*arguments, motion, sets, 5, 0.95, threads=threads) for threads in (1, 2, 3)]
+    results = [move(*arguments, sets, 5, 0.95, threads=threads) for threads in (1, 2, 3)]
     assert set(results[0].status) == {OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW}
     for other in results[1:]:
         for name in ("means", "covariances", "fraction", "status", "missed_means", "missed_covariances"):
@@ -116,11 +114,15 @@ def test_components_do_not_influence_one_another(method: str) -> None:
     means = np.stack([case.mean for case in cases] + [state_in(home, [90.0, 0.0, 60.0, 0.0, 0.0, 0.0])])
     covariances = np.stack([case.covariance for case in (*cases, cases[0])])
     homes, dts = np.stack([home.packed()] * 3), np.array([0.5, 1.0, 0.2])
-    together = move(means, covariances, homes, dts, destination.packed(), motion, sets, 2, 0.95)
+    together = move(Sources(means, covariances, homes, motion.arrays(dts)), destination.packed(), sets, 2, 0.95)
     for k in range(3):
         part = slice(k, k + 1)
         alone = move(
-            means[part], covariances[part], homes[part], dts[part], destination.packed(), motion, sets, 2, 0.95
+            Sources(means[part], covariances[part], homes[part], motion.arrays(dts[part])),
+            destination.packed(),
+            sets,
+            2,
+            0.95,
         )
         assert together.status[k] == alone.status[0]
         assert together.fraction[k] == alone.fraction[0]
@@ -136,7 +138,7 @@ def test_no_components(method: str, size: int) -> None:
     space = make_space(make_camera())
     sets = sample_sets(method, 64, motion)
     empty = np.empty((0, size)), np.empty((0, size, size)), np.empty((0, 30)), np.empty(0)
-    assert move(*empty, space.packed(), motion, sets, 0).means.shape == (0, size)
+    assert move(Sources(*empty[:3], motion.arrays(empty[3])), space.packed(), sets, 0).means.shape == (0, size)
     means, covariances = world_moments(*empty, motion, sets, 0)
     assert means.shape == (0, 6)
     assert covariances.shape == (0, 6, 6)

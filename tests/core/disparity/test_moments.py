@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -174,8 +174,11 @@ def test_move_is_the_trip_of_its_samples(lens: str, rectification: str, dt: floa
         for place in places
     ]
     moved = move(
-        np.stack([case.mean for case in cases]), np.stack([covariance] * 4), np.stack([home.packed()] * 4),
-        np.full(4, dt), destination.packed(), motion, sets, 3, 0.9,
+        Sources(
+            np.stack([case.mean for case in cases]), np.stack([covariance] * 4), np.stack([home.packed()] * 4),
+            motion.arrays(np.full(4, dt)),
+        ),
+        destination.packed(), sets, 3, 0.9,
     )  # fmt: skip
     partly = 0
     for k, case in enumerate(cases):

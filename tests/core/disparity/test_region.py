@@ -55,8 +55,7 @@ def run(
 ) -> Moved:
     sets = sample_sets(str(options.get("method", "qmc")), samples, case.motion)
     return move(
-        case.mean[None], case.covariance[None], case.home.packed()[None], np.array([case.dt]),
-        case.destination.packed(), case.motion, sets, 0, float(options.get("p_detect", 0.9)),
+        case.sources, case.destination.packed(), sets, 0, float(options.get("p_detect", 0.9)),
         np.array([important]), 1, region,
     )  # fmt: skip
 

@@ -77,8 +77,7 @@ def test_outside_the_region_components_are_sampled() -> None:
     region = np.array([-50.0, 50.0, -50.0, 50.0, 0.0, 110.0, 0.0, np.inf])
     moved = [
         move(
-            case.mean[None], case.covariance[None], case.home.packed()[None], np.array([case.dt]),
-            case.destination.packed(), case.motion, sample_sets(method, 64, case.motion), 0, region=region,
+            case.sources, case.destination.packed(), sample_sets(method, 64, case.motion), 0, region=region
         )
         for method in ("adaptive", "qmc")
     ]  # fmt: skip

@@ -235,7 +235,7 @@ def test_what_is_damaged_or_not_ours_is_refused(
     (path,) = out.glob(f"partial-*/{name}")
     content = path.read_bytes()
     if damage == "cut off":
-        path.write_bytes(content[:-1])
+        path.write_bytes(content[: len(content) // 2])
     elif damage == "another's":
         path.write_bytes(b"mine")
     else:
@@ -258,7 +258,7 @@ def test_a_full_disk_is_an_error_that_names_the_folder(
     killed_after(monkeypatch, 20, lambda: track(*scene, out))
     with monkeypatch.context() as patch:
         patch.setattr("stereophd.io.outputs.saved.sync", full)
-        with pytest.raises(InputError, match=r"cannot write .*out: No space left"):
+        with pytest.raises(InputError, match=r"cannot write .*tracks\.parquet: No space left"):
             track(*scene, out, resume=True)
     track(*scene, out, resume=True)
     assert {path.name for path in out.iterdir()} == {"report.json", "scans.parquet", "tracks.parquet"}

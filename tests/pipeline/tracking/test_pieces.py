@@ -85,8 +85,8 @@ def test_finished_pieces_survive_a_kill(
 
     with pytest.raises(Killed):
         track(*scene, out, pieces_s=LENGTH, overlap_s=OVERLAP, progress=tick)
-    kept = sorted(path.parent.name for path in out.glob("partial-*/piece-*/done.npz"))
-    assert kept == ["piece-00000", "piece-00001"]
+    kept = sorted(path.name for path in out.glob("partial-*/*.saved"))
+    assert kept == ["piece-00000.saved", "piece-00001.saved"]
     made: list[int] = []
     one = pieces.track_piece
 
@@ -135,7 +135,7 @@ def test_plan() -> None:
 
 @pytest.mark.parametrize(("last_s", "count"), [(0.0, 1), (11.0, 1), (12.0, 2), (21.0, 2), (500.0, 50)])
 def test_the_last_piece_is_at_least_as_long_as_the_overlap(last_s: float, count: int) -> None:
-    assert len(plan_pieces(frames(0.0, last_s), 10.0, 2.0, ahead=False)) == count
+    assert len(plan_pieces(frames(*np.linspace(0.0, last_s, 101)), 10.0, 2.0, ahead=False)) == count
 
 
 def trajectory(track_id: int, x: float, events: range, spread: float = 1.0) -> Trajectory:
@@ -203,8 +203,21 @@ def test_a_damaged_piece_is_an_error(scene: tuple[LoadedConfig, Path], tmp_path:
 
     with pytest.raises(Killed):
         track(*scene, out, pieces_s=LENGTH, overlap_s=OVERLAP, progress=tick)
-    (done,) = out.glob("partial-*/piece-*/done.npz")
-    done.write_bytes(done.read_bytes()[:-200])
-    with pytest.raises(InputError, match=r"done\.npz"):
+    (done,) = out.glob("partial-*/piece-*.saved")
+    done.write_bytes(done.read_bytes()[:-20])
+    with pytest.raises(InputError, match=r"piece-00000\.saved"):
         track(*scene, out, pieces_s=LENGTH, overlap_s=OVERLAP, resume=True)
     shutil.rmtree(out)
+
+
+def test_spans_without_a_frame_have_no_piece() -> None:
+    found = plan_pieces(frames(0.0, 1.0, 11.0, 86_400.0, 86_401.0), 4.0, 1.0, ahead=False)
+    assert [(piece.number, piece.from_s, piece.to_s, piece.events_before) for piece in found] == [
+        (0, -math.inf, 4.0, 0),
+        (1, 8.0, 12.0, 2),
+        (2, 86_400.0, math.inf, 3),
+    ]
+    assert found[2].begin_s == 86_399.0
+    # The next span begins within the overlap of a frame: what is tracked with it does, too.
+    found = plan_pieces(frames(0.0, 3.5, 5.0, 9.5), 4.0, 1.0, ahead=True)
+    assert [(piece.from_s, piece.events_before) for piece in found] == [(-math.inf, 0), (4.0, 1), (8.0, 3)]

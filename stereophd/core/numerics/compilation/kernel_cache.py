@@ -8,7 +8,8 @@ alone, and would reuse a kernel whose callee has changed.)
 
 A kept kernel that cannot be read (damaged, cut off) is compiled anew. Several folders are searched, so that the kernels
 of a read-only installation are found. A new kernel is kept in the first folder that can be written to; if there is none
-(read-only, full), nothing is kept, and one warning reports it. Importing reads and writes nothing.
+(read-only, full), nothing is kept, and one warning reports it. Kernels are code: only folders that nobody else can
+write to count (`trusted_folders`). Importing reads and writes nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ import logging
 import os
 import re
 import shutil
-import stat
 import tempfile
 import time
 from collections.abc import Callable
@@ -30,6 +30,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 
 from stereophd.core.numerics.compilation import kernel_units
 from stereophd.core.numerics.compilation.kernel_digest import PACKAGE_PARENT, source_digest
+from stereophd.core.numerics.compilation.trusted_folders import can_make, is_trusted, make_folder
 
 FOLDER_NAME = "stereophd-kernels"
 # Kernels that have not been used for this long are removed when a new kernel is kept.
@@ -47,7 +48,7 @@ def _candidates() -> list[Path]:
     """Return the folders in which kernels may be kept, in the order in which they are tried.
 
     That of the environment variable ``NUMBA_CACHE_DIR``, ``__pycache__`` of the package, the user's cache folder, and
-    a folder in the temporary folder that belongs to this user alone, because it holds code.
+    a folder in the temporary folder.
     """
     stated = os.environ.get("NUMBA_CACHE_DIR")
     parents = [Path(stated)] if stated else []
@@ -70,26 +71,25 @@ def _temporary_folder() -> list[Path]:
 
 @cache
 def kernel_folders() -> tuple[Path, ...]:
-    """Return the folders searched for kept kernels, in order; a new one is kept in the first that can be written to."""
-    return tuple(folder for folder in _candidates() if folder not in _temporary_folder() or _is_private(folder))
+    """Return the folders searched for kept kernels, in order; a new one is kept in the first that can be written to.
 
-
-def _is_private(folder: Path) -> bool:
-    """Whether a folder belongs to this user and no other user may enter it, or does not exist yet."""
-    try:
-        found = folder.lstat()
-    except OSError:
-        return True
-    return not _HAS_USERS or (found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) == 0o700)
+    What lies there is used only as long as nobody else can change it (`is_trusted`).
+    """
+    folders = tuple(_candidates())
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        stated = os.environ.get(name)
+        if stated and Path(stated).is_dir() and not is_trusted(Path(stated)) and LOGGER.hasHandlers():
+            LOGGER.warning(
+                "%s=%s: expected a folder that only this user or root can write to, as to all that lead to it, found "
+                "another: no kernels are read from it or kept there",
+                name, stated,
+            )  # fmt: skip
+    return folders
 
 
 def place_to_keep() -> Path | None:
     """Return the folder in which a new kernel would be kept, or None if no folder can be written to."""
-    for folder in kernel_folders():
-        there = next((path for path in (folder, *folder.parents) if path.exists()), None)
-        if there is not None and there.is_dir() and os.access(there, os.W_OK):
-            return folder
-    return None
+    return next((folder for folder in kernel_folders() if can_make(folder)), None)
 
 
 # Folders that a kernel could not be written to in this process.
@@ -102,7 +102,7 @@ def _note_nothing_kept() -> None:
     if LOGGER.hasHandlers():
         LOGGER.warning(
             "compiled kernels cannot be kept, so every run compiles them, for up to a minute: none of these "
-            "folders can be written to: %s; set NUMBA_CACHE_DIR to one that can",
+            "folders can be written to by this user, and by nobody else: %s; set NUMBA_CACHE_DIR to one that can",
             ", ".join(map(str, kernel_folders())),
         )
 
@@ -179,6 +179,8 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         target_context.refresh()
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():
+            if not is_trusted(self.folder_in(folder)):
+                continue
             try:
                 data = self._file_in(folder).load(key)
                 if data is not None:
@@ -213,11 +215,9 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         """Keep a form in a folder, or return False: it cannot be written to, or the disk is full."""
         file = self._file_in(folder)
         try:
-            if folder in _temporary_folder():
-                folder.mkdir(mode=0o700, exist_ok=True)
-                if not _is_private(folder):
-                    return False
-            self.folder_in(folder).mkdir(parents=True, exist_ok=True)
+            if not (make_folder(folder) and make_folder(self.folder_in(folder))):
+                _FAILED.add(folder)
+                return False
             try:
                 file.save(key, reduced)
             except OSError:
@@ -235,4 +235,5 @@ def is_kept(kernel: Any) -> bool:
     """Whether compiled forms of a kernel (as decorated by `compiled`) are kept from an earlier run."""
     # as numba names its files: module, function, first line, version of Python
     name = f"{kernel._cache._impl.filename_base}*"
-    return any(any(kernel._cache.folder_in(folder).glob(name)) for folder in kernel_folders())
+    kept = (kernel._cache.folder_in(folder) for folder in kernel_folders())
+    return any(any(folder.glob(name)) for folder in kept if is_trusted(folder))

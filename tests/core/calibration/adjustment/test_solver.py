@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Problem
@@ -116,7 +116,7 @@ def test_errors_and_covariance_are_those_of_the_bound() -> None:
         sure = [replace(c, detector=Detector(c.detector.sigma, 1.0, 0.0)) for c in truth.cameras]
         truth = replace(truth, cameras=tuple(sure))
         bound = calibration_bound(
-            truth, np.zeros(6), 0, STRAIGHT, o.trajectories, o.cameras, o.times, problem.positions
+            truth, np.zeros(6), 0, STRAIGHT, TruePositions(o.trajectories, o.cameras, o.times, problem.positions)
         )
         error = found.values - problem.truth
         squares.append(error @ np.linalg.solve(found.covariance, error) / 6)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.bounds.calibration import calibration_bound
+from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import marginal_optimum
@@ -69,9 +69,8 @@ def test_errors_are_those_of_the_bound(names: tuple[str, ...]) -> None:
         found = marginal_optimum(problem, joint).adjustment
         error = found.values - drawn
         squares.append(error @ np.linalg.solve(found.covariance, error) / guess.size)
-        bound = calibration_bound(
-            guess, drawn, 0, MOTION, observations.trajectories, observations.cameras, times, points
-        )
+        truth = TruePositions(observations.trajectories, observations.cameras, times, points)
+        bound = calibration_bound(guess, drawn, 0, MOTION, truth)
         np.testing.assert_allclose(np.sqrt(np.diag(found.covariance) / np.diag(bound)), 1.0, atol=0.35)
     assert np.mean(squares) < 5.0
 

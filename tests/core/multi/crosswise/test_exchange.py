@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
@@ -127,9 +127,10 @@ def test_filtering_again_is_what_a_plain_filter_does(steps: list[Step]) -> None:
     expected = 0.0
     for k in range(1, len(rows.times)):
         destination = multi_filter.rig.packed[rows.cameras[k]]
+        intervals = multi_filter.motion.arrays(np.diff(rows.times[k - 1 : k + 1]))
         moved = move(
-            mean[None], covariance[None], space[None], rows.times[k : k + 1] - rows.times[k - 1], destination,
-            multi_filter.motion, replace(multi_filter.sets, sets=multi_filter.sets.sets[:1]), 0, 0.0,
+            Sources(mean[None], covariance[None], space[None], intervals),
+            destination, replace(multi_filter.sets, sets=multi_filter.sets.sets[:1]), 0, 0.0,
         )  # fmt: skip
         mean, covariance, space = moved.means[0], moved.covariances[0], destination
         residual, spread = rows.points[k] - mean[:2], covariance[:2, :2] + rows.noises[k]

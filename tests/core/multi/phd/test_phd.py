@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.core.disparity import moments
 from stereophd.core.disparity.events import make_event
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -176,7 +176,12 @@ def test_total_mass_at_the_edge_of_the_image() -> None:
     # out of view to the left: that part of the Gaussian is what is left
     space = multi_filter.rig.space(1, 0.0)
     before, after = (
-        move(m.means, m.covariances, multi_filter.rig.packed[[0]], np.zeros(1), space, Static(), multi_filter.sets, 0)
+        move(
+            Sources(m.means, m.covariances, multi_filter.rig.packed[[0]], Static().arrays(np.zeros(1))),
+            space,
+            multi_filter.sets,
+            0,
+        )
         for m in (state.mixture, new.mixture)
     )
     assert after.fraction[0] < before.fraction[0]

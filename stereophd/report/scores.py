@@ -1,36 +1,22 @@
-"""Tables that the command line prints on the terminal."""
+"""Scores of tracks as a table for readers: rounded, with units and notes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+from stereophd.report.tables import SummaryTable, table_text
 
 # One row: name, value, and a note (may be empty).
 Row = tuple[str, str, str]
 
 
-def print_evaluation(report: Mapping[str, Any], console: Console) -> None:
-    """Print the report of `stereophd.commands.evaluate.evaluate` as a table.
-
-    Parameters
-    ----------
-    report : mapping
-        The report, as in ``report.json``.
-    console : Console
-        Where to print; it decides about colour and width.
-    """
-    table = Table(box=None, pad_edge=False, show_header=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(justify="right", no_wrap=True)
-    table.add_column(style="dim")
+def scores_text(report: Mapping[str, Any]) -> str:
+    """Return the report of `stereophd.commands.evaluate.evaluate` as text for a terminal."""
     unit = f" {report['length_unit']}" if report["length_unit"] else ""
-    for section in (_distance_rows, _error_rows, _number_rows, _identity_rows, _confirmation_rows, _scan_rows):
-        for row in section(report, unit):
-            table.add_row(*row)
-    console.print(table)
+    sections = (_distance_rows, _error_rows, _number_rows, _identity_rows, _confirmation_rows, _scan_rows)
+    rows = tuple(row for section in sections for row in section(report, unit))
+    return table_text(SummaryTable("", (), rows, words=(0, 2)))
 
 
 def _distance_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:

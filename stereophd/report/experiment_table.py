@@ -1,4 +1,4 @@
-"""The results of an experiment as tables for the terminal."""
+"""The results of an experiment as tables for readers."""
 
 from __future__ import annotations
 
@@ -6,48 +6,37 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from stereophd.experiments.engine.summary import is_rms
+from stereophd.report.tables import SummaryTable, table_text
 
 if TYPE_CHECKING:
     from stereophd.experiments.engine.results import Results
     from stereophd.experiments.engine.summary import Summary
 
 
-def print_results(results: Results, console: Console) -> None:
-    """Print a table for each quantity: a row for each case and method.
-
-    Parameters
-    ----------
-    results : Results
-    console : Console
-        Where to print; it decides about colour and width.
-    """
-    for quantity in _quantities(results):
-        rows = list(_rows(results, quantity))
-        if not rows:
-            continue
-        with_bound = any(row[-1] for row in rows)
-        unit = next(one.unit for cell in results.cells for one in cell.summaries if one.quantity == quantity)
-        title = f"{quantity} [{unit}]" if unit != "1" else quantity
-        table = Table(title=escape(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
-        for name in ("case", "method"):
-            table.add_column(name, no_wrap=True)
-        mean = "rms" if is_rms(quantity) else "mean"
-        for name in (mean, "95 % interval", "std", "bound", "ratio")[: 5 if with_bound else 3]:
-            table.add_column(name, justify="right", no_wrap=True)
-        for row in rows:
-            table.add_row(*map(escape, row[: 7 if with_bound else 5]))
-        console.print(table)
-        console.print()
+def results_text(results: Results) -> str:
+    """Return a table for each quantity, a row for each case and method, and the processor times as text."""
+    tables = [_table(results, quantity) for quantity in _quantities(results)]
     medians, ratios = results.timing["cpu_s_per_run"], results.timing["ratio_to_first_method"]
     first = next(iter(medians))
+    lines = []
     for method, seconds in medians.items():
         ratio = "" if method == first or ratios[method] is None else f", {ratios[method]:.3g} times {first}"
-        console.print(f"processor time a run, {escape(method)}: {1e3 * seconds:.3g} ms{escape(ratio)}", highlight=False)
+        lines.append(f"processor time a run, {method}: {1e3 * seconds:.3g} ms{ratio}")
+    return "\n\n".join([*(table_text(table) for table in tables if table.rows), "\n".join(lines)])
+
+
+def _table(results: Results, quantity: str) -> SummaryTable:
+    rows = list(_rows(results, quantity))
+    if not rows:
+        return SummaryTable(quantity, (), ())
+    with_bound = any(row[-1] for row in rows)
+    unit = next(each.unit for cell in results.cells for each in cell.summaries if each.quantity == quantity)
+    title = f"{quantity} [{unit}]" if unit != "1" else quantity
+    header = ("case", "method", "rms" if is_rms(quantity) else "mean", "95 % interval", "std", "bound", "ratio")
+    columns = len(header) if with_bound else 5
+    return SummaryTable(title, header[:columns], tuple(row[:columns] for row in rows), words=(0, 1))
 
 
 def _quantities(results: Results) -> list[str]:

@@ -1,0 +1,344 @@
+"""Two cameras refined from a hypothesis: Gauss-Newton over pose, clock, focal lengths and lenses, pairing anew.
+
+The unknowns of two cameras are the rotation, the direction of the translation, the offset and rate of the second clock,
+and, under their priors, both focal lengths and first radial coefficients. At tolerances that fall, tracks are paired as
+hypotheses are scored (`calibration.discovery.pair_search`), and the distances of the paired tracks minimised with a
+Cauchy loss. The tolerance at which the tracks gain most is kept. Sampson's distance does not tell the four poses of an
+essential matrix apart; the one with most points in front of both cameras is taken at the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.calibration.discovery.essential import essential_of, poses_of
+from stereophd.core.calibration.discovery.pair_search import Hypothesis, common_pieces, log_gains, total_gain
+from stereophd.core.calibration.discovery.tracks import SlopeTracks
+from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
+from stereophd.core.two_views.meeting import nearest_depths
+
+# Tolerances, px, and Gauss-Newton steps at each; the first ones alone rank the hypotheses.
+TOLERANCES, QUICK, STEPS = (40.0, 20.0, 10.0, 5.0, 2.5, 1.25), 3, 10
+# Samples of all tracks of a camera together and of one track at least, and least of them that make a pair.
+ALL_SAMPLES, SAMPLES, LEAST_SAMPLES = 1200, 48, 6
+# Independent distances of a quadratic piece, at least.
+CONSTRAINTS = 6.0
+# Detections may be better than stated, by this factor.
+LEAST_NOISE = 0.2
+# Components: rotation vector (3), direction (2), offset, logarithms of rate and focal lengths, first lens coefficients.
+SIZE, OFFSET, RATE, FOCAL, LENS = 11, 5, 6, 7, 9
+# Prior deviation of a lens coefficient about the values of the grid, and of what has no prior.
+LENS_STD, WIDE = 0.15, 1e3
+# Rays at a smaller sine do not tell before which side of the cameras they meet.
+LEAST_SINE = 0.01
+# Step of the numerical derivatives, and frames on either side from which the velocity of a track is taken.
+STEP, VELOCITY_FRAMES = 1e-6, 1.0
+
+
+@dataclass(frozen=True)
+class PairPrior:
+    """What is known of two cameras besides their tracks: prior deviations, 0 of what is known."""
+
+    offset_is_known: bool
+    rate_std: float
+    focal_std: tuple[float, float]  # relative
+    lens_unknown: tuple[bool, bool]
+
+    def stds(self, step: float) -> Array:
+        """Prior deviations (11,); that of the offset is the step of the search, s, about the hypothesis."""
+        lenses = [LENS_STD if unknown else 0.0 for unknown in self.lens_unknown]
+        offset = 0.0 if self.offset_is_known else step
+        return np.array([WIDE] * 5 + [offset, self.rate_std, *self.focal_std, *lenses])
+
+
+@dataclass(frozen=True)
+class PairState:
+    """Two cameras: x_b = R x_a + t with t of unit length; the clock of b, and factors of focal lengths, and lenses."""
+
+    rotation: Array  # (3, 3)
+    direction: Array  # (3,)
+    # Time by the prior mean clock of a is pivot + offset + rate (time by that of b - pivot).
+    offset_s: float
+    rate: float
+    pivot_s: float
+    focal: Array  # (2,): factors on the focal lengths of the prior mean
+    lenses: Array  # (2,): first radial coefficients besides the lenses of the prior mean
+
+    def moved(self, step: Array) -> PairState:
+        """Return the state after a step (11,)."""
+        turn = rotation_from_vector(step[:3])
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        direction = self.direction + step[3:5] @ across
+        return PairState(
+            turn @ self.rotation, direction / np.linalg.norm(direction), self.offset_s + float(step[OFFSET]),
+            self.rate * float(np.exp(step[RATE])), self.pivot_s, self.focal * np.exp(step[FOCAL:LENS]),
+            self.lenses + step[LENS:],
+        )  # fmt: skip
+
+    def times_of_second(self, times: Array) -> Array:
+        """Times on the clock of b of times on the clock of a."""
+        return np.asarray(self.pivot_s + (times - self.pivot_s - self.offset_s) / self.rate)
+
+    def rays(self, slopes: Array, side: int) -> Array:
+        """Rays (n, 3) of slopes (n, 2) that the intrinsics of the prior mean made."""
+        return np.column_stack(
+            [straightened(slopes / self.focal[side], float(self.lenses[side])), np.ones(len(slopes))]
+        )
+
+
+@dataclass(frozen=True)
+class PairFit:
+    """Two cameras that tracks fit."""
+
+    state: PairState
+    gain: float  # at the tolerance where it is greatest
+    pieces: float  # quadratic pieces of the paired tracks
+    tolerance: float  # px
+    front: float  # share of the samples of the paired tracks that lie in front of both cameras
+    stds: Array  # (11,): deviations of the components, 0 of what is held
+    pairs: Integers  # (p, 2): tracks that are one object
+    depths: Array  # (n, 2): depths of their samples before both cameras, in lengths of the baseline
+    samples: Array  # (n, 3): track of a, time of a, track of b of these
+    residual: float  # median distance of the paired samples over their noise
+    parallax: float  # median angle between their rays, rad
+
+
+def straightened(slopes: Array, coefficient: float) -> Array:
+    """Slopes (n, 2) without a radial distortion 1 + k1 r^2: a few fixed-point steps, which need not end for far points."""
+    if coefficient == 0.0:
+        return slopes
+    out = slopes
+    for _ in range(6):
+        factor = 1.0 + coefficient * (out**2).sum(axis=1, keepdims=True)
+        out = slopes / np.maximum(factor, 0.2)
+    return np.asarray(out)
+
+
+@dataclass(frozen=True)
+class PairProblem:
+    """The tracks of two cameras and what is known of them."""
+
+    found: SlopeTracks
+    cameras: tuple[int, int]
+    prior: PairPrior
+    step: float  # of the offsets of the hypotheses, s
+
+    def start(self, hypothesis: Hypothesis, focal: Array, lenses: Array) -> PairState:
+        """Return the state of a hypothesis, the factors of whose focal lengths and lenses are given."""
+        times = self.found.tracks.log_times
+        rotation, direction = poses_of(hypothesis.essential)[0]
+        pivot = 0.5 * float(times.min() + times.max())
+        return PairState(rotation, direction, hypothesis.offset_s, 1.0, pivot, focal, lenses)
+
+    @property
+    def focal_px(self) -> Array:
+        return self.found.focal[list(self.cameras)]
+
+    @property
+    def noise_px(self) -> float:
+        """Mean noise of a distance, px."""
+        return float(np.sqrt((self.found.sigma[list(self.cameras)] ** 2).mean()))
+
+    def fitted(self, state: PairState, tolerances: tuple[float, ...] = TOLERANCES) -> PairFit | None:
+        """Refine a state at tolerances that fall; the fit of the greatest gain, None where nothing pairs."""
+        best: PairFit | None = None
+        start = state
+        for tolerance in tolerances:
+            paired = self._paired(state, tolerance)
+            if not len(paired.pairs):
+                break
+            state, covariance = self._minimised(state, start, paired, tolerance)
+            judged = self._paired(state, tolerance)
+            if len(judged.pairs) and (best is None or judged.gain >= best.gain):
+                best = self._judged(state, judged, covariance, tolerance)
+        return best
+
+    def _rows(self, state: PairState) -> _Rows:
+        """Samples of all tracks of a, with all tracks of b at these times."""
+        raw = self.found.tracks
+        a, b = (self.found.of_camera(number) for number in self.cameras)
+        share = self.found.durations[a] / self.found.durations[a].sum()
+        entries = [
+            np.unique(np.linspace(raw.first[track], raw.first[track + 1] - 1, max(SAMPLES, count)).astype(int))
+            for track, count in zip(a, (ALL_SAMPLES * share).astype(int), strict=True)
+        ]
+        of_a = np.repeat(np.arange(len(a)), [len(part) for part in entries])
+        entry = np.concatenate([np.empty(0, dtype=np.int64), *entries])
+        times = state.times_of_second(raw.log_times[entry])
+        begin, end = raw.log_times[raw.first[b]], raw.log_times[raw.first[b + 1] - 1]
+        row, j = np.nonzero((times[:, None] >= begin) & (times[:, None] <= end))
+        slopes, seen = raw.at(b[j], times[row])
+        row, j, slopes = row[seen], j[seen], slopes[seen]
+        return _Rows(
+            entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a))
+        )
+
+    def _squared(self, state: PairState, rows: _Rows) -> Array:
+        return self._distances(state, rows, rows.slopes_b) ** 2
+
+    def _distances(self, state: PairState, rows: _Rows, slopes_b: Array) -> Array:
+        """Signed distances (n,), px."""
+        a, b = state.rays(rows.slopes_a, 0), state.rays(slopes_b, 1)
+        matrix = essential_of(state.rotation, state.direction)
+        line_b, line_a = a @ matrix.T, b @ matrix
+        focal_a, focal_b = self.focal_px * state.focal
+        variance = ((line_b[:, :2] / focal_b) ** 2).sum(axis=1) + ((line_a[:, :2] / focal_a) ** 2).sum(axis=1)
+        # both pixels are off: the distance is that of one of them
+        return np.asarray((b * line_b).sum(axis=1) / np.sqrt(np.maximum(variance, 1e-300)))
+
+    def _paired(self, state: PairState, tolerance: float) -> _Paired:
+        """Pair tracks at a state: those of which one is the other's best partner."""
+        rows = self._rows(state)
+        a, b = (self.found.of_camera(number) for number in self.cameras)
+        shape = (len(a), len(b))
+        pair = rows.i * len(b) + rows.j
+        count = np.bincount(pair, minlength=len(a) * len(b)).reshape(shape)
+        gains = log_gains(self._squared(state, rows), tolerance)
+        mean = np.bincount(pair, weights=gains, minlength=len(a) * len(b)).reshape(shape) / np.maximum(count, 1)
+        weight = common_pieces(self.found, a[:, None], b[None], count / rows.counts[:, None], count >= LEAST_SAMPLES)
+        table = mean * weight
+        chosen = (table > 0.0) & ((table == table.max(axis=1, keepdims=True)) | (table == table.max(axis=0)))
+        return _Paired(
+            rows.take(np.flatnonzero(chosen.ravel()[pair])), np.argwhere(chosen), float(total_gain(table)),
+            float(weight[chosen].sum()),
+        )  # fmt: skip
+
+    def _minimised(
+        self, state: PairState, start: PairState, paired: _Paired, tolerance: float
+    ) -> tuple[PairState, Array]:
+        """Gauss-Newton steps with a Cauchy loss; the state, and its covariance (11, 11) at the noise that is left.
+
+        Distances are worth fewer where those of one pair follow one another: a lens is off in one way along a curve.
+        """
+        rows = paired.rows
+        stds = self.prior.stds(self.step)
+        free = np.flatnonzero(stds > 0.0)
+        covariance = np.zeros((SIZE, SIZE))
+        for _ in range(STEPS):
+            rows = self._at_clock(state, rows)
+            distances, jacobian = self._linearised(state, rows, free)
+            weights = 1.0 / (1.0 + (distances / tolerance) ** 2)
+            spread = max(float(np.sqrt((weights * distances**2).sum() / weights.sum())), LEAST_NOISE * self.noise_px)
+            spread *= np.sqrt(len(distances) / rows.independent(distances, weights, CONSTRAINTS * paired.pieces))
+            prior = np.diag(stds[free] ** -2.0)
+            precision = jacobian.T @ (weights[:, None] * jacobian) / spread**2 + prior
+            pull = jacobian.T @ (weights * distances) / spread**2 + prior @ self._offsets(state, start)[free]
+            step = np.zeros(SIZE)
+            step[free] = -np.linalg.solve(precision, pull)
+            size = float(np.linalg.norm(step[:5]))
+            step *= min(1.0, 0.3 / max(size, 1e-12))
+            state = state.moved(step)
+            covariance[np.ix_(free, free)] = np.linalg.inv(precision)
+            if size < 1e-5:
+                break
+        return state, covariance
+
+    def _offsets(self, state: PairState, start: PairState) -> Array:
+        """Components (11,) of a state from the prior mean; offset and lenses from those of the start."""
+        lenses = state.lenses - start.lenses
+        offset = state.offset_s - start.offset_s
+        return np.array([0.0] * 5 + [offset, np.log(state.rate), *np.log(state.focal), *lenses])
+
+    def _at_clock(self, state: PairState, rows: _Rows) -> _Rows:
+        """Return the rows with the slopes of b at the times of a state; the former ones where b was not seen."""
+        slopes, seen = self.found.tracks.at(
+            rows.track_b, state.times_of_second(self.found.tracks.log_times[rows.entry])
+        )
+        return replace(rows, slopes_b=np.where(seen[:, None], slopes, rows.slopes_b))
+
+    def _linearised(self, state: PairState, rows: _Rows, free: Integers) -> tuple[Array, Array]:
+        """Distances (n,) and their derivatives (n, f); those by the clock from the velocities of the tracks of b."""
+        distances = self._distances(state, rows, rows.slopes_b)
+        jacobian = np.empty((len(distances), len(free)))
+        times = self.found.tracks.log_times[rows.entry]
+        interval = VELOCITY_FRAMES * float(self.found.intervals[self.cameras[1]])
+        clock = np.zeros(len(distances))
+        if (free == OFFSET).any() or (free == RATE).any():
+            at = state.times_of_second(times)
+            later, seen_later = self.found.tracks.at(rows.track_b, at + interval)
+            sooner, seen_sooner = self.found.tracks.at(rows.track_b, at - interval)
+            change = self._distances(state, rows, later) - self._distances(state, rows, sooner)
+            clock = np.where(seen_later & seen_sooner, change / (2.0 * interval), 0.0) / state.rate
+        for column, k in enumerate(free.tolist()):
+            if k == OFFSET:
+                jacobian[:, column] = -clock
+            elif k == RATE:
+                jacobian[:, column] = -clock * (times - state.pivot_s - state.offset_s)
+            else:
+                step = np.zeros(SIZE)
+                step[k] = STEP
+                jacobian[:, column] = (self._distances(state.moved(step), rows, rows.slopes_b) - distances) / STEP
+        return distances, jacobian
+
+    def _judged(self, state: PairState, paired: _Paired, covariance: Array, tolerance: float) -> PairFit:
+        """Choose the pose of the most points in front of both cameras, and say how well the tracks fit."""
+        rows = paired.rows
+        a, b = state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)
+        distances = np.abs(self._distances(state, rows, rows.slopes_b))
+        inlying = distances <= 3.0 * tolerance
+        options = []
+        for rotation, direction in poses_of(essential_of(state.rotation, state.direction)):
+            # in the axes of a: b's centre is -R^T t
+            depth_a, depth_b, sines = nearest_depths(a, b @ rotation, np.broadcast_to(-direction @ rotation, a.shape))
+            telling = inlying & (sines > LEAST_SINE)
+            front = float(((depth_a > 0.0) & (depth_b > 0.0))[telling].mean()) if telling.any() else 0.0
+            options.append((front, rotation, direction, np.stack([depth_a, depth_b], axis=1), sines))
+        front, rotation, direction, depths, sines = max(options, key=lambda option: option[0])
+        good = inlying & (depths > 0.0).all(axis=1) & (sines > LEAST_SINE)
+        tracks = [self.found.of_camera(number) for number in self.cameras]
+        samples = np.column_stack([tracks[0][rows.i], self.found.tracks.log_times[rows.entry], tracks[1][rows.j]])
+        return PairFit(
+            replace(state, rotation=rotation, direction=direction), paired.gain, paired.pieces, tolerance, front,
+            np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]), depths[good], samples[good],
+            float(np.median(distances)) / (0.6745 * self.noise_px),
+            float(np.arcsin(np.clip(np.median(sines[inlying]), 0.0, 1.0))) if inlying.any() else 0.0,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Samples of tracks of a with tracks of b: entries (n,), tracks i and j of each camera, slopes (n, 2) of both."""
+
+    entry: Integers
+    i: Integers
+    j: Integers
+    track_b: Integers
+    slopes_a: Array
+    slopes_b: Array
+    counts: Integers  # samples of each track of a
+
+    def take(self, rows: Integers) -> _Rows:
+        """Return some of the samples."""
+        return _Rows(
+            self.entry[rows], self.i[rows], self.j[rows], self.track_b[rows], self.slopes_a[rows], self.slopes_b[rows],
+            self.counts,
+        )  # fmt: skip
+
+    def independent(self, distances: Array, weights: Array, least: float) -> float:
+        """Return how many independent distances all of them are worth, by the correlation of successive ones."""
+        successive = (np.diff(self.i) == 0) & (np.diff(self.j) == 0)
+        scaled = np.sqrt(weights) * distances
+        correlation = float((scaled[1:] * scaled[:-1])[successive].sum() / max(float((scaled**2).sum()), 1e-300))
+        correlation = min(max(correlation, 0.0), 0.99)
+        return min(max(len(distances) * (1.0 - correlation) / (1.0 + correlation), least), float(len(distances)))
+
+
+@dataclass(frozen=True)
+class _Paired:
+    """Samples of the tracks that are paired, the pairs (p, 2), the gain of all, and the pieces that they have in common."""
+
+    rows: _Rows
+    pairs: Integers
+    gain: float
+    pieces: float
+
+
+def distance_of(one: PairState, other: PairState) -> tuple[float, float]:
+    """Angles, rad, between the rotations and between the directions of two states."""
+    turn = float(np.linalg.norm(rotation_to_vector(one.rotation @ other.rotation.T)))
+    cosine = float(np.clip(one.direction @ other.direction, -1.0, 1.0))
+    return turn, float(np.arccos(cosine))

@@ -1,0 +1,93 @@
+"""Whether cameras that were found are believed, and what kind of motion leaves them open.
+
+A start counts by absolute deviations and by the gap to the next other optimum: a prior made from the data says nothing
+about what the data determine. The limits are those that parted right from wrong answers on recordings with known cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stereophd.core.calibration.discovery.tracks import SlopeTracks
+from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairFit, PairResult
+
+# Largest deviations of rotation and direction, rad, of a pair that is believed; gain over that of the next optimum.
+MOST_ROTATION, MOST_DIRECTION, LEAST_GAP = np.deg2rad(2.0), np.deg2rad(3.0), 2.0
+# Quadratic pieces that two cameras need in common: fewer can agree by chance.
+LEAST_PIECES = 4.0
+# Residuals of the best optimum over the stated noise above which a lens or clock is wrong.
+MOST_RESIDUAL = 3.0
+# Median parallax, rad, below which the cameras stand at one place; thickness over extent of a scene that is a plane.
+LEAST_PARALLAX, PLANE = np.deg2rad(1.0), 0.02
+
+
+def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
+    """Return why no cameras can be found from the tracks; None if they can be looked for."""
+    still = [name for number, name in enumerate(names) if not len(found.of_camera(number))]
+    if not still:
+        return None
+    if found.left_out:
+        return (
+            f"nothing moves before {', '.join(still)} (by 12 standard deviations of a detection, seen in half of the "
+            "frames): objects that stand still show no cameras; record objects that move through the whole image"
+        )
+    return f"no object can be followed before {', '.join(still)}: record fewer false detections, or more frames"
+
+
+def doubts_of_pair(pair: PairResult, names: Sequence[str]) -> list[str]:
+    """Return why two cameras that were found may be wrong; empty if they are believed."""
+    fit = pair.best
+    two = " and ".join(names[number] for number in pair.cameras)
+    doubts = []
+    if fit.parallax < LEAST_PARALLAX:
+        doubts.append(
+            f"rays of {two} meet at {np.rad2deg(fit.parallax):.1f} degrees: the cameras stand at one place, or the "
+            "objects are too far; move the cameras apart or the objects nearer"
+        )
+    if fit.pieces < LEAST_PIECES:
+        doubts.append(
+            f"the tracks that {two} share are too few or too straight ({fit.pieces:.1f} pieces of a curve, "
+            f"{LEAST_PIECES:g} are needed): record objects that turn, or more of them"
+        )
+    if fit.front < LEAST_FRONT:
+        doubts.append(f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}")
+    if fit.residual > MOST_RESIDUAL:
+        doubts.append(
+            f"rays of {two} miss each other by {fit.residual:.1f} times the noise: a lens, a focal length or a clock is "
+            "unlike what is stated"
+        )
+    if pair.gap < LEAST_GAP:
+        doubts.append(_second_optimum(pair, two))
+    if fit.stds[:3].max() > MOST_ROTATION or fit.stds[3:5].max() > MOST_DIRECTION:
+        kind = "; the objects move in one plane" if _is_plane(fit) else ""
+        doubts.append(
+            f"the tracks leave {two} open by {np.rad2deg(fit.stds[:3].max()):.1f} degrees in rotation and "
+            f"{np.rad2deg(fit.stds[3:5].max()):.1f} in direction{kind}: record objects at more depths and heights"
+        )
+    return doubts
+
+
+def _second_optimum(pair: PairResult, two: str) -> str:
+    """Say how the next optimum of two cameras differs."""
+    best, other = pair.fits[0], next(fit for fit in pair.fits[1:] if fit.front >= LEAST_FRONT)
+    turn = float(
+        np.rad2deg(np.arccos(np.clip(0.5 * (np.trace(best.state.rotation.T @ other.state.rotation) - 1), -1, 1)))
+    )
+    apart = other.state.offset_s - best.state.offset_s
+    return (
+        f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {turn:.0f} degrees and {apart:+.2f} s "
+        "away: record objects that speed up and turn, or state the clock"
+    )
+
+
+def _is_plane(fit: PairFit) -> bool:
+    """Whether the points lie in one plane."""
+    state = fit.state
+    # any two coordinates and the depth: directions in the image are not kept, so the depths of both cameras
+    points = np.column_stack([fit.depths, np.ones(len(fit.depths))])
+    if len(points) < 4:
+        return True
+    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(sizes[1] < PLANE * sizes[0]) and state.rate > 0.0

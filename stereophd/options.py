@@ -1,0 +1,141 @@
+"""How an option of a command is declared, once: a field of a class of options, with its meaning, default and use::
+
+    @options
+    class TrackOptions:
+        \"\"\"Options of `track`.\"\"\"
+
+        threads: int = option("threads; the outputs do not depend on it", default=1, metavar="N", least=1)
+
+`stereophd.cli.parameters` makes the parameters of the command line and their help from the class, and
+`stereophd.cli.flags` the options in messages. In Python a function that `takes` the class is given an object of it, or
+its fields by name, and its docstring lists them. Nothing heavy may be imported here: the help must be quick.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import wraps
+from typing import Any, TypeVar, dataclass_transform
+
+from stereophd.errors import InputError
+
+Class = TypeVar("Class")
+Result = TypeVar("Result")
+Parser = Callable[[str, Sequence[str]], Any]
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What the declaration of an option states besides its name, type and default."""
+
+    meaning: str
+    metavar: str  # word for the value in the help, with its unit
+    flag: str  # name of the option on the command line; "": that of the field
+    least: float | None
+    parse: Parser | None  # flag, words -> value: the option is repeatable
+    shell_default: Any  # default on the command line, where it is another
+    use: str  # "": the option acts in every use of its command; else the only use in which it acts
+
+    def flag_of(self, name: str) -> str:
+        """Return the option of the command line for the field of this name."""
+        return "--" + (self.flag or name.replace("_", "-"))
+
+
+def option(
+    meaning: str,
+    *,
+    default: Any,
+    metavar: str = "",
+    flag: str = "",
+    least: float | None = None,
+    parse: Parser | None = None,
+    shell_default: Any = None,
+    use: str = "",
+) -> Any:
+    """Declare a field of `options`; the parameters are those of `Declaration`, and its default."""
+    declared = Declaration(meaning, metavar, flag, least, parse, shell_default, use)
+    return field(default=default, metadata={"option": declared})
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(option,))
+def options(cls: type[Class]) -> type[Class]:
+    """Make a class of options: a frozen dataclass whose fields are given by name."""
+    return dataclass(frozen=True, kw_only=True)(cls)
+
+
+def declarations(kind: type) -> dict[str, Declaration]:
+    """Return the declarations of a class of options by the names of the fields."""
+    return {each.name: each.metadata["option"] for each in fields(kind) if "option" in each.metadata}
+
+
+def names_of_use(kind: type, use: str) -> list[str]:
+    """Return the names of the options of a class that act only in this use."""
+    return [name for name, declared in declarations(kind).items() if declared.use == use]
+
+
+def takes(kind: type[Any]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Let a function with a parameter `options` of this class also take the fields by name.
+
+    The signature and the docstring of the function list them.
+    """
+    declared = declarations(kind)
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        @wraps(function)
+        def call(*arguments: Any, options: Any = None, **words: Any) -> Result:
+            stated = {name: words.pop(name) for name in declared.keys() & words.keys()}
+            chosen = kind(**stated) if options is None else replace(options, **stated)
+            return function(*arguments, options=chosen, **words)
+
+        plain = inspect.signature(function)
+        own = [parameter for parameter in plain.parameters.values() if parameter.name != "options"]
+        by_name = [
+            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
+            for each in fields(kind)
+        ]
+        call.__signature__ = plain.replace(parameters=[*own, *by_name])  # type: ignore[attr-defined]
+        before, heading, after = (function.__doc__ or "").partition("\n    Returns\n")
+        call.__doc__ = f"{before.rstrip()}\n{_listed(kind)}\n{heading}{after}"
+        return call
+
+    return decorate
+
+
+def _listed(kind: type[Any]) -> str:
+    """Return the options of a class as a docstring lists parameters."""
+    lines = []
+    for each in fields(kind):
+        declared: Declaration = each.metadata["option"]
+        lines += [f"    {each.name} : {each.type}", *_paragraph(f"{declared.meaning} (default {each.default})")]
+    return "\n".join(lines)
+
+
+def _paragraph(text: str) -> list[str]:
+    return textwrap.wrap(text, 112, initial_indent=" " * 8, subsequent_indent=" " * 8)
+
+
+def numbers_by_key(flag: str, words: Sequence[str]) -> dict[str, float]:
+    """Return {key: number} of the words KEY=VALUE of an option, such as ``fail_above``.
+
+    Raises
+    ------
+    InputError
+        A word has another form, or a key is there twice.
+    """
+    numbers: dict[str, float] = {}
+    for word in words:
+        key, separator, value = word.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not key or not separator or not math.isfinite(number):
+            raise InputError(f"{flag} {word}: expected KEY=NUMBER, such as ospa.mean=0.8")
+        if key in numbers:
+            raise InputError(f"{flag} {word}: expected each key once, found {key} again")
+        numbers[key] = number
+    return numbers
