@@ -5,7 +5,13 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+
 from collections.abc import Callable, Mapping, Sequence
+
+
+import logging
+from collections.abc import Mapping, Sequence
+
 from dataclasses import dataclass, field
 from functools import lru_cache, wraps
 from pathlib import Path
@@ -32,6 +38,9 @@ if TYPE_CHECKING:
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 Words = ParamSpec("Words")
 Result = TypeVar("Result")
+
+
+LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)
@@ -121,6 +130,7 @@ def load_config(
         if any(key == ("cameras",) for key, _ in changes):
             raise InputError("expected one of `cameras_path` and `overrides` cameras=..., found both")
         cameras_file: Path | None = Path(cameras_path)
+        inline = tree.data.get("cameras")
     elif isinstance(tree.data.get("cameras"), str):
         cameras_file = source.parent / tree.data["cameras"]
     else:
@@ -128,6 +138,8 @@ def load_config(
     unit: str | None = None
     if cameras_file is not None:
         unit, inputs["cameras"] = _inline_cameras(tree, cameras_file)
+        if cameras_path is not None:
+            _say_replaced(inline, tree.data.get("cameras"), cameras_file)
     else:
         _inline_trajectories(tree, source.parent)
     for key, change in changes:
@@ -165,6 +177,22 @@ def takes_config(
         return function(config, *arguments, **words)
 
     return call
+
+
+def _say_replaced(before: Any, after: Any, path: Path) -> None:
+    """Say which detectors of a configuration a file of cameras replaces, such as those that `init` estimated."""
+    if not isinstance(before, dict) or not isinstance(after, dict):
+        return
+
+    def detector(cameras: dict[str, Any], name: str) -> Any:
+        return cameras[name].get("detector") if isinstance(cameras.get(name), dict) else None
+
+    names = [name for name in after if detector(before, name) not in (None, detector(after, name))]
+    if names:
+        LOGGER.warning(
+            "%s: its detectors replace those of the configuration (%s), such as `init` estimated: copy these into it "
+            "to keep them", path, ", ".join(map(str, names)),
+        )  # fmt: skip
 
 
 def make_config(values: Mapping[str, Any], name: str = "configuration") -> LoadedConfig:

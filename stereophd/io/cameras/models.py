@@ -136,7 +136,10 @@ class CameraConfig(Model):
     detector: Annotated[
         DetectorConfig,
         BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
-    ] = parameter("what its detector does, or estimate: all of it is estimated from the log (track)")
+    ] = parameter(
+        "what its detector does, or estimate: all of it is estimated from the log (init, track)",
+        default_factory=lambda: DetectorConfig(**UNKNOWN_DETECTOR),
+    )
     distortion: Distortion = parameter("the distortion of the lens", default_factory=NoDistortion)
     frame_rate_hz: Rate | None = parameter(
         "frames per second (simulate)",

@@ -15,7 +15,7 @@ from stereophd.io.cameras.models import CameraConfig
 Value = TypeVar("Value")
 
 #: Optional columns of a log that a format may fill.
-EXTRA_COLUMNS = ("sigma_u_px", "sigma_v_px", "score", "object_id")
+EXTRA_COLUMNS = ("sigma_u_px", "sigma_v_px", "width_px", "height_px", "score", "object_id")
 
 
 @dataclass(frozen=True)

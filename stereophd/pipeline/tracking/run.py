@@ -16,12 +16,13 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
-from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
+from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import Journal
@@ -59,11 +60,14 @@ class Tracking:
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
-        if self.boxes and isinstance(stream.frames, LogReader) and not stream.frames.has_boxes:
-            raise InputError(
-                f"{stream.source}: expected the columns width_px and height_px (object.shape is ellipsoid), found none"
-            )
-        events = at_most_one(stream) if single else stream
+        events: Iterable[Event] = stream
+        if self.boxes:
+            # imported here: what it needs of SciPy is costly to import
+            from stereophd.pipeline.tracking.bodies import with_boxes
+
+            events = with_boxes(stream)
+        elif single:
+            events = at_most_one(stream)
         return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
 
 
@@ -164,8 +168,10 @@ def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: E
     if not estimated:
         return tracking
     config, path = loaded.config, loaded.path
+    samples = sample_log(stream.frames, tracking.cameras, SAMPLE_FRAMES)
+    started, priors = starting_detectors(tracking.cameras, estimated, samples)
     cameras, detectors = estimate_detectors(
-        tracking.cameras, estimated, lambda used: build_labelled_filter(config, used, path, threads), stream
+        started, priors, lambda used: build_labelled_filter(config, used, path, threads), stream
     )
     return replace(tracking_with(loaded, cameras, threads), detectors=detectors)
 
