@@ -5,13 +5,8 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-
-from collections.abc import Callable, Mapping, Sequence
-
-
 import logging
-from collections.abc import Mapping, Sequence
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, wraps
 from pathlib import Path
