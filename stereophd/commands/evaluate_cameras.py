@@ -29,6 +29,7 @@ from stereophd.options import takes
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, raise_if_failed
+from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -120,7 +121,8 @@ def _read_pair(cameras_path: Path | str, true_path: Path | str) -> tuple[list[Ca
             f"{cameras_path}: expected two or more cameras, those of {true_path} ({', '.join(true.cameras)}), "
             f"found {', '.join(estimated.cameras)}"
         )
-    if estimated.units.length != true.units.length:
+    # cameras without a known length are compared all the same: their scale is an error of its own
+    if estimated.units.length not in (true.units.length, NO_LENGTH):
         raise InputError(
             f"{cameras_path}: units.length: expected {true.units.length} as in {true_path}, "
             f"found {estimated.units.length}"

@@ -77,6 +77,13 @@ class LoadedConfig:
         """
         if not self.cameras:
             raise InputError(f"{self.path}: cameras: expected cameras (here or by `cameras_path`), found none")
+        for name, camera in self.cameras.items():
+            if camera.must_be_found:
+                key = "pose" if camera.pose.unknown else "clock.offset_s"
+                raise InputError(
+                    f"{self.path}: cameras.{name}.{key}: expected a known one, found unknown; `calibrate` finds it, "
+                    "and writes a cameras.yaml for `track`"
+                )
         return tuple(camera.build(name) for name, camera in self.cameras.items())
 
 
