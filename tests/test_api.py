@@ -154,3 +154,17 @@ def test_the_portable_target_is_set_for_numba_and_blas() -> None:
             [sys.executable, "-c", code], env={**plain, **more}, capture_output=True, text=True, check=True
         )
         assert found.stdout.strip() == str(expected)
+
+
+def test_a_command_takes_a_path_for_a_configuration(tmp_path: Path) -> None:
+    folder = ROOT / "sample_data"
+    report = stereophd.check(folder / "hall.yaml", folder / "hall" / "detections.parquet")
+    loaded = stereophd.load_config(folder / "hall.yaml")
+    assert report == stereophd.check(loaded, folder / "hall" / "detections.parquet")
+
+
+@pytest.mark.parametrize("command", ["track", "simulate", "calibrate", "check", "experiment", "track_logs"])
+def test_a_configuration_of_another_type_is_an_input_error(command: str, tmp_path: Path) -> None:
+    arguments = (3, "log.parquet", tmp_path) if command not in ("check", "simulate", "experiment") else (3, tmp_path)
+    with pytest.raises(stereophd.InputError, match=r"expected a path, a mapping or what .* returns, found int"):
+        getattr(stereophd, command)(*arguments)

@@ -6,11 +6,11 @@ import copy
 import hashlib
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
+Words = ParamSpec("Words")
+Result = TypeVar("Result")
 
 
 LOGGER = logging.getLogger("stereophd")
@@ -149,6 +151,30 @@ def load_config(
     if unit is not None and unit != config.units.length:
         raise InputError(f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}")
     return LoadedConfig(config, source, inputs, tree)
+
+
+def takes_config(
+    function: Callable[Concatenate[LoadedConfig, Words], Result],
+) -> Callable[Concatenate[LoadedConfig | Path | str | Mapping[str, Any], Words], Result]:
+    """Let a command whose first parameter is a loaded configuration also take its path, or its values as a mapping.
+
+    What is none of these raises `InputError`.
+    """
+
+    @wraps(function)
+    def call(
+        config: LoadedConfig | Path | str | Mapping[str, Any], /, *arguments: Words.args, **words: Words.kwargs
+    ) -> Result:
+        if isinstance(config, str | Path):
+            config = load_config(config)
+        elif isinstance(config, Mapping):
+            config = make_config(config)
+        elif not isinstance(config, LoadedConfig):
+            kind = type(config).__name__
+            raise InputError(f"configuration: expected a path, a mapping or what `load_config` returns, found {kind}")
+        return function(config, *arguments, **words)
+
+    return call
 
 
 def _say_replaced(before: Any, after: Any, path: Path) -> None:
