@@ -58,6 +58,7 @@ def init_command(
             show_default=False,
         ),
     ] = None,
+    overrides: options.Set = None,
     strict: options.Strict = False,
     force: options.Force = False,
 ) -> None:
@@ -68,7 +69,7 @@ def init_command(
 
     report = init(
         folder, log, cameras, None if length_unit is None else length_unit.value, None if kind is None else kind.value,
-        force,
+        force, tuple(overrides or ()),
     )  # fmt: skip
     if session.json:
         print_report(session, report)
@@ -81,12 +82,21 @@ def _lines(report: dict[str, Any], log: Path | None) -> list[str]:
     """Return the values with their sources, and what to run next."""
     width = max(len(row["key"]) for row in report["values"])
     lines = [f"{row['key']:<{width}}  {_shown(row['value']):<18}  {row['source']}" for row in report["values"]]
+    lines += [_detector(name, detector) for name, detector in report["detectors"].items()]
     config = Path(report["config"])
     # beside the configuration and quoted, so that the line can be copied as it is
     following = shlex.join(
         ["stereophd", "track", str(config), str(log or "LOG"), "--out", str(config.parent / "tracks")]
     )
     return [*lines, f"Written: {config}; next:", f"  {following}"]
+
+
+def _detector(name: str, detector: dict[str, Any]) -> str:
+    noise = " x ".join(f"{sigma:g}" for sigma in detector["sigma_px"])
+    return (
+        f"{name}: noise {noise} px, probability of detection {detector['p_detect']:g}, "
+        f"{detector['clutter_per_frame']:g} false detections a frame  {detector['source']}"
+    )
 
 
 def _shown(value: Any) -> str:

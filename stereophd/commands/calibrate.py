@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
+from stereophd.config.loading import takes_config
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
@@ -23,6 +24,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.filters import pmb_filter
+from stereophd.pipeline.calibration.found_cameras import with_found_cameras
 from stereophd.pipeline.calibration.inputs import read_problem
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
@@ -69,6 +71,7 @@ WITH_CAMERAS = ("geometry.", "settings.")
 LOGGER = logging.getLogger("stereophd")
 
 
+@takes_config
 @takes(CalibrateOptions)
 def calibrate(
     loaded: LoadedConfig,
@@ -111,6 +114,7 @@ def calibrate(
     from joblib import effective_n_jobs
 
     jobs = effective_n_jobs(options.jobs)
+    loaded, unknown = with_found_cameras(loaded, log_path)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
     record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
@@ -129,7 +133,9 @@ def calibrate(
         held.enter_context(output_lock(out_dir))
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
-        outcome = _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
+        outcome = unknown.outcome_of_none(problem) if unknown is not None else None
+        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
+        outcome = outcome if unknown is None else unknown.judged(problem, outcome)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:

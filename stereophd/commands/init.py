@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import stereophd
-from stereophd.config.loading import load_cameras, load_config
+from stereophd.config.loading import load_cameras, load_config, make_config
+from stereophd.config.overrides import apply_override, parse_override
+from stereophd.config.yaml import Tree
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error
@@ -30,6 +34,7 @@ def init(
     length_unit: str | None = None,
     kind: Kind | None = None,
     force: bool = False,
+    overrides: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Write ``config.yaml`` for a log, so that `track` runs with it as it is.
 
@@ -47,11 +52,14 @@ def init(
         What the objects are (`animals`, `drones`, `lab`), for values that nothing else gives; default `lab`.
     force : bool
         Whether a ``config.yaml`` that `init` wrote may be replaced.
+    overrides : sequence of str
+        ``key.path=value`` with a YAML value each: values that are known, and that `init` keeps.
 
     Returns
     -------
     dict
-        ``config`` (the path), ``length_unit``, ``values`` (key, value, source, measured), ``cameras`` and ``checks``.
+        ``config`` (the path), ``length_unit``, ``values`` (key, value, source, measured), ``detectors`` (by camera,
+        with their sources), ``cameras`` and ``checks``.
 
     Raises
     ------
@@ -63,7 +71,7 @@ def init(
     if kind is not None and kind not in SCALES:
         raise InputError(f"`kind`: expected one of {', '.join(SCALES)}, found {kind}")
     cameras_file = _cameras_file(log_path, cameras_path)
-    draft = _begin(cameras_file, log_path, length_unit, kind or "lab")
+    draft = _with_overrides(_begin(cameras_file, log_path, length_unit, kind or "lab"), overrides)
     if log_path is not None and draft.cameras:
         draft = draft_from_log(draft, log_path)
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
@@ -73,7 +81,7 @@ def init(
     if draft.cameras:
         loaded = load_config(target)
         if log_path is not None:
-            findings = report_findings(check_log(loaded, log_path, thorough=False))
+            findings = report_findings((*draft.findings, *check_log(loaded, log_path, thorough=False)))
     else:
         LOGGER.warning("%s: no cameras are known: put them into %s beside it", target, CAMERAS_FILE)
     return {
@@ -85,8 +93,30 @@ def init(
             {"key": key, "value": one.value, "source": one.reason, "measured": one.measured}
             for key, one in draft.choices.items()
         ],
+        "detectors": {
+            name: {**camera.detector.model_dump(mode="json"), "source": "; ".join(draft.camera_notes.get(name, ()))}
+            for name, camera in draft.cameras.items()
+        },
         "checks": findings,
     }
+
+
+def _with_overrides(draft: Draft, overrides: Sequence[str]) -> Draft:
+    """Return the draft with values that the user gives."""
+    cameras = Tree({"cameras": {name: camera.model_dump(mode="json") for name, camera in draft.cameras.items()}})
+    values = {}
+    for path, change in map(parse_override, overrides):
+        if path[0] == "units":
+            raise InputError("`overrides` units: expected the unit with `length_unit` or in the cameras, found it here")
+        if path[0] == "cameras":
+            apply_override(cameras, path, change)
+        else:
+            values[".".join(map(str, path))] = change.data
+    draft = draft.with_given(values)
+    if not values and not overrides:
+        return draft
+    loaded = make_config({**draft.values(), **(cameras.data if draft.cameras else {})}, "`overrides`")
+    return replace(draft, cameras=loaded.cameras if draft.cameras else {})
 
 
 def _check_target(target: Path, force: bool) -> None:

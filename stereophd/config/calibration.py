@@ -129,8 +129,9 @@ class CalibrationConfig(Model):
         "posterior of method annealed: a Gaussian at the optimum, or particles", default="laplace"
     )
     reference: str = parameter("the camera whose pose is known and fixes the frame")
-    priors: Annotated[dict[str, CameraPrior], Len(1)] = parameter(
-        "priors of the unknown cameras by name; a camera without a prior is known"
+    priors: dict[str, CameraPrior] = parameter(
+        "priors of the unknown cameras by name; a camera without a prior is known, or found where its pose is unknown",
+        default_factory=dict,
     )
     shared: list[list[str]] = parameter(
         "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from stereophd.config.known_keys import known_keys, places_of
+from stereophd.config.known_keys import kinds_with, known_keys, places_of
 from stereophd.config.yaml import KeyPath, Tree
 from stereophd.errors import did_you_mean, near_name, nearest
 
@@ -129,6 +129,10 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
     if kind in _UNKNOWN_KEY:
         known = known_keys(schema, path[:-1], _value(data, path[:-1]))
         name = str(path[-1])
+        if other := kinds_with(schema, path[:-1], _value(data, path[:-1]), name):
+            selector, kinds = other
+            place = ".".join(map(_part, (*path[:-1], selector)))
+            return f"belongs to {place} {' or '.join(kinds)}, found {_value(data, (*path[:-1], selector))}"
         close = near_name(name, known)
         candidates = [*([close] if close else ()), *_elsewhere(schema, (name,))]
         return f"unknown key{_did_you_mean(candidates) or nearest(name, known)}"

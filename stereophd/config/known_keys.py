@@ -39,6 +39,21 @@ def known_keys(schema: Mapping[str, Any], path: KeyPath, data: Any = None) -> li
     return list(dict.fromkeys(key for node in nodes for key in node.get("properties", {})))
 
 
+def kinds_with(schema: Mapping[str, Any], path: KeyPath, data: Any, key: str) -> tuple[str, list[str]] | None:
+    """Return the key that selects the kind of the mapping `data` at a path, and the other kinds that know a key.
+
+    None if no other kind knows it.
+    """
+    kinds: dict[str, list[str]] = {}
+    for node in branches_at(schema, path):
+        properties = node.get("properties", {})
+        if key in properties and not _of_this_kind(node, data):
+            for name, rule in properties.items():
+                if name in data and isinstance(rule, Mapping) and "const" in rule:
+                    kinds.setdefault(name, []).append(str(rule["const"]))
+    return next(iter(kinds.items()), None)
+
+
 def branches_at(schema: Mapping[str, Any], path: KeyPath) -> list[Mapping[str, Any]]:
     """Return the alternatives of a JSON schema for the value at a key path; none for an unknown one."""
     nodes: list[Mapping[str, Any]] = list(_branches(schema, schema))

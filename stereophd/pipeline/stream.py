@@ -16,6 +16,7 @@ import numpy as np
 from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.errors import InputError
+from stereophd.io.logs.checks import KINDS
 from stereophd.io.logs.reading import Frame, LogReader
 from stereophd.pipeline.runs.progress import Progress
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 # Events between two calls of `progress`.
 PROGRESS_EVERY = 50
+# Share of the rows that may be dropped as bad, those of cameras that are left out apart.
+MOST_DROPPED = 0.05
 
 
 class EventStream:
@@ -76,6 +79,11 @@ class EventStream:
         """Name of the log in messages."""
         return str(self.frames.path) if isinstance(self.frames, LogReader) else "frames"
 
+    @property
+    def has_noise(self) -> bool:
+        """Whether the log states the noise of its detections."""
+        return isinstance(self.frames, LogReader) and self.frames.has_noise
+
     def __iter__(self) -> Iterator[Event]:
         self.not_invertible, count = 0, 0
         for number, frame in enumerate(covered(self.cameras, self.frames, self.source)):
@@ -95,7 +103,21 @@ class EventStream:
                 self._report()
             if frame.time_s >= self._until_s:
                 break
+        else:
+            self._check_dropped()
         self._report(done=True)
+
+    def _check_dropped(self) -> None:
+        """Refuse a log of which far more than a few rows were dropped."""
+        counts = self.counts
+        dropped = {kind: counts[kind] for kind in KINDS if counts.get(kind) and kind != "unknown_camera"}
+        if sum(dropped.values()) > MOST_DROPPED * counts.get("rows", 0):
+            each = ", ".join(f"{kind} {count}" for kind, count in dropped.items())
+            raise InputError(
+                f"{self.source}: expected at most {100 * MOST_DROPPED:g} % of the rows to be bad, found "
+                f"{sum(dropped.values())} of {counts['rows']} ({each}): what is left is no longer this recording; "
+                "correct the rows, or leave them out of the file"
+            )
 
     def _report(self, done: bool = False) -> None:
         if self._progress is not None and isinstance(self.frames, LogReader):

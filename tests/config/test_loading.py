@@ -194,6 +194,12 @@ class TestErrors:
                 13,
                 "filter.prune_wieght: unknown key; did you mean prune_weight?",
             ),
+            (
+                "prune_weight",
+                "exchange_above",
+                13,
+                "filter.exchange_above: belongs to filter.kind pmb, found phd",
+            ),
             ("filter:", "fitler:", 12, "fitler: unknown key; did you mean filter?"),
             (
                 "velocity_std",

@@ -20,7 +20,7 @@ from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.geometry.camera import Detector
 from stereophd.errors import InputError
-from stereophd.pipeline.detectors.statistics import DetectorSums, estimate_detector
+from stereophd.pipeline.detectors.statistics import BETWEEN_AXES, DetectorSums, NoisePrior, estimate_detector
 from tests.commands.test_track import SCENE
 
 FromFarAway = Callable[[int], tuple[dict, Path]]
@@ -177,25 +177,24 @@ def test_noise_that_the_log_states_is_not_estimated(short: Path, tmp_path: Path)
     loaded = load_config(short / "scene.yaml", (*SIMULATED, "detector=estimate", *given(dict.fromkeys(TRUE, START))), 4)
     found = track(loaded, tmp_path / "log.parquet", tmp_path / "out")["detectors"]["cameras"]
     for name, (_, p_detect, clutter) in TRUE.items():
-        assert found[name]["sigma_px"] == [5.0, 5.0]
-        assert found[name]["sigma_px_standard_error"] is None
+        assert found[name]["residuals"] == 0.0
         assert abs(found[name]["p_detect"] - p_detect) < 5 * found[name]["p_detect_standard_error"]
         assert abs(found[name]["clutter_per_frame"] - clutter) < 5 * found[name]["clutter_per_frame_standard_error"]
 
 
 def test_too_little_to_estimate_from(logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One camera alone: no track that two saw; the given noise stays, and a warning says so."""
+    """One camera alone: no rays to compare, no track that two saw; the given noise stays, and a warning says so."""
     log = pq.read_table(logs / "log0" / "detections.parquet")
     log = log.filter(pa.array([name == "left" for name in log["camera"].to_pylist()]))
     pq.write_table(log, tmp_path / "log.parquet")
     loaded = load_config(logs / "scene.yaml", (*SIMULATED, "detector=estimate", *given(TRUE)))
     found = track(loaded, tmp_path / "log.parquet", tmp_path / "out")["detectors"]["cameras"]
-    for name, (sigma, p_detect, _) in TRUE.items():
+    for name, (sigma, _, _) in TRUE.items():
         assert found[name]["sigma_px"] == list(sigma)
-        assert found[name]["p_detect"] == p_detect
-        assert found[name]["sigma_px_standard_error"] is None
+        assert found[name]["p_detect"] == 0.9
+        assert not found[name]["confirmed"]
     assert found["right"]["frames"] == 0
-    assert "too few to estimate the noise" in caplog.text
+    assert "no tracks confirm the estimated noise (no track gave residuals)" in caplog.text
 
 
 def test_errors_that_last_are_not_taken_for_noise(
@@ -218,17 +217,32 @@ def test_values_from_sums() -> None:
         sums.weights += 50 * share
         sums.squares += 50 * share**2
         sums.shares += 50 * share * share
-    found = estimate_detector(sums, present)
-    np.testing.assert_allclose(found.detector.sigma, [4.0, 6.0])
+    vague = NoisePrior(np.array([1.0, 1.0]), 100.0)
+    found = estimate_detector(sums, present, vague)
+    np.testing.assert_allclose(found.detector.sigma, [4.0, 6.0], rtol=1e-4)
     # standard error of R_new / R: sqrt(2 * 50 * (0.64 + 0.16)) / 60, over the mean share (0.64 + 0.16) / 1.2
-    relative = np.sqrt(2 * 50 * 0.8) / 60 / (0.8 / 1.2)
-    assert found.sigma_error is not None
-    np.testing.assert_allclose(found.sigma_error, np.array([4.0, 6.0]) * relative / 2)
+    relative = np.sqrt(2 * 50 * 0.8) / 60 / (0.8 / 1.2) / 2
+    np.testing.assert_allclose(found.sigma_error, np.array([4.0, 6.0]) * relative, rtol=1e-4)
+    assert found.residual_ratio == pytest.approx(2.0)
     assert found.detector.p_detect == pytest.approx(75.5 / 101.0)
     assert found.detector.clutter_per_frame == pytest.approx(50.5 / 50.0)
-    nothing = estimate_detector(DetectorSums(), present)
-    assert nothing.detector == present
-    assert (nothing.sigma_error, nothing.p_detect_error, nothing.clutter_error) == (None, None, None)
+    # a prior of 1 px for both axes takes its share of the logarithm
+    sure = estimate_detector(sums, present, NoisePrior(np.array([1.0, 1.0]), 0.0))
+    weight = relative**-2 / (relative**-2 + BETWEEN_AXES**-2)
+    np.testing.assert_allclose(sure.detector.sigma, [4.0**weight, 6.0**weight])
+    nothing = estimate_detector(DetectorSums(), present, NoisePrior(np.array([1.0, 2.0]), 1.0))
+    assert nothing.detector.sigma.tolist() == [1.0, 2.0]
+    assert (nothing.detector.p_detect, nothing.detector.clutter_per_frame) == (0.9, 1.0)
+    assert (nothing.residual_ratio, nothing.confirmed, nothing.p_detect_error) == (None, False, None)
+
+
+@pytest.mark.parametrize(("ratio", "confirmed"), [(0.12, False), (1.0, True), (24.0, False)])
+def test_tracks_confirm_a_noise_or_not(ratio: float, confirmed: bool) -> None:
+    sums = DetectorSums(pairs=400.0)
+    sums.residuals, sums.weights = sums.residuals + 400.0 * ratio**2, sums.weights + 400.0
+    sums.squares, sums.shares = sums.squares + 400.0, sums.shares + 400.0
+    prior = NoisePrior(np.array([1.0, 1.0]), 0.1)
+    assert estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), prior).confirmed == confirmed
 
 
 def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, Pa
     scene = build_scene(config, true_cameras, RUN_OBJECTS.seed(config.seed, number))
     guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, number))
     own = RUN_METHOD.seed(config.seed, number).generate_state(1)
-    guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0])}), cameras=guess)
+    guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0]), "cameras": guess}))
     parameters, reference = build_parameters(guessed)
     return scene, guessed, parameters, reference, parameters.difference(true_cameras)
 

@@ -11,6 +11,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.settings import LARGEST_PX, LARGEST_SIGMA_PX, LARGEST_TIME_S, SMALLEST_SIGMA_PX
 from stereophd.errors import InputError, unknown_camera
+from stereophd.io.logs.order import LogOrder
 from stereophd.io.logs.rows import Decoded, Rows
 
 #: The kinds of bad rows, in the order in which a row is tested; keys of `LogReader.counts`.
@@ -40,9 +41,8 @@ class Fault:
 
 @dataclass
 class OrderState:
-    """What the order checks remember of the rows before: the largest time, and frame per camera."""
+    """What the order checks remember of the rows before: the largest frame of each camera."""
 
-    last_time: float = -np.inf
     last_frame: dict[int, int] = field(default_factory=dict)
 
 
@@ -108,7 +108,8 @@ def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: f
         )
     if rows.sizes is not None:
         boxes = rows.sizes
-        valid = ((boxes > 0.0) & (boxes <= LARGEST_PX)).all(axis=1)
+        # a detection without a box is a point
+        valid = ((boxes > 0.0) & (boxes <= LARGEST_PX)).all(axis=1) | np.isnan(boxes).all(axis=1)
         yield Fault(
             "invalid_box",
             ~rows.empty & ~valid,
@@ -116,17 +117,20 @@ def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: f
         )
 
 
-def time_fault(rows: Rows, state: OrderState) -> Fault:
-    """Return the rows whose time is before that of an earlier (good) row; updates `state`."""
-    # A row that is too early does not raise the running maximum, so it needs no exclusion from it.
-    latest = np.maximum.accumulate(np.concatenate([[state.last_time], rows.time_s]))
-    bad = rows.time_s < latest[:-1]
-    state.last_time = float(latest[-1])
-    return Fault(
-        "time_backwards",
-        bad,
-        lambda i: f"time_s: expected rows in order of time, found {rows.time_s[i]:.9g} after {latest[i]:.9g}",
-    )
+def time_fault(rows: Rows, order: LogOrder) -> Fault:
+    """Return the rows that the longest order of time leaves out."""
+    place = np.searchsorted(order.misplaced, rows.row)
+    bad = np.isin(rows.row, order.misplaced)
+
+    def say(i: int) -> str:
+        time, before, after = rows.time_s[i], order.before[place[i]], order.after[place[i]]
+        where = f"after {before:.9g}" if time < before else f"before {after:.9g}"
+        return (
+            f"time_s: expected rows in order of time, found {time:.9g} {where}; the longest order leaves out "
+            f"{len(order.misplaced)} rows"
+        )
+
+    return Fault("time_backwards", bad, say)
 
 
 def frame_fault(rows: Rows, state: OrderState) -> Fault:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.rows import values_of
 from stereophd.io.tables.reading import cast_column, check_texts, damaged_is_input_error, open_parquet
@@ -18,17 +21,83 @@ from stereophd.io.tables.schemas import FLOAT, STRING
 PIECE_ROWS = 131_072
 
 
-def is_by_camera(path: Path) -> bool:
-    """Whether the rows are not in order of time, but each camera's are: in blocks, as in tables put together.
+@dataclass(frozen=True)
+class LogOrder:
+    """How the rows of a log lie in time."""
 
-    Rows without a finite time or a camera are ignored here.
+    by_camera: bool  # the rows of each camera are in order of time, not those of all: in blocks, as tables put together
+    misplaced: Integers  # rows outside the longest order of time, rising
+    before: Array  # for each of them, the time of the row in order before it; -inf: none
+    after: Array  # the same after it; inf: none
+
+
+def order_of(path: Path) -> LogOrder:
+    """Return how the rows of a log lie in time.
+
+    The few are wrong, not the many: rows are misplaced if the longest sequence of rows in order of time leaves them
+    out. Rows without a finite time or a camera are ignored here.
 
     Raises
     ------
     InputError
         The file is damaged, or a value does not fit the type of its column.
     """
-    return not _is_ordered(path) and _is_ordered_within_cameras(path)
+    if _is_ordered(path):
+        return _ordered(False)
+    if _is_ordered_within_cameras(path):
+        return _ordered(True)
+    times, cameras = _whole(path)
+    together = _misplaced(np.arange(len(times)), times)
+    apart = [_misplaced(rows, times[rows]) for code in np.unique(cameras) for rows in [np.flatnonzero(cameras == code)]]
+    count = sum(len(rows) for rows, _, _ in apart)
+    if count >= len(together[0]):
+        return LogOrder(False, *together)
+    rows, before, after = (np.concatenate(parts) for parts in zip(*apart, strict=True))
+    order = np.argsort(rows)
+    return LogOrder(True, rows[order], before[order], after[order])
+
+
+def _ordered(by_camera: bool) -> LogOrder:
+    return LogOrder(by_camera, np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+
+
+def _whole(path: Path) -> tuple[Array, Integers]:
+    """Return the times (n,) of all rows, and the number of the camera of each, by its name."""
+    times, cameras, numbers, start = [], [], dict[str, int](), 0
+    for batch in _pieces(path, ["time_s", "camera"]):
+        times.append(_times(batch, path, start))
+        names = cast_column(batch.column("camera"), "camera", STRING, path, start).dictionary_encode()
+        known = np.array([numbers.setdefault(name, len(numbers)) for name in names.dictionary.to_pylist()] + [-1])
+        cameras.append(known[values_of(names.indices, np.int32, -1)])
+        start += len(batch)
+    return np.concatenate(times), np.concatenate(cameras)
+
+
+def _misplaced(rows: Integers, times: Array) -> tuple[Integers, Array, Array]:
+    """Return which rows the longest order of their times (n,) leaves out, and the times in order around each.
+
+    The longest sequence that does not fall, by the piles of patience (C. Schensted, Canadian J. Math. 13, 1961).
+    """
+    finite = np.flatnonzero(np.isfinite(times) & (np.abs(times) <= LARGEST_TIME_S))
+    tails: list[float] = []
+    last: list[int] = []
+    previous = np.full(len(finite), -1, dtype=np.int64)
+    for k, time in enumerate(times[finite].tolist()):
+        pile = bisect_right(tails, time)
+        previous[k] = last[pile - 1] if pile else -1
+        if pile == len(tails):
+            tails.append(time)
+            last.append(k)
+        else:
+            tails[pile], last[pile] = time, k
+    kept = np.zeros(len(finite), dtype=np.bool_)
+    k = last[-1] if last else -1
+    while k >= 0:
+        kept[k] = True
+        k = int(previous[k])
+    ordered = np.concatenate([[-np.inf], times[finite][kept], [np.inf]])
+    place = np.cumsum(kept)[~kept]
+    return rows[finite[~kept]], ordered[place], ordered[place + 1]
 
 
 def _is_ordered(path: Path) -> bool:

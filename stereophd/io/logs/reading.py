@@ -35,7 +35,7 @@ from stereophd.io.logs.checks import (
     raise_first,
     time_fault,
 )
-from stereophd.io.logs.order import is_by_camera
+from stereophd.io.logs.order import LogOrder, order_of
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
@@ -146,22 +146,27 @@ class LogReader:
         self.has_boxes = "width_px" in present
         self._columns = [*REQUIRED, *present]
 
+    @property
+    def has_noise(self) -> bool:
+        """Whether the log states the noise of its detections."""
+        return "sigma_u_px" in self._columns
+
     @cached_property
-    def is_by_camera(self) -> bool:
-        """Whether only the rows of each camera are in order of time, not those of all: they are merged on reading."""
-        return is_by_camera(self.path)
+    def order(self) -> LogOrder:
+        """How the rows lie in time. If only those of each camera are in order, they are merged on reading."""
+        return order_of(self.path)
 
     def __iter__(self) -> Iterator[Frame]:
         self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
         self.counts["cameras_without_frames"] = len(self._cameras)
         seen: set[int] = set()
         exact = all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras)
-        if exact and not self.is_by_camera:
+        if exact and not self.order.by_camera:
             frames = self._frames(None)
         else:
             # Each camera's clock is monotonic, so each camera's frames are in order by themselves: one
             # pass over the file for each camera keeps the memory bounded, however far the clocks differ.
-            if self.is_by_camera:
+            if self.order.by_camera:
                 LOGGER.warning("%s: the rows are in order of time by camera only: the cameras are merged", self.path)
             passes = [self._frames(i) for i in range(len(self._cameras))]
             frames = heapq.merge(*passes, key=lambda f: (f.time_s, f.camera, f.frame))
@@ -182,7 +187,7 @@ class LogReader:
         """Yield the frames in log order; with `only`, those of that camera, on its true time."""
         state = OrderState()
         carry: Rows | None = None
-        for rows in self._good_rows(state, only):
+        for rows in self._good_rows(only):
             if only is not None:
                 rows = rows.take(rows.camera == only)
             if carry is not None:
@@ -198,8 +203,8 @@ class LogReader:
         if carry is not None:
             yield from self._split(carry, state)
 
-    def _good_rows(self, state: OrderState, only: int | None) -> Iterator[Rows]:
-        """Yield pieces of the log without rows that are bad by themselves or too early."""
+    def _good_rows(self, only: int | None) -> Iterator[Rows]:
+        """Yield pieces of the log without rows that are bad by themselves or out of order."""
         start: int | None = None
         for first_row, batch in self._batches():
             start = first_row if start is None else start
@@ -214,10 +219,10 @@ class LogReader:
             self.counts["rows"] += int(counted.sum())
             faults = list(point_faults(piece, list(self._index), self._sizes, self._margin))
             good = rows.take(self._accept(faults, rows, counted))
-            if only is not None and self.is_by_camera:
+            if only is not None and self.order.by_camera:
                 # rows of other cameras in between do not matter for the order of these
                 good = good.take(good.camera == only)
-            late = time_fault(good, state)
+            late = time_fault(good, self.order)
             good = good.take(self._accept([late], good, None if only is None else good.camera == only))
             yield good
 

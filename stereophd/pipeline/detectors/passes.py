@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -15,7 +15,13 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.multi.base import DisparityFilter, FilterState
 from stereophd.core.multi.state.estimates import Estimates, Info
-from stereophd.pipeline.detectors.statistics import DetectorEstimate, DetectorSums, estimate_detector, observe
+from stereophd.pipeline.detectors.statistics import (
+    DetectorEstimate,
+    DetectorSums,
+    NoisePrior,
+    estimate_detector,
+    observe,
+)
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
 
@@ -26,9 +32,8 @@ MOST_FRAMES = 20_000
 MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
-
-# If a detector never missed, a track would end at its first miss, and no pass could ever estimate a miss.
-MOST_P_DETECT = 0.99
+# After the last of them, changes below this share are no finding.
+NEARLY_CONVERGED = 0.15
 
 
 LOGGER = logging.getLogger("stereophd")
@@ -128,18 +133,20 @@ def _pass(multi_filter: DisparityFilter, stream: EventStream) -> tuple[list[Dete
 
 def estimate_detectors(
     cameras: tuple[Camera, ...],
-    estimated: Collection[str],
+    priors: Mapping[str, NoisePrior],
     build_filter: Callable[[tuple[Camera, ...]], DisparityFilter],
     stream: EventStream,
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """Estimate noise, probability of detection and clutter of cameras from a log.
 
+    What tracks do not confirm goes back to what was known before them.
+
     Parameters
     ----------
     cameras : tuple of Camera
-        With the values to start from.
-    estimated : collection of str
-        Names of the cameras whose detectors are estimated; the others stay as they are.
+        With the values to start from (`stereophd.pipeline.detectors.ray_noise.starting_detectors`).
+    priors : mapping
+        Name -> what is known of the noise, of the cameras whose detectors are estimated; the others stay as they are.
     build_filter : callable
         Makes a labelled filter of cameras.
     stream : EventStream
@@ -153,45 +160,47 @@ def estimate_detectors(
         For ``report.json``: by camera the values, their standard errors and the numbers behind them, and whether the
         log states the noise of its detections.
     """
-    used = tuple(_start(camera) if camera.name in estimated else camera for camera in cameras)
-    found: dict[str, DetectorEstimate] = {}
-    passes, converged, own_noise = 0, False, False
+    started = cameras
+    estimates: dict[str, DetectorEstimate] = {}
+    passes, converged, nearly, own_noise = 0, False, False, False
     while passes < MOST_PASSES and not converged:
         passes += 1
-        sums, own_noise = _pass(build_filter(used), stream.with_cameras(used))
-        converged = True
+        sums, own_noise = _pass(build_filter(cameras), stream.with_cameras(cameras))
+        converged = nearly = True
         updated = []
         for camera, mine in zip(cameras, sums, strict=True):
             detector = camera.detector
-            if camera.name in estimated:
-                estimate = found[camera.name] = estimate_detector(mine, detector)
-                converged = converged and _agree(detector, estimate)
+            if camera.name in priors:
+                estimate = estimates[camera.name] = estimate_detector(mine, detector, priors[camera.name])
+                converged = converged and _agree(detector, estimate, CONVERGED)
+                nearly = nearly and _agree(detector, estimate, NEARLY_CONVERGED)
                 detector = estimate.detector
             updated.append(replace(camera, detector=detector))
-        cameras = used = tuple(updated)
-        texts = [_text(name, estimate) for name, estimate in found.items()]
+        cameras = tuple(updated)
+        texts = [_text(name, estimate) for name, estimate in estimates.items()]
         LOGGER.info("detectors, pass %d: %s", passes, "; ".join(texts))
-    report = {name: _report(estimate) for name, estimate in found.items()}
-    return cameras, {"passes": passes, "converged": converged, "noise_in_log": own_noise, "cameras": report}
+    for camera in started:
+        if camera.name in priors and not (estimates[camera.name].confirmed or own_noise):
+            last = estimates[camera.name].detector
+            back = Detector(priors[camera.name].sigma_px, last.p_detect, last.clutter_per_frame)
+            estimates[camera.name] = replace(estimates[camera.name], detector=back)
+    cameras = tuple(
+        replace(camera, detector=estimates[camera.name].detector) if camera.name in estimates else camera
+        for camera in cameras
+    )
+    report = {name: _report(estimate, priors[name]) for name, estimate in estimates.items()}
+    return cameras, {"passes": passes, "converged": nearly, "noise_in_log": own_noise, "cameras": report}
 
 
-def _start(camera: Camera) -> Camera:
-    """Return a camera whose detector can be found to miss."""
-    given = camera.detector
-    if given.p_detect <= MOST_P_DETECT:
-        return camera
-    return replace(camera, detector=Detector(given.sigma, MOST_P_DETECT, given.clutter_per_frame))
-
-
-def _agree(present: Detector, estimate: DetectorEstimate) -> bool:
+def _agree(present: Detector, estimate: DetectorEstimate, share: float) -> bool:
     """Whether a pass has changed nothing that matters."""
     new = estimate.detector
 
     def close(old: float, value: float, scale: float, error: float | None) -> bool:
-        return error is None or abs(old - value) <= max(CONVERGED * scale, CONVERGED_ERRORS * error)
+        return error is None or abs(old - value) <= max(share * scale, CONVERGED_ERRORS * error)
 
-    sigma_error = (None, None) if estimate.sigma_error is None else estimate.sigma_error.tolist()
-    sigmas = zip(present.sigma.tolist(), new.sigma.tolist(), new.sigma.tolist(), sigma_error, strict=True)
+    errors = estimate.sigma_error.tolist()
+    sigmas = zip(present.sigma.tolist(), new.sigma.tolist(), new.sigma.tolist(), errors, strict=True)
     clutter = new.clutter_per_frame
     return (
         all(close(*sigma) for sigma in sigmas)
@@ -208,16 +217,19 @@ def _text(name: str, estimate: DetectorEstimate) -> str:
     )
 
 
-def _report(estimate: DetectorEstimate) -> dict[str, Any]:
+def _report(estimate: DetectorEstimate, prior: NoisePrior) -> dict[str, Any]:
     detector = estimate.detector
     return {
         "sigma_px": detector.sigma.tolist(),
         "p_detect": detector.p_detect,
         "clutter_per_frame": detector.clutter_per_frame,
-        "sigma_px_standard_error": None if estimate.sigma_error is None else estimate.sigma_error.tolist(),
+        "sigma_px_standard_error": estimate.sigma_error.tolist(),
         "p_detect_standard_error": estimate.p_detect_error,
         "clutter_per_frame_standard_error": estimate.clutter_error,
         "residual_correlation": None if estimate.correlation is None else estimate.correlation.tolist(),
+        "noise_of_rays_px": prior.sigma_px.tolist(),
+        "residual_ratio": estimate.residual_ratio,
+        "confirmed": estimate.confirmed,
         "residuals": estimate.residuals,
         "in_view": estimate.in_view,
         "frames": estimate.frames,

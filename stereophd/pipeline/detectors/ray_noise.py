@@ -13,7 +13,7 @@ from the others, and without any data the answer is the prior's median.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,23 +23,35 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.pipeline.checks.geometry.measure import pairs_of
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, candidates, distances, rays_of
 from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.detectors.statistics import NoisePrior
 
 # The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
 USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.07, 0.4
+# Detection and false detections of a frame to begin with: no detector is free of them, and births need some to compete
+# with.
+USUAL_P_DETECT, LEAST_CLUTTER = 0.9, 0.02
+# Frames of each camera that are looked at.
+SAMPLE_FRAMES = 1500
 # Noises that are tried, px, and borders between classes of distances, px.
 NOISES = np.geomspace(0.03, 300.0, 90)
 BORDERS = np.concatenate([[0.0], np.geomspace(0.01, 10_000.0, 110)])
-# Detections of a pair that are examined at most.
-MOST_DETECTIONS = 2000
+# Detections of a pair that are examined at most, and distances of them all, those of chance included.
+MOST_DETECTIONS, MOST_DISTANCES = 1000, 1_500_000
 # Rounds of the share of partners, and of the cameras in turn.
 SHARE_ROUNDS, CAMERA_ROUNDS, SETTLED = 40, 20, 1e-3
 # Detections that have a partner, at most.
-MOST_PARTNERS = 0.98
+MOST_PARTNERS = 0.95
+# Log-likelihood that one pair of cameras may weigh: detections of one object are not independent, and the chance of a
+# single pair may look like noise of another size.
+MOST_EVIDENCE = 20.0
 # Distances of chance, number and share, below which their density counts as even.
 EVEN_COUNT, EVEN_SHARE = 50, 0.001
 # By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
 # directions. At other times alone the rays of objects that hardly move still meet.
 OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
+# Objects that happen to pass near one another stay so for a while: their distances, over the noise, and their number
+# over that of partners, at most.
+HALO, MOST_HALO = 4.0, 0.5
 # Sizes of clusters of objects over that of the image: they have more chance neighbours than other places have.
 CLUSTERS = (0.15, 0.3)
 
@@ -50,7 +62,7 @@ class RayNoise:
 
     sigma_px: Array  # (cameras,): posterior mean of its logarithm
     relative_error: Array  # (cameras,): standard deviation of that logarithm
-    gain: float  # log-likelihood of partners over chance, all pairs together
+    partners: float  # detections that met one of another camera beyond chance
 
 
 @dataclass(frozen=True)
@@ -60,7 +72,7 @@ class _PairEvidence:
     cameras: tuple[int, int]
     shares: Array  # (2,): of that variance, by the squared noise of either camera
     likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
-    gain: float
+    partners: float
 
     def of_camera(self, camera: int, logs: Array) -> Array:
         """Return the log-likelihood (noises,) of the noise of one camera, with the logarithms of the others' noise."""
@@ -101,7 +113,38 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
             values[camera], spreads[camera] = _posterior(total)
         if np.abs(values - before).max() < SETTLED:
             break
-    return RayNoise(np.exp(values), spreads, sum(pair.gain for pair in evidence))
+    return RayNoise(np.exp(values), spreads, sum(pair.partners for pair in evidence))
+
+
+def starting_detectors(
+    cameras: Sequence[Camera], estimated: Collection[str], samples: Sequence[CameraSample]
+) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
+    """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
+
+    Where the rays cannot be compared (one camera, cameras that move), the noise is as the detectors have it.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    estimated : collection of str
+        Names of the cameras whose detectors are estimated.
+    samples : sequence of CameraSample
+        Frames of all cameras.
+    """
+    resting = all(camera.pose.is_static for camera in cameras)
+    noise = noise_from_rays(samples) if resting and len(cameras) > 1 else None
+    used, priors = [], {}
+    for k, camera in enumerate(cameras):
+        given = camera.detector
+        if camera.name in estimated:
+            known = noise is not None and noise.partners > 0.0
+            sigma = np.full(2, noise.sigma_px[k]) if noise is not None and known else np.asarray(given.sigma)
+            spread = float(noise.relative_error[k]) if noise is not None and known else NOISE_SPREAD
+            priors[camera.name] = NoisePrior(sigma, spread)
+            clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
+            camera = replace(camera, detector=Detector(sigma, USUAL_P_DETECT, clutter))
+        used.append(camera)
+    return tuple(used), priors
 
 
 def with_noise(camera: Camera, sigma_px: float) -> Camera:
@@ -126,7 +169,7 @@ def _posterior(total: Array) -> tuple[float, float]:
 
 def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | None:
     """Return what a pair of cameras with a noise of 1 px says; None where they share no frames."""
-    pair = candidates(samples, a, b, MOST_DETECTIONS)
+    pair = candidates(samples, a, b, MOST_DETECTIONS, most_distances=MOST_DISTANCES)
     if pair is None:
         return None
     first, second = Reading(samples[a].camera), Reading(samples[b].camera)
@@ -142,8 +185,8 @@ def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | No
         return None
     share_a = float(shares[usable].mean())
     size = 0.5 * (max(first.camera.width, first.camera.height) + max(second.camera.width, second.camera.height))
-    likelihoods, gain = _mixture(_classes(missed), _classes(by_chance), len(pair.detections), size)
-    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * _kept(pair, samples[b])]), likelihoods, gain)
+    likelihoods, partners = _mixture(_classes(missed), _classes(by_chance), len(pair.detections), size)
+    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * _kept(pair, samples[b])]), likelihoods, partners)
 
 
 def _kept(pair: Candidates, second: CameraSample) -> float:
@@ -160,7 +203,7 @@ def _classes(missed: Array) -> Array:
 
 
 def _mixture(together: Array, apart: Array, count: int, size: float) -> tuple[Array, float]:
-    """Return the log-likelihood (noises,) of the noise of partners among distances, and what it gains.
+    """Return the log-likelihood (noises,) of the noise of partners among distances, and the number of partners.
 
     Parameters
     ----------
@@ -171,22 +214,23 @@ def _mixture(together: Array, apart: Array, count: int, size: float) -> tuple[Ar
     size : float
         Size of the images, px.
     """
-    normal = _half_normal(NOISES)
+    own = np.stack([_half_normal(NOISES), _half_normal(HALO * NOISES)])
     others = np.stack([_background(apart), *_half_normal(np.array(CLUSTERS) * size)])
     total = max(float(together.sum()), 1.0)
     most = min(MOST_PARTNERS * count / total, 1.0 - 1e-6)
-    share = np.full((len(NOISES), 1), 0.5 * most)
-    mixed = np.tile((1.0 - share) / len(others), len(others))
+    shares = np.full((2, len(NOISES), 1), 0.25 * most)
+    mixed = np.full((len(NOISES), len(others)), (1.0 - 0.5 * most) / len(others))
     for _ in range(SHARE_ROUNDS):
-        background = mixed @ others
-        part = together / (share * normal + background)
+        part = together / ((shares * own).sum(axis=0) + mixed @ others)
         mixed = mixed * (part @ others.T)
-        share = np.minimum((part * share * normal).sum(axis=1, keepdims=True) / total, most)
-        mixed *= (1.0 - share) / mixed.sum(axis=1, keepdims=True)
-    likelihoods = (together * np.log(share * normal + mixed @ others)).sum(axis=1)
+        shares = shares * (part * own).sum(axis=2, keepdims=True) / total
+        shares[0] = np.minimum(shares[0], most)
+        shares[1] = np.minimum(shares[1], MOST_HALO * shares[0])
+        mixed *= (1.0 - shares.sum(axis=0)) / mixed.sum(axis=1, keepdims=True)
+    likelihoods = (together * np.log((shares * own).sum(axis=0) + mixed @ others)).sum(axis=1)
     best = int(likelihoods.argmax())
-    partners = float(share[best, 0] * total)
-    return likelihoods - likelihoods[best], partners
+    partners = float(shares[0, best, 0] * total)
+    return np.logaddexp(likelihoods - likelihoods[best], -MOST_EVIDENCE), partners
 
 
 def _background(apart: Array) -> Array:
@@ -215,4 +259,4 @@ def _half_normal(spreads: Array) -> Array:
     from scipy.special import erf  # costly to import
 
     below = erf(BORDERS / (np.sqrt(2.0) * spreads[:, None]))
-    return np.maximum(np.diff(below, axis=1), 1e-300)
+    return np.asarray(np.maximum(np.diff(below, axis=1), 1e-300))

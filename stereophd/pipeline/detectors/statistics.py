@@ -13,7 +13,8 @@ with residuals e and weights w = p R / S (the probability p of the pair, and the
     R_new / R = sum(w e^2 / S) / sum(w),
 
 per axis of the distorted image. Its standard error treats C as known, which is on the safe side:
-sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S.
+sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S. Few residuals say little: the estimate is joined
+with what the rays say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to pass.
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
 the frame, and M that it exists and made none. Frames count up to the last detection of the track only: what
@@ -44,9 +45,16 @@ from stereophd.core.multi.base import Prediction
 DECIDED_SHARE = 0.9
 # A detection that is more probably a track's than not counts as its next residual.
 LIKELY = 0.5
-# Estimates from fewer residuals, or frames with a track in view, are not trusted.
+# Correlations from fewer residuals, and probabilities from fewer frames with a track in view, are not trusted.
 FEWEST_RESIDUALS = 50.0
 FEWEST_IN_VIEW = 50.0
+# Spread of the logarithm of the noise between the two axes of a camera.
+BETWEEN_AXES = 0.25
+# Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
+# that can, and the spread of what is known from the rays from which it needs no more of them.
+CONFIRMED, CONFIRMED_ERRORS, FEWEST_TO_CONFIRM, KNOWN_SPREAD = (0.7, 1.4), 2.0, 8.0, 0.25
+# Tracks that contradict the rays by this factor, beyond three standard errors, are those of another error.
+CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
 
 
 @dataclass
@@ -76,11 +84,19 @@ class DetectorSums:
 
 
 @dataclass(frozen=True)
+class NoisePrior:
+    """What is known of the noise of a detector without tracks: log-normal."""
+
+    sigma_px: Array  # (2,): median along u and v
+    spread: float  # standard deviation of the logarithm
+
+
+@dataclass(frozen=True)
 class DetectorEstimate:
     """A detector estimated from a run, and how well; what could not be estimated has no standard error."""
 
     detector: Detector
-    sigma_error: Array | None  # (2,) or None: Standard errors of sigma, px
+    sigma_error: Array  # (2,): Standard errors of sigma, px
     p_detect_error: float | None
     clutter_error: float | None
     # (2,) or None: Correlation of the residuals of successive frames along u and v: 0 of white noise.
@@ -90,6 +106,9 @@ class DetectorEstimate:
     residuals: float
     in_view: float
     frames: int
+    # Root mean square of the residuals over what the noise stated in this run leads to expect; None without any.
+    residual_ratio: float | None
+    confirmed: bool  # Whether the tracks of this run agree with the noise that it stated, and with the rays
 
 
 @dataclass(frozen=True)
@@ -206,15 +225,29 @@ def _add_residuals(
             sums.successions += 1
 
 
-def estimate_detector(sums: DetectorSums, present: Detector) -> DetectorEstimate:
-    """Return the detector estimated from the sums of a run with the `present` one."""
-    sigma, p_detect, clutter = np.asarray(present.sigma), present.p_detect, present.clutter_per_frame
-    sigma_error, p_error, clutter_error = None, None, None
-    if sums.pairs >= FEWEST_RESIDUALS:
-        ratio = sums.residuals / sums.weights
-        sigma = sigma * np.sqrt(ratio)
-        relative = np.sqrt(2.0 * sums.squares) / sums.weights / (sums.shares / sums.weights)
-        sigma_error = sigma * relative / 2.0
+def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) -> DetectorEstimate:
+    """Return the detector estimated from the sums of a run with the `present` one, and from what was known before.
+
+    The noise is the mean of its logarithm after both: of the prior, and of the residuals, weighted with their squared
+    standard errors. Without residuals it is the prior's.
+    """
+    sigma, ratio = np.asarray(prior.sigma_px), None
+    error = sigma * np.hypot(prior.spread, BETWEEN_AXES)
+    confirmed = prior.spread < KNOWN_SPREAD
+    if sums.pairs > 0.0 and (sums.residuals > 0.0).all() and (sums.weights > 0.0).all():
+        measured = np.asarray(present.sigma) * np.sqrt(sums.residuals / sums.weights)
+        relative = np.sqrt(2.0 * sums.squares) / sums.weights / (sums.shares / sums.weights) / 2.0
+        spread = np.hypot(prior.spread, BETWEEN_AXES)
+        weight = relative**-2 / (relative**-2 + spread**-2)
+        sigma = np.exp((1.0 - weight) * np.log(prior.sigma_px) + weight * np.log(measured))
+        error = sigma * np.sqrt(weight) * relative
+        ratio = float(np.sqrt((sums.residuals / sums.weights).mean()))
+        apart = np.abs(np.log(measured / prior.sigma_px))
+        agrees = (apart < np.log(CONTRADICTED) + CONTRADICTED_ERRORS * np.hypot(relative, spread)).all()
+        slack = CONFIRMED_ERRORS * float(relative.max())
+        low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
+        confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)
+    p_detect, clutter, p_error, clutter_error = present.p_detect, present.clutter_per_frame, None, None
     in_view = sums.detected + sums.missed
     if in_view >= FEWEST_IN_VIEW:
         # half a detection and half a miss are added: a probability of 0 or 1 could never change again
@@ -225,6 +258,6 @@ def estimate_detector(sums: DetectorSums, present: Detector) -> DetectorEstimate
         clutter_error = float(np.sqrt(clutter / sums.frames))
     correlation = sums.products / sums.norms if sums.successions >= FEWEST_RESIDUALS else None
     return DetectorEstimate(
-        Detector(sigma, p_detect, clutter), sigma_error, p_error, clutter_error, correlation, sums.pairs, in_view,
-        sums.frames,
+        Detector(sigma, p_detect, clutter), error, p_error, clutter_error, correlation,
+        sums.pairs, in_view, sums.frames, ratio, confirmed,
     )  # fmt: skip

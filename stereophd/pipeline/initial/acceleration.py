@@ -38,8 +38,9 @@ MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000
 LEAST_EVENTS = 20
 # Factor between neighbouring values, and their number in either direction from the first.
 FACTOR, MOST_STEPS = 3.0, 8
-# Log-likelihood that counts as a difference.
-LEAST_GAIN = 2.0
+# Log-likelihood that counts as a difference, over all events and in one window of many: by the former two in a hundred
+# windows differ by chance.
+LEAST_GAIN, WINDOW_GAIN = 2.0, 6.0
 # Events of a window, and the share of the windows whose manoeuvres may be left out: at least one.
 WINDOW, LEFT_OUT = 25, 0.02
 # Acceleration to start from over the spread of the velocity, 1/s.
@@ -138,7 +139,7 @@ def _of_windows(found: dict[float, Array]) -> float:
     table = np.stack([found[value] for value in values])
     count = max(1, table.shape[1] // WINDOW)
     windows = np.stack([part.sum(axis=1) for part in np.array_split(table, count, axis=1)], axis=1)
-    least = (windows >= windows.max(axis=0) - LEAST_GAIN).argmax(axis=0)
+    least = (windows >= windows.max(axis=0) - WINDOW_GAIN).argmax(axis=0)
     left_out = min(count - 1, max(1, int(LEFT_OUT * count)))
     return values[int(np.sort(least)[::-1][left_out])]
 

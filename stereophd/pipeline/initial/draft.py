@@ -7,7 +7,7 @@ acceleration, its tracks give depths, speeds and births, and its residuals the d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,24 +23,24 @@ from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.geometry.measure import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run_figures.estimated_detectors import LASTING
+from stereophd.pipeline.checks.run_figures.estimated_detectors import LASTING, check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.passes import estimate_detectors
-from stereophd.pipeline.initial.acceleration import LEAST_EVENTS, estimate_acceleration, stretches
-from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter
+from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
+from stereophd.pipeline.detectors.statistics import NoisePrior
+from stereophd.pipeline.initial.acceleration import estimate_acceleration, stretches
+from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_stream
+from stereophd.pipeline.tracking.run import with_detectors
 
-# Frames of each camera that the first look takes.
-SAMPLE_FRAMES = 1500
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
-# Relative standard errors up to which an estimated detector is written down: of sigma, and of p_detect itself.
-SIGMA_ERROR, P_DETECT_ERROR = 0.15, 0.05
-# Least clutter to begin with: no detector is free of it, and births need some to compete with.
-LEAST_CLUTTER = 0.02
-# Noise of a detection to begin with, px: errors of lens and pose count as noise, and are rarely below it.
-USUAL_SIGMA_PX = 0.5
+# Standard deviations of the priors of a calibration that is not asked for: of angles, in degrees at least and over the
+# angle of the noise, and of centres over their distance.
+LEAST_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 5.0, 0.01
+# Frames of all cameras from which a filter shows anything.
+LEAST_FRAMES = 4
 # Margins of what is written about what was seen.
 NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
 REGION_NEARER, REGION_FARTHER = 0.4, 2.5
@@ -64,21 +64,60 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     InputError
         The log is not usable, or is one of other cameras.
     """
-    bare = make_config({"units": {"length": draft.unit}, "cameras": _plain(draft.cameras)}, str(log_path))
+    bare = loaded_draft(draft, str(log_path))
     cameras = bare.build_cameras()
     reader = LogReader(log_path, cameras, bare.config.input.on_bad_row, bare.config.input.image_margin_px)
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
-    draft = _with_frame_rates(_with_known_detectors(draft, samples), samples)
+    draft, unknown = _with_known_detectors(draft, samples)
+    draft = _with_frame_rates(draft, samples)
+    cameras, priors = starting_detectors(cameras, unknown, samples)
+    samples = [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
+    draft = _with_cameras(draft, cameras, unknown)
     rough = _rough(draft, samples)
-    if rough is None:
-        return replace(
-            draft,
-            head=(
-                "The rays of different cameras do not meet, so the log shows no depths: values marked 'not measured' "
-                "are guesses. `stereophd check` looks for the reason.",
-            ),
-        )
-    return _with_filter(draft.with_choices(rough), draft, log_path)
+    if rough is not None:
+        draft = _with_filter(draft.with_choices(rough), draft, priors, log_path)
+    return replace(draft, calibration=tuple(_calibration(draft)))
+
+
+def _calibration(draft: Draft) -> Iterator[str]:
+    """Yield a commented section ``calibration``, with priors of the size that the noise and the depths suggest."""
+    names = list(draft.cameras)
+    cameras = [camera.build(name) for name, camera in draft.cameras.items()]
+    if len(names) < 2 or not all(camera.pose.is_static for camera in cameras):
+        return
+    depths = draft.choices["filter.birth.depth_range"].value
+    middle = float(np.sqrt(depths[0] * depths[1]))
+    yield "# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."
+    yield "# calibration:"
+    yield f"#   reference: {names[0]}"
+    yield "#   priors:"
+    for name, camera in zip(names[1:], cameras[1:], strict=True):
+        angle = max(LEAST_ANGLE_DEG, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
+        apart = float(np.linalg.norm(camera.pose.center - cameras[0].pose.center))
+        std = max(np.deg2rad(angle) * middle, LEAST_CENTER * apart)
+        yield f"#     {name}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
+    apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
+    yield "#   # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
+    yield f"#   # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
+    yield (
+        f"#   scale: {{kind: baseline, cameras: [{names[0]}, {names[1]}], distance: {rounded(apart, 4)}, "
+        f"std: {rounded(0.005 * apart)}}}"
+    )
+
+
+def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str]) -> Draft:
+    """Return the draft with the detectors that were unknown as these cameras have them."""
+    described = dict(draft.cameras)
+    for name, camera in with_detectors(draft.cameras, [c for c in cameras if c.name in unknown]).items():
+        values = camera.detector.model_dump()
+        sigma_u, sigma_v = values["sigma_px"]
+        values |= {
+            "sigma_px": (rounded(sigma_u, 3), rounded(sigma_v, 3)),
+            "p_detect": rounded(min(max(values["p_detect"], 0.05), 0.995), 3),
+            "clutter_per_frame": rounded(max(values["clutter_per_frame"], 1e-3), 3),
+        }
+        described[name] = camera.model_copy(update={"detector": DetectorConfig(**values)})
+    return replace(draft, cameras=described)
 
 
 def _plain(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:
@@ -102,64 +141,63 @@ def _with_frame_rates(draft: Draft, samples: list[CameraSample]) -> Draft:
     return replace(draft, cameras=cameras, camera_notes=notes)
 
 
-def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> Draft:
-    """Let detectors be estimated that the log contradicts, and give those that are unknown values to begin with."""
+def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Draft, list[str]]:
+    """Return the draft with comments on its detectors, and the cameras whose detectors are to be estimated."""
     contradicted = {
-        found.camera: found.message
-        for found in check_files(samples, whole=False)
-        if found.status == "warning" and found.cause in CAUSES_OF_DETECTORS
+        finding.camera: finding.message
+        for finding in check_files(samples, whole=False)
+        if finding.status == "warning" and finding.cause in CAUSES_OF_DETECTORS
     }
-    cameras, notes = dict(draft.cameras), dict(draft.camera_notes)
-    for sample in samples:
-        name = sample.camera.name
-        detector = cameras[name].detector
-        if name in contradicted:
-            notes[name] = (*notes.get(name, ()), f"detector: the log contradicts the file: {contradicted[name]}")
-        if name not in contradicted and not detector.estimate:
+    notes, unknown = dict(draft.camera_notes), []
+    for name, camera in draft.cameras.items():
+        if not camera.detector.estimate and name not in contradicted:
             notes[name] = (*notes.get(name, ()), "detector: as the file of cameras states it")
             continue
-        noise = 2 * (rounded(max(sample.noise_px or 0.0, USUAL_SIGMA_PX), 3),)
-        clutter = rounded(max(sample.isolated_per_frame, LEAST_CLUTTER), 3)
-        unknown = DetectorConfig(sigma_px=noise, p_detect=0.9, clutter_per_frame=clutter, estimate=True)
-        cameras[name] = cameras[name].model_copy(update={"detector": unknown})
-    return replace(draft, cameras=cameras, camera_notes=notes)
+        unknown.append(name)
+        if not camera.detector.estimate:
+            notes[name] = (*notes.get(name, ()), f"detector: the log contradicts the file: {contradicted[name]}")
+    return replace(draft, camera_notes=notes), unknown
 
 
 def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | None:
-    """Return settings from rays and one-camera tracks, wide enough to track with; None where no rays meet."""
+    """Return settings from rays and one-camera tracks, wide enough to track with; None where cameras share nothing."""
     bare = make_config({"units": {"length": draft.unit}, "cameras": _plain(draft.cameras)})
-    cameras = bare.build_cameras()
-    samples = [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
     geometry = measure(samples, expected_depths(bare.config, samples))
     scene = measure_scene(geometry, MEETING_SCORE)
-    if scene.depths is None or scene.depths[0] <= 0.0:
-        return None
-    near, middle, far = scene.depths.tolist()
-    pairs = sum(given.score >= MEETING_SCORE for given in geometry.given)
-    why = f"from the depths at which rays of {pairs} pair{'s' * (pairs != 1)} of cameras meet"
+    tracks = "from one-camera tracks at these depths"
+    if scene.depths is not None and scene.depths[0] > 0.0:
+        near, middle, far = scene.depths.tolist()
+        pairs = sum(given.score >= MEETING_SCORE for given in geometry.given)
+        why = f"from the depths at which rays of {pairs} pair{'s' * (pairs != 1)} of cameras meet"
+    else:
+        shared = shared_depths([sample.camera for sample in samples])
+        if shared is None:
+            return None
+        near, middle, far = shared.tolist()
+        why = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
     choices = {
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
     }
-    # without tracks: a scene is crossed in a few seconds
+    if scene.speed is None:
+        tracks = "the log shows no speeds: these depths are crossed in a few seconds"
     spread, fastest = (0.2 * middle, 2.0 * middle) if scene.speed is None else scene.speed.tolist()
-    tracks = "from one-camera tracks at these depths"
     choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
     choices["motion.acceleration_std"] = Choice(rounded(max(0.5 * spread, 1e-4 * middle)), tracks)
     return choices
 
 
-def _with_filter(draft: Draft, usual: Draft, log_path: Path | str) -> Draft:
+def _with_filter(draft: Draft, usual: Draft, priors: Mapping[str, NoisePrior], log_path: Path | str) -> Draft:
     """Return the draft with what the filter finds in the log."""
     loaded = loaded_draft(draft, str(log_path))
     stream = open_stream(loaded.config, loaded.build_cameras(), log_path)
     parts = stretches(stream)
-    if sum(map(len, parts)) < LEAST_EVENTS:
+    if sum(map(len, parts)) < LEAST_FRAMES:
         return draft
     draft = _with_acceleration(draft, stream.cameras, parts, str(log_path))
-    if any(camera.detector.estimate for camera in draft.cameras.values()):
-        draft = _with_detectors(draft, loaded_draft(draft, str(log_path)), stream)
+    if priors:
+        draft = _with_detectors(draft, loaded_draft(draft, str(log_path)), priors, stream)
         stream = stream.with_cameras(loaded_draft(draft, str(log_path)).build_cameras())
         parts = stretches(stream)
         draft = _with_acceleration(draft, stream.cameras, parts, str(log_path))
@@ -177,39 +215,28 @@ def _with_acceleration(draft: Draft, cameras: tuple[Camera, ...], parts: list[li
     return draft.with_choices({"motion.acceleration_std": Choice(found.value, f"{why}; {draft.unit}/s^2")})
 
 
-def _with_detectors(draft: Draft, loaded: LoadedConfig, stream: EventStream) -> Draft:
-    """Estimate the detectors that are unknown; those that the log leaves uncertain stay to be estimated by `track`."""
-    unknown = [name for name, camera in draft.cameras.items() if camera.detector.estimate]
+def _with_detectors(draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], stream: EventStream) -> Draft:
+    """Estimate the detectors that are unknown."""
     config, path = loaded.config, loaded.path
-    _, report = estimate_detectors(
-        stream.cameras, unknown, lambda used: build_labelled_filter(config, used, path, 1), stream
+    cameras, report = estimate_detectors(
+        stream.cameras, priors, lambda used: build_labelled_filter(config, used, path, 1), stream
     )
-    cameras, notes = dict(draft.cameras), dict(draft.camera_notes)
+    notes = dict(draft.camera_notes)
     for name, entry in report["cameras"].items():
-        detector, text = _detector(cameras[name].detector, entry)
-        cameras[name] = cameras[name].model_copy(update={"detector": detector})
-        notes[name] = (*notes.get(name, ()), text)
-    return replace(draft, cameras=cameras, camera_notes=notes)
+        notes[name] = (*notes.get(name, ()), _source_of_detector(entry))
+    findings = tuple(check_estimated_detectors(report))
+    return replace(_with_cameras(draft, cameras, priors), camera_notes=notes, findings=findings)
 
 
-def _detector(begun: DetectorConfig, entry: Mapping[str, Any]) -> tuple[DetectorConfig, str]:
-    """Return the detector that an estimate gives, and its comment."""
-    errors, p_error = entry["sigma_px_standard_error"], entry["p_detect_standard_error"]
-    lasting = entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING
-    certain = errors is not None and max(e / s for e, s in zip(errors, entry["sigma_px"], strict=True)) < SIGMA_ERROR
-    text = f"detector: from {entry['residuals']:.0f} detections of tracks that two cameras saw"
-    sigma = begun.sigma_px
-    if certain and not lasting:
-        sigma = (rounded(entry["sigma_px"][0], 3), rounded(entry["sigma_px"][1], 3))
-    elif lasting:
-        text += "; their errors last from frame to frame, so sigma_px is that of the change between frames"
-    else:
-        text += "; too few to be sure of sigma_px, which is that of the change between frames"
-    p_detect = begun.p_detect
-    if p_error is not None and p_error < P_DETECT_ERROR:
-        p_detect = rounded(min(max(entry["p_detect"], 0.05), 0.995), 3)
-    clutter = rounded(max(entry["clutter_per_frame"], 1e-3), 3)
-    return DetectorConfig(sigma_px=sigma, p_detect=p_detect, clutter_per_frame=clutter), text
+def _source_of_detector(entry: Mapping[str, Any]) -> str:
+    """Return the comment of an estimated detector."""
+    tracks = f"{entry['residuals']:.0f} detections of tracks that two cameras saw"
+    if not entry["confirmed"]:
+        return f"detector: sigma_px from the rays alone, {tracks} did not confirm it; look at it"
+    text = f"detector: from the rays and {tracks}"
+    if entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING:
+        text += "; their errors last from frame to frame, as those of pose, clock or lens do"
+    return text
 
 
 def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
@@ -217,7 +244,7 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
     near, far = figures.depths.tolist()
     middle = float(np.sqrt(near * far))
     seen = f"from {figures.objects} tracks at depths of {near:.3g} to {far:.3g} {unit}"
-    speed = f"from their speeds: {figures.speed_std:.2g} {unit}/s an axis, at most {figures.fastest:.2g} {unit}/s"
+    speed = f"from their speeds: {figures.speed_std:.2g} {unit}/s per axis, at most {figures.fastest:.2g} {unit}/s"
     births = max(figures.births, 1) / max(figures.duration_s, 1e-9)
     if figures.births:
         why = f"{figures.births} new tracks in {figures.duration_s:.3g} s"
@@ -228,7 +255,7 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
         "motion.max_speed": Choice(rounded(max(FASTER * figures.fastest, 0.02 * middle)), speed),
         "region.depth": Choice(
             [rounded(REGION_NEARER * near), rounded(REGION_FARTHER * far)],
-            f"where objects can be, {seen}; it bounds the depth while one camera alone sees an object",
+            f"where objects can be, {seen}; it bounds the depth while only one camera sees an object",
         ),
         "filter.birth.per_s": Choice(rounded(births), why),
         "filter.birth.depth_range": Choice([rounded(NEARER * near), rounded(FARTHER * far)], seen),

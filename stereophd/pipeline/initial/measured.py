@@ -18,8 +18,10 @@ from stereophd.pipeline.tracking.loop import run_estimator
 
 # Largest standard deviation of a position, over its depth, that counts.
 CERTAIN = 0.05
-# Estimates of the shortest track that counts, and of all tracks together.
-LEAST_ESTIMATES, LEAST_TOTAL = 20, 60
+# Estimates of the shortest track that counts (of a short log: this share of its frames), and of all tracks together.
+LEAST_ESTIMATES, LEAST_SHARE, LEAST_TOTAL = 20, 0.3, 12
+# Pixels of each image side and depths (over the distance between cameras) at which it is asked what two cameras see.
+VIEW_PIXELS, VIEW_DEPTHS = 5, np.geomspace(0.02, 50.0, 60)
 # Share of a stretch after which a track that begins is a new object.
 STARTED = 0.15
 
@@ -58,7 +60,7 @@ def measure_with_filter(
     births = deaths = 0
     duration = seen = 0.0
     for part in parts:
-        tracks = _tracks(estimator, part, centers)
+        tracks = _tracks(estimator, part, centers, min(LEAST_ESTIMATES, int(np.ceil(LEAST_SHARE * len(part)))))
         begin, end = part[0].time_s, part[-1].time_s
         duration += end - begin
         for states, times in tracks:
@@ -83,7 +85,7 @@ def measure_with_filter(
     )
 
 
-def _tracks(estimator: DisparityFilter, part: Sequence[Event], centers: Array) -> list[tuple[Array, Array]]:
+def _tracks(estimator: DisparityFilter, part: Sequence[Event], centers: Array, least: int) -> list[tuple[Array, Array]]:
     """Return states (n, 6) and times (n,) of every track of certain estimates."""
     states: dict[int, list[Array]] = {}
     times: dict[int, list[float]] = {}
@@ -98,9 +100,28 @@ def _tracks(estimator: DisparityFilter, part: Sequence[Event], centers: Array) -
         table = np.array(rows)
         distance = np.linalg.norm(table[:, None, :3] - centers, axis=2).min(axis=1)
         certain = table[:, 6] < CERTAIN * distance
-        if certain.sum() >= LEAST_ESTIMATES:
+        if certain.sum() >= least:
             tracks.append((table[certain, :6], np.array(times[track])[certain]))
     return tracks
+
+
+def shared_depths(cameras: Sequence[Camera]) -> Array | None:
+    """Return quantiles of 5, 50 and 95 % of the depths (3,) at which another camera sees what a camera sees.
+
+    None where no two cameras share a view, or all stand in one place.
+    """
+    size = float(np.ptp(np.array([camera.pose.center for camera in cameras]), axis=0).max())
+    depths = []
+    for camera in cameras:
+        u, v = np.meshgrid(*(np.linspace(0.0, side - 1.0, VIEW_PIXELS) for side in (camera.width, camera.height)))
+        rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1))
+        directions = rays[np.isfinite(rays).all(axis=1)] @ camera.pose.rotation
+        for depth in (size * VIEW_DEPTHS).tolist():
+            points = camera.pose.center + depth * directions
+            seen = np.array([other.in_view(points) for other in cameras if other is not camera]).any(axis=0)
+            depths.append(np.full(int(np.sum(seen)), depth))
+    found = np.concatenate(depths)
+    return np.quantile(found, [0.05, 0.5, 0.95]) if size > 0.0 and len(found) else None
 
 
 def _depths(positions: Array, cameras: tuple[Camera, ...]) -> Array:

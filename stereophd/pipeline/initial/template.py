@@ -9,6 +9,7 @@ from typing import Any, Literal
 from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.io.cameras.models import CameraConfig
+from stereophd.pipeline.checks.finding import Finding
 
 Kind = Literal["animals", "drones", "lab"]
 
@@ -34,10 +35,19 @@ class Draft:
     choices: dict[str, Choice]  # Dotted key -> choice, in the order of the file
     camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # Comments on each camera
     head: tuple[str, ...] = ()  # Comments at the top of the file
+    findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
+    calibration: tuple[str, ...] = ()  # Lines at the end of the file: a section ``calibration`` to uncomment
+    given: frozenset[str] = frozenset()  # Keys of choices that the user states: nothing changes them
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
-        """Return the draft with other values."""
-        return replace(self, choices={**self.choices, **changes})
+        """Return the draft with other values, save those that are given."""
+        new = {key: choice for key, choice in changes.items() if key not in self.given}
+        return replace(self, choices={**self.choices, **new})
+
+    def with_given(self, values: Mapping[str, Any]) -> Draft:
+        """Return the draft with values of the user."""
+        choices = {key: Choice(value, "given") for key, value in values.items()}
+        return replace(self.with_choices(choices), given=self.given | choices.keys())
 
     def values(self) -> dict[str, Any]:
         """Return the values as the sections of a configuration, without cameras."""
@@ -100,9 +110,9 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
         "filter.survival_per_s": Choice(
             FilterSettings.survival_per_s, "the default: exp(-1 / mean time in view, s)", measured=False
         ),
-        "filter.birth.per_s": guess(scale.births_per_s, "new objects a second in the view of a camera"),
+        "filter.birth.per_s": guess(scale.births_per_s, "new objects per second in the view of a camera"),
         "filter.birth.depth_range": guess(
-            [near, far], f"nearest and farthest depth at which objects appear before a camera, {unit}"
+            [near, far], f"nearest and farthest depth at which objects appear in front of a camera, {unit}"
         ),
         "filter.birth.velocity_std": guess(length(scale.velocity_std), f"typical speed divided by 1.7, {unit}/s"),
         "evaluation.cutoff": guess(

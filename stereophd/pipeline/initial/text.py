@@ -47,14 +47,20 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
         ],
         0,
     )
-    lines += [f"units: {{length: {draft.unit}}}", "seed: 0", ""]
-    lines += _cameras(draft, cameras_file)
     values = draft.values()
+    lines += [f"units: {{length: {draft.unit}}}", f"seed: {values.pop('seed', 0)}", ""]
+    lines += _cameras(draft, cameras_file)
     values.setdefault("report", {})
-    for section in SECTIONS:
-        if section in values:
+    others = [section for section in values if section not in (*SECTIONS, "units")]
+    for section in (*SECTIONS, *others):
+        if section in draft.choices:  # a plain value, or a section given whole
+            lines += [f"{section}: {_scalar(values[section])}", ""]
+        elif section in values:
             lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
-            lines += [*(SMOOTHING if section == "report" else ()), ""]
+            smoothing = section == "report" and "smooth" not in values["report"]
+            lines += [*(SMOOTHING if smoothing else ()), ""]
+    if "calibration" not in values:
+        lines += draft.calibration
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -63,7 +69,7 @@ def _entries(draft: Draft, values: dict[str, Any], path: str, level: int) -> Ite
     indent = "  " * level
     for key, value in values.items():
         place = f"{path}.{key}"
-        if isinstance(value, dict):
+        if isinstance(value, dict) and place not in draft.choices:
             yield f"{indent}{key}:"
             yield from _entries(draft, value, place, level + 1)
             continue

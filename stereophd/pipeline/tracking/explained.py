@@ -17,6 +17,8 @@ from stereophd.pipeline.tracking.loop import Record
 PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
+# Step of the derivatives of a projection, over the standard deviation of the position.
+DERIVATIVE_STEP = 0.1
 
 
 def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> Array:
@@ -39,6 +41,27 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
     return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
 
 
+def expected_squares(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
+    """Return the squares (n,) of residuals, both axes together, that noise and uncertainty lead to expect, px^2.
+
+    An estimate that has taken in a detection of noise R has residuals of the covariance R - H P H^T, with its own
+    covariance P: less than the noise, as the estimate has moved towards the detection.
+
+    Parameters
+    ----------
+    camera, times, states
+        As in `residuals_px`.
+    covariances : array (n, 3, 3)
+        Of the positions.
+    """
+    steps = DERIVATIVE_STEP * np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2) / 3.0, 1e-24))
+    moved = states[:, None, :3] + np.eye(3) * steps[:, None, None]
+    there = camera.project_at(moved.reshape(-1, 3), np.repeat(times, 3)).reshape(-1, 3, 2)
+    jacobian = np.swapaxes((there - camera.project_at(states[:, :3], times)[:, None]) / steps[:, None, None], 1, 2)
+    explained = np.einsum("nij,njk,nik->ni", jacobian, covariances, jacobian)
+    return np.asarray(np.maximum(np.asarray(camera.detector.sigma) ** 2 - explained, 0.0).sum(axis=1))
+
+
 @dataclass
 class CameraSums:
     """Sums over what one camera reported, and the states and detections whose residuals are still to be computed."""
@@ -49,8 +72,10 @@ class CameraSums:
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     squares: float = 0.0
+    expected: float = 0.0
     times: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
+    covariances: list[Array] = field(default_factory=list)
     pixels: list[Array] = field(default_factory=list)
 
 
@@ -88,6 +113,7 @@ class Explained:
                 if ids[row] in place:
                     sums.times.append(record.time_s)
                     sums.states.append(record.estimates.states[place[ids[row]]])
+                    sums.covariances.append(record.estimates.covariances[place[ids[row]], :3, :3])
                     sums.pixels.append(sightings.pixels[row])
             if len(sums.times) >= BATCH:
                 self._flush(record.camera)
@@ -96,14 +122,16 @@ class Explained:
         sums = self._sums[name]
         if not sums.times:
             return
-        found = residuals_px(
-            self._cameras[name], np.array(sums.times), np.array(sums.states), np.array(sums.pixels)
-        )  # fmt: skip
-        found = found[np.isfinite(found).all(axis=1)]
+        camera, times, states = self._cameras[name], np.array(sums.times), np.array(sums.states)
+        found = residuals_px(camera, times, states, np.array(sums.pixels))
+        expected = expected_squares(camera, times, states, np.array(sums.covariances))
+        usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
+        found = found[usable]
+        sums.expected += float(expected[usable].sum())
         sums.residuals += len(found)
         sums.total = sums.total + found.sum(axis=0)
         sums.squares += float((found**2).sum())
-        sums.times, sums.states, sums.pixels = [], [], []
+        sums.times, sums.states, sums.covariances, sums.pixels = [], [], [], []
 
     def report(self) -> dict[str, Any]:
         """Return the figures of every camera for ``report.json``."""
@@ -119,6 +147,8 @@ class Explained:
                 "residuals": count,
                 # Root mean square of one axis.
                 "residual_rms_px": float(np.sqrt(sums.squares / (2 * count))) if count else None,
+                # Over what the stated noise leads to expect of an estimate that has taken in the detection.
+                "residual_ratio": float(np.sqrt(sums.squares / sums.expected)) if sums.expected > 0.0 else None,
                 "residual_mean_px": (sums.total / count).tolist() if count else None,
             }
         return out

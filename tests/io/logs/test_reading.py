@@ -296,7 +296,7 @@ def test_rows_in_blocks_of_cameras_are_merged(
 def test_a_block_that_is_not_in_order_is_an_error(write_rows: Callable[..., Path]) -> None:
     blocks = [row(1.0, "right", 0, 1.0, 1.0), row(0.0, "left", 1, 1.0, 1.0), row(-1.0, "left", 2, 1.0, 1.0)]
     reader = LogReader(write_rows(blocks), [make_camera("left"), make_camera("right")])
-    with pytest.raises(InputError, match="found 0 after 1"):
+    with pytest.raises(InputError, match="found 0 before -1; the longest order leaves out 1 rows"):
         list(reader)
 
 
@@ -425,3 +425,28 @@ def test_object_ids_are_required_where_announced(tmp_path: Path) -> None:
         pytest.raises(ValueError, match="object_id"),
     ):
         writer.write(0.0, "left", 0, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize(("head", "offset", "words"), [(3, 300.0, "found 300 before"), (3, -300.0, None)])
+def test_a_few_rows_with_other_times_are_the_wrong_ones(
+    write_rows: Callable[..., Path], head: int, offset: float, words: str | None
+) -> None:
+    """The longest order is kept: rows at the head whose times are minutes too late go, not all that follow."""
+    rows = [row(k / 10.0 + (offset if k < head else 0.0), "left", k, 1.0 + k, 1.0) for k in range(60)]
+    path, cameras = write_rows(rows), [make_camera("left")]
+    reader = LogReader(path, cameras, "drop")
+    frames = [frame.frame for frame in reader]
+    assert frames == list(range(head if words else 0, 60))
+    assert reader.counts["time_backwards"] == (head if words else 0)
+    if words:
+        with pytest.raises(InputError, match=f"row 0: time_s: .*{words} 0.3; the longest order leaves out 3 rows"):
+            list(LogReader(path, cameras))
+
+
+def test_a_few_rows_out_of_order_in_a_log_by_camera(write_rows: Callable[..., Path]) -> None:
+    blocks = [row(k / 10.0, name, k, 1.0 + k, 1.0) for name in ("left", "right") for k in range(30)]
+    blocks[40] = row(9.0, "right", 10, 11.0, 1.0)
+    reader = LogReader(write_rows(blocks), [make_camera("left"), make_camera("right")], "drop")
+    assert len(list(reader)) == 59
+    assert reader.order.by_camera
+    assert reader.order.misplaced.tolist() == [40]

@@ -144,10 +144,13 @@ def test_what_a_run_leaves_out_is_a_warning() -> None:
 
 
 def test_estimated_detectors_that_need_care_are_warnings() -> None:
-    good = {"residual_correlation": [0.1, 0.0], "sigma_px_standard_error": [0.1, 0.1], "residuals": 500.0}
+    good = {
+        "sigma_px": [1.0, 1.0], "residual_correlation": [0.1, 0.0], "sigma_px_standard_error": [0.1, 0.1],
+        "residuals": 500.0, "residual_ratio": 1.0, "confirmed": True,
+    }  # fmt: skip
     report = {"passes": 3, "converged": True, "noise_in_log": False, "cameras": {"left": good}}
     assert list(check_estimated_detectors(None)) == list(check_estimated_detectors(report)) == []
-    few = {**good, "residual_correlation": [0.1, 0.6], "sigma_px_standard_error": None}
+    few = {**good, "residual_correlation": [0.1, 0.6], "sigma_px_standard_error": [0.5, 0.5]}
     report |= {"converged": False, "cameras": {"left": good, "right": few}}
     causes = [(one.camera, one.cause) for one in check_estimated_detectors(report)]
     assert causes == [(None, "not_converged"), ("right", "errors_last"), ("right", "too_few_detections")]

@@ -15,6 +15,8 @@ from stereophd.core.numerics.times import SAME_TIME_S
 
 # By default the truth may be interpolated over intervals a little longer than its usual step.
 DEFAULT_GAP_STEPS = 1.5
+# Time before and after a row from which its velocity is fitted where the truth has none, s.
+FIT_WINDOW_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -138,8 +140,8 @@ def align_truth(truth: Truth, time_s: Array, max_gap_s: float) -> AlignedTruth:
     Returns
     -------
     AlignedTruth
-        Velocities are interpolated where the truth has them, else they are those of the interpolated
-        segment; NaN where there is none.
+        Velocities are those of the truth, interpolated, or else fitted to its positions (`fitted_velocities`); NaN
+        where there is none.
     """
     starts = truth.object_start
     first, end = starts[:-1], starts[1:]
@@ -151,7 +153,7 @@ def align_truth(truth: Truth, time_s: Array, max_gap_s: float) -> AlignedTruth:
     scan = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + begin[owner]
     time = np.clip(time_s[scan], birth[owner], death[owner])
     left = _segments(truth.time_s, starts, time, count)
-    position, velocity, in_gap = _interpolate(truth, time, left, end[owner] - 1, first[owner], max_gap_s)
+    position, velocity, in_gap = _interpolate(truth, time, left, end[owner] - 1, max_gap_s)
     gap = np.zeros(len(time_s), dtype=bool)
     gap[scan[in_gap]] = True
     outside = np.ones(len(time_s), dtype=bool)
@@ -180,7 +182,7 @@ def _segments(row_time: Array, starts: Integers, time: Array, count: Integers) -
 
 
 def _interpolate(
-    truth: Truth, time: Array, left: Integers, last: Integers, first: Integers, max_gap_s: float
+    truth: Truth, time: Array, left: Integers, last: Integers, max_gap_s: float
 ) -> tuple[Array, Array, Booleans]:
     """Return position, velocity and whether the time is inside too long a segment, for each point."""
     right = np.minimum(left + 1, last)
@@ -190,18 +192,47 @@ def _interpolate(
     long = span > max_gap_s + SAME_TIME_S
     weight = np.divide(elapsed, span, out=np.zeros_like(span), where=span > 0)[:, None]
     position = (1 - weight) * truth.position[left] + weight * truth.position[right]
-    if truth.velocity is not None:
-        velocity = (1 - weight) * truth.velocity[left] + weight * truth.velocity[right]
-    else:
-        # On the row before a gap the segment that ends there gives the velocity.
-        back = long & (elapsed <= SAME_TIME_S) & (left > first)
-        velocity = _segment_velocity(truth, left - back, right - back, max_gap_s)
+    known = fitted_velocities(truth, max_gap_s) if truth.velocity is None else truth.velocity
+    # at a row only that row counts: the other may lie beyond a gap
+    velocity = np.where(weight > 0.0, weight * known[right], 0.0) + np.where(
+        weight < 1.0, (1 - weight) * known[left], 0.0
+    )
     return position, velocity, long & ~on_row
 
 
-def _segment_velocity(truth: Truth, left: Integers, right: Integers, max_gap_s: float) -> Array:
-    """Return the velocity (n, 3) along segments, NaN for those without length or too long."""
-    span = truth.time_s[right] - truth.time_s[left]
-    usable = (span > 0) & (span <= max_gap_s + SAME_TIME_S)
-    step = truth.position[right] - truth.position[left]
-    return np.where(usable[:, None], step / np.where(usable, span, 1.0)[:, None], np.nan)
+def fitted_velocities(truth: Truth, max_gap_s: float) -> Array:
+    """Return velocities (n, 3) of a truth of positions, from lines of least squares; NaN where an object has one row.
+
+    The lines are fitted to the rows within `FIT_WINDOW_S` before and after, or to the nearest where these are farther
+    apart, without those beyond a gap: the difference of two rows a millisecond apart is their noise.
+    """
+    first = np.ones(len(truth.time_s), dtype=np.bool_)
+    first[1:] = (np.diff(truth.object_id) != 0) | (np.diff(truth.time_s) > max_gap_s + SAME_TIME_S)
+    piece = np.cumsum(first) - 1
+    starts = np.flatnonzero(first)
+    ends = np.append(starts[1:], len(first))
+    rows, velocity = np.arange(len(first)), np.full((len(first), 3), np.nan)
+    low, high = np.maximum(rows - 1, starts[piece]), np.minimum(rows + 2, ends[piece])
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        times = truth.time_s[start:end]
+        reach = FIT_WINDOW_S + SAME_TIME_S
+        low[start:end] = np.minimum(low[start:end], start + np.searchsorted(times, times - reach))
+        high[start:end] = np.maximum(high[start:end], start + np.searchsorted(times, times + reach, side="right"))
+        if end - start > 1:
+            middle = truth.position[start:end].mean(axis=0)
+            table = np.column_stack([times - times.mean(), truth.position[start:end] - middle])
+            velocity[start:end] = _slopes(table, low[start:end] - start, high[start:end] - start)
+    return velocity
+
+
+def _slopes(table: Array, low: Integers, high: Integers) -> Array:
+    """Return the slopes (n, 3) of columns 1 to 3 over column 0, over rows from `low` to before `high` (n,) each."""
+    count = (high - low).astype(np.float64)[:, None]
+
+    def summed(values: Array) -> Array:
+        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+        return np.asarray(sums[high] - sums[low])
+
+    mean = summed(table) / count
+    products = summed(table[:, :1] * table) / count - mean[:, :1] * mean
+    return np.asarray(products[:, 1:] / products[:, :1])

@@ -41,6 +41,8 @@ LEAST_CLOCK_FRAMES = 8
 FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 100, 3, 6
 # The same where the check is part of another command and must be quick: fewer detections, coarser clock steps.
 QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
+# Distances of a pair of cameras in a first trial, about, and detections that it has in any case.
+QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def best_explanation(
         Tolerances of a meeting, in standard deviations.
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
-    few = tuple(pair.thinned(*size) for pair in geometry.pairs)
+    few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
     views = geometry.views
     quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in few))
     if tolerances != TOLERANCES:
@@ -105,6 +107,11 @@ def best_explanation(
     best = max(one.excess for one in found)
     # the first of those that explain as much: the list begins with the likely ones
     return next(one for one in found if one.excess >= best - 0.03)
+
+
+def _affordable(pair: Candidates, count: int, tables: int) -> int:
+    """Return how many detections to take: fewer in crowds, where each has many candidates in every table."""
+    return min(count, max(LEAST_DETECTIONS, QUICK_DISTANCES // (tables * int(pair.pixels_b.shape[2]))))
 
 
 def _is_decisive(one: Explanation) -> bool:
@@ -234,7 +241,7 @@ def _best_shift(geometry: Geometry, concerned: list[int], camera: int, steps: in
     total = np.zeros(len(shifts))
     for k in concerned:
         pair = geometry.pairs[k]
-        few = pair.thinned(SHIFT_DETECTIONS, 0)
+        few = pair.thinned(_affordable(pair, SHIFT_DETECTIONS, -(-len(shifts) // 10)), 0)
         first, second = Reading(geometry.samples[pair.a].camera), Reading(geometry.samples[pair.b].camera)
         for block in np.array_split(np.arange(len(shifts)), -(-len(shifts) // SHIFTS_AT_ONCE)):
             # moving A's clock by s means looking at B at t + s

@@ -6,11 +6,21 @@ from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.causes import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
-from stereophd.pipeline.checks.geometry.measure import LEAST_EXPECTED, MOST_CHANCE, SHARP, Geometry, pairs_of
+from stereophd.pipeline.checks.geometry.measure import (
+    LEAST_EXPECTED,
+    LEAST_SCORE,
+    MOST_CHANCE,
+    SHARP,
+    Geometry,
+    pairs_of,
+)
 from stereophd.wording import percent
 
-# Below this score the rays meet by chance only; the cause may be any.
-CHANCE_SCORE, CHANCE_SHARE = 2.5, 0.4
+# Below this score rays meet by chance, and the share of what the settings promise that right cameras reach.
+CHANCE_SCORE, LEAST_SHARE = 2.5, 0.4
+# Standard deviations that the promise must be away from chance for a test, and by which it must be missed: the quantile
+# of 0.5 % of Student's distribution with as many degrees of freedom as the times that measure chance leave.
+POWER, LARGEST_DEFICIT = 6.0, 3.5
 
 
 def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
@@ -31,32 +41,61 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
         explanation = best_explanation(geometry, thorough, tolerances=SHARP)
     if explanation is not None:
         yield _named(geometry, explanation)
-    for pair, found, expected in zip(geometry.pairs, geometry.given, geometry.expected, strict=True):
+    alone = set() if explanation is not None else _alone(geometry)
+    for k, (pair, found) in enumerate(zip(geometry.pairs, geometry.given, strict=True)):
         names = f"{geometry.samples[pair.a].camera.name} and {geometry.samples[pair.b].camera.name}"
         text = (
             f"{names}: {percent(found.share)} of the detections have a partner on the epipolar line, chance gives "
             f"{percent(found.chance)}"
         )
-        if expected < LEAST_EXPECTED:
-            yield Finding("geometry.rays", "not checked", f"{text}; their fields of view hardly overlap")
-        elif found.chance > MOST_CHANCE:
-            yield Finding("geometry.rays", "not checked", f"{text}; the objects hardly move, or are too many")
-        elif (
-            explanation is None
-            and found.score < CHANCE_SCORE
-            and found.share < found.chance + CHANCE_SHARE * expected * (1.0 - found.chance)
-        ):
+        value, expected = round(found.excess, 3), round(geometry.expected[k], 3)
+        if found.score >= LEAST_SCORE:
+            yield Finding("geometry.rays", "ok", text, value, expected)
+        elif _deficit(geometry, k) is None:
+            why = "these settings promise too little more than chance to tell whether their rays meet"
+            yield Finding("geometry.rays", "not checked", f"{text}; {why}", value, expected)
+        elif found.score < CHANCE_SCORE and {pair.a, pair.b} & alone:
             yield Finding(
                 "geometry.rays",
                 "warning",
                 f"{text}: the rays meet no more often than chance",
-                round(found.excess, 3),
-                round(expected, 3),
+                value,
+                expected,
                 remedy="check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses",
                 cause="rays_do_not_meet",
             )
         else:
-            yield Finding("geometry.rays", "ok", text, round(found.excess, 3), round(expected, 3))
+            yield Finding("geometry.rays", "ok", text, value, expected)
+
+
+def _deficit(geometry: Geometry, k: int) -> float | None:
+    """Return by how many standard deviations pair k meets less often than it must; None where that cannot be told.
+
+    It must meet by `LEAST_SHARE` of what the settings promise: the objects may be elsewhere than the settings expect.
+    """
+    found, promised = geometry.given[k], LEAST_SHARE * geometry.expected[k] * (1.0 - geometry.given[k].chance)
+    if geometry.expected[k] < LEAST_EXPECTED or found.chance > MOST_CHANCE:
+        return None
+    spread = (found.share - found.chance) / found.score if found.score else 1.0
+    if promised < POWER * spread:
+        return None
+    return promised / spread - found.score
+
+
+def _alone(geometry: Geometry) -> set[int]:
+    """Return the cameras whose rays meet those of no other camera, beyond chance at a false-alarm rate of 0.5 %.
+
+    A camera whose rays meet those of one other is right, and the others see other objects. The deficits of all pairs of
+    a camera are joined (S. A. Stouffer et al., "The American Soldier", 1949).
+    """
+    alone = set()
+    for camera in range(len(geometry.samples)):
+        own = [k for k, pair in enumerate(geometry.pairs) if camera in (pair.a, pair.b)]
+        deficits = [deficit for k in own if (deficit := _deficit(geometry, k)) is not None]
+        met = any(geometry.given[k].score >= CHANCE_SCORE for k in own)
+        if deficits and not met and sum(deficits) / len(deficits) ** 0.5 > LARGEST_DEFICIT:
+            alone.add(camera)
+    return alone
 
 
 def left_out(geometry: Geometry) -> Iterator[Finding]:

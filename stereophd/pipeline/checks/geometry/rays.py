@@ -26,7 +26,7 @@ Rays = tuple[Array | None, Array | None]
 
 # Detections of A that are examined, time shifts that measure chance, and distances of all of them at most: where B has
 # many detections, fewer of A are examined, but those with all their candidates.
-MOST_DETECTIONS, SHIFTS, MOST_DISTANCES = 400, 8, 1_500_000
+MOST_DETECTIONS, SHIFTS, MOST_DISTANCES = 400, 8, 300_000
 # Tolerances, in standard deviations of the distance.
 TOLERANCES = (3.0, 8.0, 20.0)
 # Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
@@ -86,7 +86,12 @@ class Meeting:
 
 
 def candidates(
-    samples: list[CameraSample], a: int, b: int, most: int = MOST_DETECTIONS, shifts: int = SHIFTS
+    samples: list[CameraSample],
+    a: int,
+    b: int,
+    most: int = MOST_DETECTIONS,
+    shifts: int = SHIFTS,
+    most_distances: int = MOST_DISTANCES,
 ) -> Candidates | None:
     """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing."""
     first, second = samples[a], samples[b]
@@ -97,7 +102,7 @@ def candidates(
     usable = np.flatnonzero((times >= low) & (times <= high))
     if len(usable) < 2 or high <= low:
         return None
-    most = min(most, max(1, MOST_DISTANCES // ((1 + shifts) * max(1, int(np.diff(second.first).max())))))
+    most = min(most, max(1, most_distances // ((1 + shifts) * max(1, int(np.diff(second.first).max())))))
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
     delays = first.camera.row_delays(first.pixels[chosen, 1])
     at, length = times[chosen] if delays is None else times[chosen] + delays, high - low

@@ -17,11 +17,13 @@ LONGEST_INTERVAL_S = 10.0
 # Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
 CORNER_SHARE, CORNER_COUNT = 0.55, 100
 # Standard deviations outside these limits are implausible, px.
-LEAST_SIGMA_PX, LARGEST_SIGMA_SHARE = 0.01, 0.05
+LEAST_SIGMA_PX, LARGEST_SIGMA_SHARE = 0.01, 0.25
 # Expected false detections of a frame over detections of a frame.
 CLUTTER_FACTOR = 1.5
 # Detections of a frame that no neighbouring frame continues, over the stated clutter; and at least this many.
 ISOLATED_FACTOR, LEAST_ISOLATED = 5.0, 0.3
+# Share of the detections in chains that go on, over the probability of detection, from which chains follow objects.
+LEAST_CONTINUED = 0.75
 # Measured over stated noise of a detection.
 NOISE_FACTOR = 4.0
 # Share of the shorter period that the periods of two cameras must share.
@@ -138,7 +140,10 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             "state the false detections of a frame, or estimate them (detector: estimate)", "clutter",
         )  # fmt: skip
     isolated = sample.isolated_per_frame
-    if isolated > max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame) and isolated > 0.15 * rate:
+    # where noise or motion outrun the chains, what they leave over are objects
+    follows = (sample.continued_share or 0.0) >= LEAST_CONTINUED * detector.p_detect
+    many = isolated > max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame) and isolated > 0.15 * rate
+    if follows and many:
         yield Finding(
             "detector.clutter", "warning",
             f"{camera.name}: {isolated:.2g} detections of a frame are continued by none of the next frames, but "

@@ -27,6 +27,8 @@ GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 LEAST_SURE = 4.0
 # Most pairs of pixels of which all distances are computed; beyond it a tree finds the nearest.
 ALL_DISTANCES = 20_000
+# Frames and detections in chains from which it is judged how often a chain goes on.
+LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # Frames of the shortest track that counts.
 LEAST_LENGTH = 6
 
@@ -101,6 +103,19 @@ class CameraSample:
             return 0.0
         alone = ~(self.linked | _leaping(self))
         return float(np.median(np.bincount(self.frame_of[alone], minlength=len(self.times))))
+
+    @cached_property
+    def continued_share(self) -> float | None:
+        """Share of the detections in a chain, before the last frame, that the next frame continues; None for few.
+
+        That is the probability of detection where chains follow objects; far less where noise or motion outrun them.
+        """
+        reached = np.zeros(len(self.pixels), dtype=np.bool_)
+        reached[self.links[self.links >= 0]] = True
+        asked = reached & (self.frame_of < len(self.times) - 1)
+        if len(self.times) < LEAST_CONTINUED_FRAMES or asked.sum() < LEAST_CONTINUED:
+            return None
+        return float((self.links[asked] >= 0).mean())
 
     @cached_property
     def noise_px(self) -> float | None:

@@ -9,6 +9,8 @@ from stereophd.pipeline.checks.finding import Finding
 
 # Correlation of successive residuals from which errors cannot pass for white noise.
 LASTING = 0.3
+# Relative standard error from which an estimated noise is unsure.
+UNSURE = 0.4
 
 
 def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Finding]:
@@ -35,9 +37,27 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             yield Finding(
                 "detector.estimate", "warning", text, round(max(correlation), 2), LASTING, name, cause="errors_last"
             )
-        if estimate["sigma_px_standard_error"] is None and not report["noise_in_log"]:
+        if report["noise_in_log"]:
+            continue
+        noise = " x ".join(f"{sigma:.3g}" for sigma in estimate["sigma_px"])
+        if not estimate["confirmed"]:
+            ratio = estimate["residual_ratio"]
+            seen = "no track gave residuals" if ratio is None else f"the residuals of tracks are {ratio:.2g} times it"
             text = (
-                f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw: too few to estimate "
-                "the noise, which stays as given"
+                f"{name}: no tracks confirm the estimated noise ({seen}): it stays at {noise} px, what the rays and "
+                "the usual noise of detectors say"
+            )
+            remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
+            yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
+        elif _unsure(estimate) > UNSURE:
+            text = (
+                f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw are few to estimate "
+                f"the noise from: {noise} px is mainly what the rays and the usual noise of detectors say"
             )
             yield Finding("detector.estimate", "warning", text, camera=name, cause="too_few_detections")
+
+
+def _unsure(estimate: Mapping[str, Any]) -> float:
+    """Return the relative standard error of an estimated noise."""
+    pairs = zip(estimate["sigma_px_standard_error"], estimate["sigma_px"], strict=True)
+    return float(max(error / sigma for error, sigma in pairs))

@@ -13,6 +13,8 @@ from stereophd.wording import percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
+# Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it.
+RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
 # A track is one camera's if this share of its detections is; reported if most estimates belong to such tracks.
 ONE_CAMERA, MOST_ALONE = 0.95, 0.5
 
@@ -73,3 +75,37 @@ def check_tracking(
         )  # fmt: skip
     else:
         yield Finding("tracking.cameras", "ok", text, round(alone, 3))
+
+
+def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_in_log: bool) -> Iterator[Finding]:
+    """Yield a finding for every camera: do the residuals of the tracks have the size that the stated noise promises?
+
+    Parameters
+    ----------
+    summary : mapping
+        Figures of the run, as in ``report.json``; ``cameras`` are used.
+    cameras : tuple of Camera
+    noise_in_log : bool
+        Whether the log states the noise of every detection, so that the detectors state none.
+    """
+    for camera in cameras:
+        figures = summary["cameras"][camera.name]
+        ratio, name = figures["residual_ratio"], camera.name
+        if noise_in_log or ratio is None or figures["residuals"] < LEAST_RESIDUALS:
+            why = "the log states the noise" if noise_in_log else "too few detections of tracks"
+            yield Finding("tracking.noise", "not checked", f"{name}: {why}", camera=name)
+            continue
+        stated = float(np.sqrt((camera.detector.sigma**2).mean()))
+        text = f"{name}: residuals are {ratio:.2g} times what the stated noise of {stated:.3g} px leads to expect"
+        if RESIDUAL_RATIOS[0] <= ratio <= RESIDUAL_RATIOS[1]:
+            yield Finding("tracking.noise", "ok", text, round(ratio, 3), 1.0, name)
+            continue
+        if ratio > 1.0:
+            effect = "tracks are too sure of themselves, break and multiply; or the cameras or the motion do not fit"
+        else:
+            effect = "tracks follow their detections too little, and are less sure than they could be"
+        yield Finding(
+            "tracking.noise", "warning", f"{text}: {effect}", round(ratio, 3), 1.0, name,
+            f"set cameras.{name}.detector.sigma_px near {ratio * stated:.2g}, or let track estimate it "
+            "(detector: estimate)", "sigma",
+        )  # fmt: skip

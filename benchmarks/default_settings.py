@@ -1,0 +1,197 @@
+"""Settings that `init` chooses, against the true ones: 60 set-ups with noise of 0.1 to 100 px.
+
+    python benchmarks/default_settings.py --runs 60            one line a set-up, then a summary
+    python benchmarks/default_settings.py --first 7 --runs 1 --keep DIR     keep the files of set-up 7
+    python benchmarks/default_settings.py --checks-only --runs 200          warnings of `check` on right set-ups
+
+Each set-up draws two to eight cameras in a row or a ring, 1 to 1,000 objects, 3 to 3,000 frames and all else.
+The cameras are right, and without a detector section. `init` writes a configuration, `track` runs with it and with the
+true one, and `evaluate` scores both. A failure (noise off by more than a factor of 1.5, or OSPA above 1.3 times that of
+the true settings) is silent if neither `init` nor `track` warns. Exit code 1 if one is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from random_setups import IMAGES, facing
+
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.init import init
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
+from stereophd.errors import InputError
+from stereophd.pipeline.checks.run import check_log
+
+# Detections of a set-up, at most and about.
+MOST_DETECTIONS = 12_000
+NOISE_FACTOR, OSPA_FACTOR = 1.5, 1.3
+FIGURES = ("cameras", "objects", "frames", "noise_px")
+
+
+def draw(number: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Configuration of a simulation, and what was drawn."""
+    rng = np.random.default_rng([number, 25])
+    count = int(rng.integers(2, 9))
+    size = 10.0 ** rng.uniform(-1.0, 1.5)  # half the side of the scene, m
+    layout = str(rng.choice(["row", "ring"]))
+    distance = size * rng.uniform(2.0, 4.0)
+    middle = np.array([0.0, 0.0, distance])
+    noise = 10.0 ** rng.uniform(-1.0, 2.0)
+    objects = round(10.0 ** rng.uniform(0.0, 3.0))
+    frames = round(10.0 ** rng.uniform(math.log10(3.0), math.log10(3000.0)))
+    frames = max(3, min(frames, MOST_DETECTIONS // (objects * count)))
+    rate = float(rng.choice([5.0, 10.0, 25.0, 30.0, 100.0]))
+    speed, time_constant = size * rng.uniform(0.05, 0.5), float(rng.uniform(1.0, 4.0))
+    start = rng.uniform(-math.pi, math.pi)
+    cameras = {}
+    for k in range(count):
+        width, height = IMAGES[rng.integers(len(IMAGES))]
+        if layout == "row":
+            spread = distance * rng.uniform(0.15, 0.5)
+            center = np.array([spread * (k - (count - 1) / 2.0), *(rng.normal(0.0, 0.1 * distance, 2))])
+        else:
+            angle = start + 2.0 * math.pi * (k + rng.uniform(-0.3, 0.3)) / count
+            center = middle + distance * np.array([math.sin(angle), -rng.uniform(0.0, 0.5), math.cos(angle)])
+        focal = float(0.35 * height * distance / size * rng.uniform(0.8, 1.4))
+        sigma = min(max(noise * math.exp(rng.normal(0.0, 0.3)), 0.1), 100.0)
+        cameras[f"cam{k}"] = {
+            "image_size_px": [width, height],
+            "intrinsics": {"fx": focal, "fy": focal, "cx": (width - 1) / 2.0, "cy": (height - 1) / 2.0},
+            "pose": {
+                "center": center.tolist(),
+                "rotation_matrix": facing(center, middle + rng.normal(0.0, 0.1 * size, 3)),
+            },
+            "distortion": {"model": "radial", "k1": float(rng.uniform(-0.1, 0.05))},
+            "detector": {
+                "sigma_px": [float(sigma)] * 2,
+                "p_detect": float(rng.uniform(0.7, 0.99)),
+                "clutter_per_frame": float(objects * rng.choice([0.01, 0.1, 0.5])),
+            },
+            "frame_rate_hz": rate,
+            "phase_s": float(rng.uniform(0.0, 1.0 / rate)) if rng.random() < 0.3 else 0.0,
+        }
+    acceleration = speed / math.sqrt(time_constant)
+    motion = {
+        "model": "damped_velocity", "time_constant_s": time_constant, "acceleration_std": acceleration,
+        "max_speed": 8.0 * speed,
+    }  # fmt: skip
+    births = {"per_s": 0.1, "depth_range": [0.4 * distance, 2.0 * distance], "velocity_std": speed}
+    tree = {
+        "units": {"length": "m"}, "seed": number, "cameras": cameras, "disparity": {"baseline": 0.1 * distance},
+        "motion": motion, "filter": {"kind": "pmb", "birth": births},
+        "simulate": {
+            "duration_s": frames / rate,
+            "object_id": True,
+            "motion": {key: motion[key] for key in ("model", "time_constant_s", "acceleration_std")},
+            "objects": {
+                "count": objects,
+                "box": {axis: [float(m - size), float(m + size)] for axis, m in zip("xyz", middle, strict=True)},
+                "velocity_std": speed,
+                "stay_in_view": "any",
+            },
+        },
+    }  # fmt: skip
+    row = {"number": number, "cameras": count, "layout": layout, "objects": objects, "frames": frames}
+    return tree, {**row, "rate_hz": rate, "noise_px": round(noise, 3), "distance": distance}
+
+
+def simulated(number: int, folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Write ``true.yaml`` and ``scene/`` of a set-up; return its configuration and what was drawn."""
+    tree, row = draw(number)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "true.yaml").write_text(yaml.safe_dump(tree))
+    if not (folder / "scene").exists():
+        simulate(load_config(folder / "true.yaml"), folder / "scene")
+    return tree, row
+
+
+def score(folder: Path, name: str, cutoff: float) -> tuple[float, set[str]]:
+    """OSPA of a configuration of a set-up, and the causes that `track` warns of."""
+    loaded, log = load_config(folder / f"{name}.yaml"), folder / "scene" / "detections.parquet"
+    report = track(loaded, log, folder / f"tracks-{name}", force=True)
+    causes = {str(check["cause"]) for check in report["checks"] if check["status"] == "warning"}
+    try:
+        tracks = folder / f"tracks-{name}" / "tracks.parquet"
+        result = evaluate(tracks, folder / "scene" / "truth.parquet", cutoff=cutoff, plots=False)
+    except InputError:  # no tracks
+        return cutoff, causes
+    return float(result["ospa"]["mean"]), causes
+
+
+def one_run(number: int, folder: Path) -> dict[str, Any]:
+    """Figures of one set-up."""
+    tree, row = simulated(number, folder)
+    described = yaml.safe_load((folder / "scene" / "cameras.yaml").read_text())
+    for camera in described["cameras"].values():
+        for key in ("detector", "frame_rate_hz", "phase_s"):
+            camera.pop(key, None)
+    (folder / "cameras.yaml").write_text(yaml.safe_dump(described))
+    report = init(folder / "init", folder / "scene" / "detections.parquet", folder / "cameras.yaml", force=True)
+    (folder / "chosen.yaml").write_text((folder / "init" / "config.yaml").read_text())
+    chosen = load_config(folder / "chosen.yaml")
+    ratios = [
+        math.sqrt(math.prod(camera.detector.sigma_px)) / tree["cameras"][name]["detector"]["sigma_px"][0]
+        for name, camera in chosen.cameras.items()
+    ]
+    cutoff = 0.1 * row["distance"]
+    causes = {str(check["cause"]) for check in report["checks"] if check["status"] == "warning"}
+    mine, warned = score(folder, "chosen", cutoff)
+    best, _ = score(folder, "true", cutoff)
+    row |= {
+        "noise_ratio": round(float(np.exp(np.mean(np.log(ratios)))), 2),
+        "noise_worst": round(float(np.exp(np.abs(np.log(ratios)).max())), 2),
+        "ospa": round(mine / cutoff, 4), "ospa_true": round(best / cutoff, 4),
+        "warned": sorted(causes | warned),
+    }  # fmt: skip
+    row["noise_right"] = row["noise_worst"] <= NOISE_FACTOR
+    row["tracks_right"] = mine <= OSPA_FACTOR * best + 1e-3 * cutoff
+    row["silent"] = not (row["noise_right"] and row["tracks_right"]) and not row["warned"]
+    return row
+
+
+def main() -> int:
+    """Run and print; return the exit code."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--runs", type=int, default=60)
+    parser.add_argument("--keep", type=Path)
+    parser.add_argument("--checks-only", action="store_true")
+    options = parser.parse_args()
+    logging.getLogger("stereophd").setLevel(logging.CRITICAL)
+    rows = []
+    for number in range(options.first, options.first + options.runs):
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary) if options.keep is None else options.keep / str(number)
+            try:
+                row = checked(number, folder) if options.checks_only else one_run(number, folder)
+            except InputError as error:
+                row = {**draw(number)[1], "error": str(error)[:120]}
+            rows.append(row)
+            print(yaml.safe_dump(row, default_flow_style=True, width=1000, sort_keys=False).strip(), flush=True)
+    done = [row for row in rows if "error" not in row]
+    if options.checks_only:
+        print(f"{len(done)} right set-ups, {sum(bool(row['warned']) for row in done)} with warnings")
+        return 0
+    for key in ("noise_right", "tracks_right", "silent"):
+        print(f"{key}: {sum(row[key] for row in done)} of {len(done)}")
+    return int(any(row["silent"] for row in done))
+
+
+def checked(number: int, folder: Path) -> dict[str, Any]:
+    """Warnings of the checks on a right set-up."""
+    row = simulated(number, folder)[1]
+    findings = check_log(load_config(folder / "true.yaml"), folder / "scene" / "detections.parquet", thorough=False)
+    return {**row, "warned": sorted(str(found.cause) for found in findings if found.status == "warning")}
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

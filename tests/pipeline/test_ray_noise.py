@@ -1,0 +1,103 @@
+"""Noise of detectors from the rays alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.arrays import Array
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.io.logs.reading import Frame
+from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
+from stereophd.pipeline.detectors.ray_noise import (
+    BETWEEN_CAMERAS,
+    NOISE_SPREAD,
+    USUAL_NOISE_PX,
+    noise_from_rays,
+    starting_detectors,
+)
+
+RATE = 20.0
+
+
+def cameras_at(*places: tuple[float, float]) -> list[Camera]:
+    """Cameras at these x and heights, 10 from the scene, that look at its middle."""
+    out = []
+    for k, (x, y) in enumerate(places):
+        center = np.array([x, y, 0.0])
+        turn = rotation_from_vector(np.array([0.0, np.arctan2(x, 10.0), 0.0]))
+        intrinsics = (1280, 960, 1000.0, 1000.0, 639.5, 479.5)
+        detector = Detector((1.0, 1.0), 0.9, 1.0)
+        out.append(Camera(f"cam{k}", *intrinsics, Pose(turn, center), Lens("none"), detector))
+    return out
+
+
+def samples_of(
+    cameras: list[Camera], noise: list[float], objects: int, frames: int, speed: float, seed: int = 0
+) -> list[CameraSample]:
+    """Objects in a box of 6 x 4 x 4 on straight lines, a tenth missed, one false detection in two frames."""
+    rng = np.random.default_rng(seed)
+    start = rng.uniform([-3.0, -2.0, 8.0], [3.0, 2.0, 12.0], (objects, 3))
+    velocity = rng.normal(0.0, speed, (objects, 3))
+    out = []
+    for k in range(frames):
+        position: Array = start + velocity * (k / RATE)
+        for c, camera in enumerate(cameras):
+            pixels = camera.project(position)
+            pixels = pixels + rng.normal(0.0, noise[c], pixels.shape)
+            pixels = pixels[camera.contains(pixels) & (rng.random(objects) < 0.9)]
+            false = rng.uniform(0.0, [1279.0, 959.0], (rng.poisson(0.5), 2))
+            out.append(Frame(k / RATE, c, k, np.concatenate([pixels, false])))
+    return sample_log(out, tuple(cameras))
+
+
+def factors(noise: float, objects: int, speed: float) -> tuple[float, float]:
+    """By which factor the noise is wrong, of a camera at most and on average; the third has 1.7 times as much."""
+    true = [noise, noise, 1.7 * noise]
+    samples = samples_of(cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0)), true, objects, 150, speed)
+    logs = np.log(noise_from_rays(samples).sigma_px / true)
+    return float(np.exp(np.abs(logs).max())), float(np.exp(np.abs(logs.mean())))
+
+
+@pytest.mark.parametrize("noise", [0.1, 1.0, 8.0, 60.0])
+@pytest.mark.parametrize("objects", [2, 12])
+def test_noise_of_any_size_is_found(noise: float, objects: int) -> None:
+    """Within 1.5 on average, and of single cameras within 2, which tracks then tell apart.
+
+    A log of 150 frames has at least 200 partners of each pair. They are not independent: objects that pass near an
+    epipolar line stay there for a while.
+    """
+    worst, mean = factors(noise, objects, 1.0)
+    assert worst < 2.0
+    assert mean < 1.5
+
+
+@pytest.mark.parametrize("noise", [0.1, 1.0])
+def test_noise_of_objects_at_rest(noise: float) -> None:
+    """They meet those of other cameras by chance all the time: fewer independent distances."""
+    assert factors(noise, 60, 0.0)[0] < 2.0
+
+
+def test_a_camera_without_data_takes_its_noise_from_the_others() -> None:
+    samples = samples_of(cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0)), [6.0, 6.0, 6.0], 5, 100, 1.0)
+    empty = replace(samples[2], pixels=np.empty((0, 2)), first=np.zeros(len(samples[2].times) + 1, dtype=np.int64))
+    found = noise_from_rays([*samples[:2], empty])
+    assert 4.0 < found.sigma_px[2] < 7.0
+    assert found.relative_error[2] > BETWEEN_CAMERAS > found.relative_error[0]
+
+
+def test_nothing_to_compare_gives_the_prior() -> None:
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5))
+    empty = sample_log([Frame(0.0, c, 0, np.empty((0, 2))) for c in range(2)], tuple(cameras))
+    found = noise_from_rays(empty)
+    np.testing.assert_allclose(found.sigma_px, USUAL_NOISE_PX, rtol=0.05)
+    assert found.partners == 0.0
+    # and the detectors stay as they are given
+    used, priors = starting_detectors(cameras, ["cam1"], empty)
+    assert used[0] is cameras[0]
+    assert used[1].detector.sigma.tolist() == [1.0, 1.0]
+    assert priors["cam1"].spread == NOISE_SPREAD
