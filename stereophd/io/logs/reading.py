@@ -286,15 +286,19 @@ class LogReader:
         # A duplicate empty row is gone by now, so an empty frame is exactly one empty row.
         ends = (np.asarray(ends) - rows.empty[starts]).tolist()
         for time, camera, frame, i, j in zip(times, cameras, frames, starts.tolist(), ends, strict=True):
+            kept: slice | Integers = slice(i, j)
+            if len(places := self._left_out[camera]):
+                apart = np.hypot(*(rows.pixels[i:j, None] - places[:, :2]).transpose(2, 0, 1))
+                kept = i + np.flatnonzero((apart > places[:, 2]).all(axis=1))
             yield Frame(
                 time,
                 camera,
                 frame,
-                rows.pixels[i:j],
-                None if rows.sigma is None else rows.sigma[i:j],
-                None if rows.object_id is None else rows.object_id[i:j],
-                None if rows.sizes is None else rows.sizes[i:j],
-                rows.row[i:j],
+                rows.pixels[kept],
+                None if rows.sigma is None else rows.sigma[kept],
+                None if rows.object_id is None else rows.object_id[kept],
+                None if rows.sizes is None else rows.sizes[kept],
+                rows.row[kept],
             )
 
     def _true_times(self, time_s: Array, camera: Integers) -> Array:

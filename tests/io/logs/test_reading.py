@@ -457,5 +457,5 @@ def test_places_are_left_out_and_their_frames_stay(write_rows: Callable[..., Pat
     path, cameras = write_rows(rows), [make_camera("left")]
     frames = list(LogReader(path, cameras, leave_out={"left": [(7.0, 5.0, 1.0), (20.0, 5.0, 0.5)]}))
     assert [frame.pixels[:, 0].tolist() for frame in frames] == [[], [21.0], [22.0]]
-    with pytest.raises(InputError, match="input.leave_out"):
+    with pytest.raises(InputError, match=r"input\.leave_out"):
         LogReader(path, cameras, leave_out={"lefd": []})

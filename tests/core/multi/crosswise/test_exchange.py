@@ -267,7 +267,8 @@ def test_pairs_that_were_in_one_plane_and_that_no_third_camera_tells_apart(
     count = len(cameras)
     found = crosswise_pairs(
         mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), rig.packed,
-        NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5, np.empty(0)), 8.0, Past(10.0, 0.01), no_deferred_pairs(), 0, 1,
+        NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5, np.empty(0)), 8.0, Past(10.0, 0.01),
+        no_deferred_pairs(), 0, 1,
     )  # fmt: skip
     assert found.tolist() == ([[0, 1]] if expected else [])
 
