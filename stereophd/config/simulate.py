@@ -125,10 +125,11 @@ class SimulateConfig(Model):
             return value
         others = info.data["objects"] is not None or info.data["given"]
         states = value is not None if info.field_name == "motion" else np.any(value)
-        if states and (info.data.get("bodies") or info.data.get("walkers")) and not others:
+        immovable = [name for name in ("bodies", "walkers") if info.data.get(name)]
+        if states and immovable and not others:
             raise ValueError(
                 "expected objects or given, which it moves (bodies sway by center_std and rotation_std_deg), found "
-                "bodies or walkers only"
+                f"{' and '.join(immovable)} only"
             )
         return value
 

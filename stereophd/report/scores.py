@@ -29,6 +29,9 @@ def _distance_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     windows = f"of tracks, mean over windows of {ospa2['window_scans']} scans"
     yield "OSPA(2)", _number(ospa2["mean"], unit), windows
     yield "GOSPA", _number(gospa["mean"], unit), "mean over scans; alpha 2"
+    if "tgospa" in report:
+        tgospa = report["tgospa"]
+        yield "trajectory GOSPA", _number(tgospa["mean"], unit), f"per scan; {tgospa['switches']:.3g} switches"
 
 
 def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
@@ -54,6 +57,10 @@ def _number_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
 
 def _identity_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     switches, purity, completeness = (report[key] for key in ("identity_switches", "purity", "completeness"))
+    clear = report["clear_mot"]
+    if clear["mota"] is not None:
+        parts = f"{clear['mostly_tracked']} objects mostly tracked, {clear['mostly_lost']} mostly lost"
+        yield "MOTA", _number(clear["mota"]), parts
     note = "the tracks carry no identities" if switches is None else f"{report['tracks']} tracks"
     yield "identity switches", _number(switches), note
     parts = f"precision {_number(report['id_precision'])}, recall {_number(report['id_recall'])}"

@@ -380,7 +380,9 @@ def keys_of(report: dict) -> set[str]:
 def test_all_keys_and_columns_are_documented(run):
     tracks, truth, folder = run
     log = write(folder / "log.parquet", log_columns([(t, "a", 3) for t in range(10)], False))
-    report = evaluate(tracks, truth, folder / "out", plots=False, log_path=log, seen_by=1, within_s=0.5)
+    report = evaluate(
+        tracks, truth, folder / "out", plots=False, log_path=log, seen_by=1, within_s=0.5, switch_cost=1.0
+    )
     assert documented_keys("`report.json` of `evaluate`") == keys_of(report)
     assert documented_keys("`per_scan.parquet`") == set(per_scan(folder / "out"))
 

@@ -46,4 +46,7 @@ def predict_bodies(
     predicted[:, POSITION] += (1.0 - kept) * (half + up @ np.array(shape.ground.point))[:, None] * up
     slopes = np.broadcast_to(matrix, covariances.shape).copy()
     slopes[:, POSITION, LOG_AXES.start] = (1.0 - kept) * half[:, None] * up
-    return predicted, slopes @ covariances @ slopes.swapaxes(1, 2) + noise
+    # the middle rises with a body that grows
+    grown = np.broadcast_to(np.eye(STATE_SIZE), covariances.shape).copy()
+    grown[:, POSITION, LOG_AXES.start] = half[:, None] * up
+    return predicted, slopes @ covariances @ slopes.swapaxes(1, 2) + grown @ noise @ grown.swapaxes(1, 2)

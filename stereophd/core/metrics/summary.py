@@ -21,7 +21,7 @@ from stereophd.core.metrics.errors.rmse import (
     root_mean_square,
     root_mean_square_per_group,
 )
-from stereophd.core.metrics.identities.figures import has_identities, identity_figures
+from stereophd.core.metrics.identities.figures import clear_mot_figures, has_identities, identity_figures
 from stereophd.core.metrics.identities.idf1 import identity_score
 from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.matching.near_pairs import NearPairs
@@ -162,6 +162,9 @@ def figures(
         },
         # Without labels there are no identities to switch.
         "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
+        "clear_mot": clear_mot_figures(
+            estimates, truth, scores, errors.switched, np.linalg.norm(errors.position, axis=1)
+        ),
         **_identity_scores(estimates, truth, near, matchable),
         "tracks": len(np.unique(labels)),
         **identity_figures(estimates, truth, scores, errors.switched),

@@ -2,8 +2,8 @@
 
 A camera is the folder in an image's ``file_name`` where there are several folders, else the file. The frame is the
 image's ``frame_id`` (or ``frame_index``), else the last number in its file name, else its place among the images.
-Every image without annotations is an empty frame. The detection is the centre of the box (or the middle of its lower
-side), or each visible keypoint of an annotation without a box.
+Every image without annotations is an empty frame. The detection is the centre of the box, whose width and
+height are kept (or the middle of its lower side), or each visible keypoint of an annotation without a box.
 
 Conventions: a box is left, top, width, height measured from the corner of the top-left pixel, so pixels are shifted
 by half a pixel; keypoints are pixel indices and stay as they are. The whole file is held in memory, as JSON needs.
@@ -65,12 +65,12 @@ def _split(
         folder = PurePosixPath(image.get("file_name", "")).parent.name
         camera = options.name(folder if len(folders) > 1 and folder else path.stem)
         found = [row for a in of_image.get(image["id"], ()) for row in _detections(a, options)]
-        rows.setdefault(camera, []).extend((number, *row) for row in found or [(np.nan,) * 5])
+        rows.setdefault(camera, []).extend((number, *row) for row in found or [(np.nan,) * 7])
     for camera, values in rows.items():
         table = np.array(values, dtype=np.float64)
         # the second shift marks boxes, which are measured from a corner
         pixels = table[:, 1:3] - table[:, 5:6]
-        extra = {"score": table[:, 3], "object_id": table[:, 4]}
+        extra = {"score": table[:, 3], "object_id": table[:, 4], "width_px": table[:, 6], "height_px": table[:, 7]}
         yield Piece(camera, native_pixels(pixels, camera, options, recording), table[:, 0], extra=extra)
 
 
@@ -87,7 +87,7 @@ def _frame_numbers(path: Path, images: Sequence[Annotation], recording: ForeignR
 
 
 def _detections(annotation: Annotation, options: ImportOptions) -> Iterator[tuple[float, ...]]:
-    """Yield (u, v, score, object, shift) of an annotation."""
+    """Yield (u, v, score, object, shift, width, height) of an annotation; NaN where there is no box."""
     score = float(annotation.get("score", np.nan))
     if options.least_score is not None and score < options.least_score:
         return
@@ -95,14 +95,16 @@ def _detections(annotation: Annotation, options: ImportOptions) -> Iterator[tupl
     number = np.nan if identity is None else float(identity)
     if annotation.get("bbox"):
         left, top, width, height = map(float, annotation["bbox"])
-        down = height if options.box_point == "bottom" else height / 2
-        yield left + width / 2, top + down, score, number, 0.5
+        if options.box_point == "bottom":
+            yield left + width / 2, top + height, score, number, 0.5, np.nan, np.nan
+        else:
+            yield left + width / 2, top + height / 2, score, number, 0.5, width, height
         return
     keypoints = annotation.get("keypoints", ())
     for index in range(0, len(keypoints) - 2, 3):
         u, v, visibility = keypoints[index : index + 3]
         if visibility > 0:
-            yield float(u), float(v), score, float(index // 3), 0.0
+            yield float(u), float(v), score, float(index // 3), 0.0, np.nan, np.nan
 
 
 FORMAT = Format("COCO: detections (JSON)", read=read)

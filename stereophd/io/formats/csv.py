@@ -1,10 +1,10 @@
 """Comma-separated tables: detections of any columns in, tracks out.
 
 Detections: one row a detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
-native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``score``,
-``object_id``) or of usual other names are found by themselves; any others by `columns`. A row without u and v is a
-frame without detections. Without a column of cameras, each file is a camera, named as the file. Pixels are native
-(pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
+native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``width_px``,
+``height_px``, ``score``, ``object_id``) or of usual other names are found by themselves; any others by `columns`. A row
+without u and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file.
+Pixels are native (pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
 
 Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ..., after
 ``existence`` ``status`` and ``std_x``, ``std_y``, ``std_z`` where the table has them. Numbers have 17 digits, which is
@@ -44,6 +44,8 @@ USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
     "v_px": ("v_px", "v", "y_px", "y", "py", "img_y", "row", "pixel_y"),
     "sigma_u_px": ("sigma_u_px",),
     "sigma_v_px": ("sigma_v_px",),
+    "width_px": ("width_px",),
+    "height_px": ("height_px",),
     "score": ("score", "confidence", "likelihood", "conf", "probability"),
     "object_id": ("object_id",),
 }

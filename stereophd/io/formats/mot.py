@@ -5,9 +5,9 @@ rate, image size and number of frames. Rows: frame, identity, left, top, width, 
 named as its file, or as its folder where the file is called ``det`` or ``gt``.
 
 Conventions: frames, pixels and identities count from 1: the centre of the top-left pixel is (1, 1). The detection is
-the centre of the box, or the middle of its lower side (``box_point: bottom``). Identity -1 is none. Time is (frame -
-1) / rate, frame numbers stay as they are. Tracks are written with 3-D positions in columns 8 to 10 and boxes of -1; a
-frame is a reported time, counted from 1.
+the centre of the box, whose width and height are kept, or the middle of its lower side (``box_point: bottom``).
+Identity -1 is none. Time is (frame - 1) / rate, frame numbers stay as they are. Tracks are written with 3-D positions
+in columns 8 to 10 and boxes of -1; a frame is a reported time, counted from 1.
 """
 
 from __future__ import annotations
@@ -103,6 +103,8 @@ def _piece(
     v = row["top"] + (down if options.box_point == "bottom" else down / 2)
     pixels = np.where(keep[:, None], np.stack([u, v], axis=1), np.nan)
     extra = {"object_id": np.where(row["id"] >= 0, row["id"], np.nan)}
+    if options.box_point == "center":
+        extra |= {"width_px": row["width"], "height_px": row["height"]}
     if "score" in row:
         extra["score"] = row["score"]
     native = native_pixels(pixels, camera, options, recording, origin="one")

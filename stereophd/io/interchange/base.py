@@ -15,7 +15,7 @@ from stereophd.io.cameras.models import CameraConfig
 Value = TypeVar("Value")
 
 #: Optional columns of a log that a format may fill.
-EXTRA_COLUMNS = ("sigma_u_px", "sigma_v_px", "score", "object_id")
+EXTRA_COLUMNS = ("sigma_u_px", "sigma_v_px", "width_px", "height_px", "score", "object_id")
 
 
 @dataclass(frozen=True)
@@ -155,6 +155,6 @@ class Format:
     folder_files: tuple[str, ...] = ()  # What `write_cameras` writes into a folder; of other formats it writes a file
 
 
-def need_extra(package: str, extra: str, purpose: str) -> InputError:
+def need_package(package: str, purpose: str) -> InputError:
     """Return the error of a format whose optional package is not installed."""
-    return InputError(f"{purpose} needs the package {package}; install it with: pip install 'stereophd[{extra}]'")
+    return InputError(f"{purpose} needs the package {package}; install it with: pip install {package}")

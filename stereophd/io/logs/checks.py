@@ -108,7 +108,8 @@ def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: f
         )
     if rows.sizes is not None:
         boxes = rows.sizes
-        valid = ((boxes > 0.0) & (boxes <= LARGEST_PX)).all(axis=1)
+        # a detection without a box is a point
+        valid = ((boxes > 0.0) & (boxes <= LARGEST_PX)).all(axis=1) | np.isnan(boxes).all(axis=1)
         yield Fault(
             "invalid_box",
             ~rows.empty & ~valid,

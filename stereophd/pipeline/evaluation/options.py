@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,44 @@ ALIGNMENTS = ("none", "rigid", "similarity")
 
 # The use in which only objects count that the log shows.
 SEEN = "objects that are seen"
+
+
+def normal_of(flag: str, words: Sequence[str]) -> tuple[float, float, float] | None:
+    """Return the normal X,Y,Z of an option.
+
+    Raises
+    ------
+    InputError
+        There are several words, or not three numbers.
+    """
+    if not words:
+        return None
+    try:
+        x, y, z = map(float, ",".join(words).split(","))
+    except ValueError:
+        raise InputError(f"{flag}: expected X,Y,Z once, such as 0,0,1, found {' '.join(words)}") from None
+    return x, y, z
+
+
+def limits_by_axis(flag: str, words: Sequence[str]) -> dict[str, tuple[float, float]] | None:
+    """Return {axis: (from, to)} of the words AXIS=FROM:TO of an option.
+
+    Raises
+    ------
+    InputError
+        A word has another form, or an axis is there twice.
+    """
+    limits: dict[str, tuple[float, float]] = {}
+    for word in words:
+        axis, _, values = word.partition("=")
+        try:
+            low, high = map(float, values.split(":"))
+        except ValueError:
+            raise InputError(f"{flag} {word}: expected AXIS=FROM:TO, such as x=0:5") from None
+        if axis in limits:
+            raise InputError(f"{flag} {word}: expected each axis once, found {axis} again")
+        limits[axis] = low, high
+    return limits or None
 
 
 @options
@@ -72,6 +111,25 @@ class ScoreOptions:
         default=None,
         metavar="D",
     )
+    plane: tuple[float, float, float] | None = option(
+        "Compare positions on the plane of this normal, such as 0,0,1 for the ground: figures are then of two "
+        "dimensions, without NEES.",
+        default=None,
+        metavar="X,Y,Z",
+        parse=normal_of,
+    )
+    region: Mapping[str, tuple[float, float]] | None = option(
+        "Score only objects between two values of an axis, such as x=0:5 (repeatable). Objects outside are left out "
+        "with the estimates assigned to them, and so are estimates outside that are near no other object.",
+        default=None,
+        metavar="AXIS=FROM:TO",
+        parse=limits_by_axis,
+    )
+    switch_cost: float | None = option(
+        "Add the trajectory GOSPA distance with this cost of a switch of tracks, in the unit of length.",
+        default=None,
+        metavar="G",
+    )
 
     @property
     def known_cutoff(self) -> float:
@@ -87,7 +145,7 @@ def scoring_values(stated: ScoreOptions) -> dict[str, Any]:
 
 def check_options(stated: ScoreOptions, log_path: Path | str | None) -> None:
     """Raise InputError for options out of range or that do not go together."""
-    for name in ("cutoff", "match_distance"):
+    for name in ("cutoff", "match_distance", "switch_cost"):
         value = getattr(stated, name)
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise InputError(f"`{name}`: expected a finite number above 0, found {value}")
@@ -109,5 +167,18 @@ def check_options(stated: ScoreOptions, log_path: Path | str | None) -> None:
         raise InputError("`seen_by`: expected `seen_by`, `within_s` and `log_path` together, found only some of them")
     if stated.seen_by is not None and stated.seen_by < 1:
         raise InputError(f"`seen_by`: expected at least one camera, found {stated.seen_by}")
+    _check_places(stated)
     if stated.ospa2_window < 1:
         raise InputError(f"`ospa2_window`: expected at least one scan, found {stated.ospa2_window}")
+
+
+def _check_places(stated: ScoreOptions) -> None:
+    """Raise InputError for a plane or a region that cannot be."""
+    if stated.plane is not None and not (all(map(math.isfinite, stated.plane)) and any(stated.plane)):
+        raise InputError(f"`plane`: expected a normal of three finite numbers, not all 0, found {stated.plane}")
+    for axis, (low, high) in (stated.region or {}).items():
+        if axis not in ("x", "y", "z") or not low < high:
+            raise InputError(f"`region`: expected x, y or z with least < greatest, found {axis} from {low} to {high}")
+    for name in ("plane", "region"):
+        if getattr(stated, name) is not None and stated.base == "mahalanobis":
+            raise InputError(f"`{name}`: expected `base` euclidean, found mahalanobis")

@@ -59,6 +59,8 @@ def build_report(
             "window": {"from_s": options.from_s, "to_s": options.to_s, "at": options.at},
             "match_distance": options.known_cutoff if options.match_distance is None else options.match_distance,
             "max_gap_s": max_gap_s,
+            "plane": options.plane,
+            "region": options.region,
             "seen_by": visible,
             "tentative": options.tentative,
             "alignment": {

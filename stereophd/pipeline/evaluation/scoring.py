@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Integers
+from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors.confirmation_delay import FirstReports, first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
@@ -23,6 +25,7 @@ from stereophd.core.metrics.truth.interpolation import (
     in_window,
     last_event_of_each_time,
 )
+from stereophd.core.metrics.truth.places import leave_out_outside, on_plane
 from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
@@ -74,6 +77,9 @@ def score_tracks(
     }
     time_s, points = events.time_s[usable], aligned.points.keep_scans(usable)
     estimates = _estimates(tracks, events.take(usable), options, tracks_path)
+    if options.plane is not None:
+        normal = np.array(options.plane)
+        estimates, points = on_plane(estimates, normal), on_plane(points, normal)
     mahalanobis = options.base == "mahalanobis"
     if sightings is not None and options.seen_by is not None and options.within_s is not None:
         cameras = cameras_that_saw(sightings, time_s[points.scan], points.label, options.within_s)
@@ -86,6 +92,13 @@ def score_tracks(
             mahalanobis=mahalanobis,
         )
         scans["unseen"] = int(emptied.sum())
+        time_s = time_s[~emptied]
+        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
+    if options.region is not None:
+        estimates, points, emptied = leave_out_outside(
+            estimates, points, options.region, options.order, options.known_cutoff
+        )
+        scans["outside_region"] = int(emptied.sum())
         time_s = time_s[~emptied]
         estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
     if len(time_s) == 0:
@@ -105,8 +118,12 @@ def score_tracks(
     )
     errors = pair_errors(estimates, points, scores)
     waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
+    found_figures = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
+    if options.switch_cost is not None:
+        tgospa = trajectory_gospa(estimates, points, near, options.order, options.known_cutoff, options.switch_cost)
+        found_figures["tgospa"] = {"mean": tgospa.mean(options.order), **asdict(tgospa)}
     return Scored(
-        figures=figures(estimates, points, scores, near, matchable, ospa2, errors, waited),
+        figures=found_figures,
         scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
         columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,

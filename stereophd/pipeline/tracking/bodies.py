@@ -1,16 +1,21 @@
-"""`track` for bodies (``object.shape: ellipsoid``): the filter of boxes, and what it cannot be combined with."""
+"""`track` for bodies (``object.shape: ellipsoid``): the filter of boxes, its input, and what it does not go with."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from stereophd.core.bodies.filter import BodyFilter
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
-from stereophd.core.disparity.events import make_rig
+from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.errors import InputError
+from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.build import build_motion, build_region
+from stereophd.pipeline.stream import EventStream
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -34,10 +39,31 @@ def build_bodies(loaded: LoadedConfig, shape: EllipsoidSettings, cameras: tuple[
         raise InputError(f"{path}: motion.model: expected one whose objects move {where}, found {config.motion.model}")
     if config.report.smooth is not None:
         raise InputError(
-            f"{path}: report.smooth: expected none (--no-smooth) {where}: tracks of points are smoothed only"
+            f"{path}: report.smooth: expected none {where}: only tracks of points are smoothed, found some"
         )
     for camera in cameras:
         if camera.readout_s != 0.0:
             raise InputError(f"{path}: cameras.{camera.name}.readout_s: expected 0 {where}, found {camera.readout_s:g}")
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
     return BodyFilter(rig, motion, shape, config.filter)
+
+
+def with_boxes(stream: EventStream) -> Iterator[Event]:
+    """Yield the events of a log of boxes.
+
+    Raises
+    ------
+    InputError
+        The log has no columns ``width_px, height_px``, or a detection has no box.
+    """
+    if isinstance(stream.frames, LogReader) and not stream.frames.has_boxes:
+        raise InputError(
+            f"{stream.source}: expected the columns width_px and height_px (object.shape is ellipsoid), found none"
+        )
+    for event in stream:
+        if event.sizes is None or np.isnan(event.sizes).any():
+            raise InputError(
+                f"{stream.source}: frame {event.frame} of {stream.cameras[event.camera].name} at {event.time_s:g} s: "
+                "expected a box (width_px, height_px) for each detection (object.shape is ellipsoid), found none"
+            )
+        yield event

@@ -31,7 +31,7 @@ from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.checkpoint import RecordFile, RecordPart, read_records
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
-from stereophd.pipeline.tracking.run import tracking_with
+from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 
@@ -95,7 +95,7 @@ def track_pieces(
 
 def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) -> int:
     """Track one piece, and write its records; return their number."""
-    tracking = tracking_with(work.loaded, work.cameras, work.threads)
+    tracking = build_tracking(work.loaded, work.threads, work.cameras)
     config = work.loaded.config
     reader = open_log(config.input, work.cameras, work.log, piece.begin_s)
     # without what the records of other pieces decide

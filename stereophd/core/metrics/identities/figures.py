@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.metrics.errors.consistency import UNLABELLED
 from stereophd.core.metrics.matching.identity import ObjectTable, TrackTable, tabulate_objects, tabulate_tracks
 from stereophd.core.metrics.scans import PointSets, ScanScores
+
+# An object is mostly tracked if it is matched in at least this share of its scans, and mostly lost below the rest.
+MOSTLY = 0.8
 
 
 def has_identities(estimates: PointSets) -> bool:
@@ -48,6 +52,39 @@ def identity_figures(
             "fragmentation": _mean(objects.n_tracks) if known else float("nan"),
             "table": _object_rows(objects, switches, known),
         },
+    }
+
+
+def clear_mot_figures(
+    estimates: PointSets, truth: PointSets, scores: ScanScores, switched: NDArray[np.bool_], distance: Array
+) -> dict[str, Any]:
+    """Return the figures of CLEAR MOT (Bernardin and Stiefelhagen, 2008).
+
+    Parameters
+    ----------
+    estimates, truth, scores, switched
+        As for `identity_figures`.
+    distance : (q,) array
+        Distance of each matched pair.
+
+    Returns
+    -------
+    dict
+        ``mota``: 1 less the share of misses, false estimates and switches in all true points; ``motp``: mean distance
+        of the matched pairs; how many objects are matched in at least `MOSTLY` of their scans, and in less than the
+        rest. NaN without true points, None without identities.
+    """
+    matched, points = len(scores.pair_scan), len(truth.label)
+    if not has_identities(estimates):
+        return {"mota": None, "motp": _mean(distance), "mostly_tracked": None, "mostly_lost": None}
+    wrong = points + len(estimates.label) - 2 * matched + int(switched.sum())
+    number = np.unique(truth.label, return_inverse=True)[1]
+    share = np.bincount(number[scores.pair_truth], minlength=number.max(initial=-1) + 1) / np.bincount(number)
+    return {
+        "mota": 1.0 - wrong / points if points else float("nan"),
+        "motp": _mean(distance),
+        "mostly_tracked": int((share >= MOSTLY).sum()),
+        "mostly_lost": int((share < 1.0 - MOSTLY).sum()),
     }
 
 

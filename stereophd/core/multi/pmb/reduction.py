@@ -107,7 +107,8 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
         leaders[merged] = start
         if end == start + 1:
             weights[merged] = weights[start]
-            copy_gaussian(means, covariances, start, means, covariances, merged)
+            if merged < start:
+                copy_gaussian(means, covariances, start, means, covariances, merged)
             merged += 1
         else:
             # what is written lies before what is still to be read
@@ -161,7 +162,7 @@ def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance:
         if seniority[h] < 0:
             seniority[h] = LAST
     heads = picked(heads, stable_order(seniority))
-    senior = _seniors(take_components(mixture, heads), distance)
+    senior = _seniors(mixture, heads, distance)
     changed = False
     for h in range(len(heads)):
         if senior[h] != h:
@@ -183,36 +184,41 @@ def _join_tracks(mixture: GaussianMixture, distance: float, hypothesis_distance:
 
 
 @compiled
-def _seniors(heads: GaussianMixture, distance: float) -> Integers:
-    """For Gaussians in order of seniority: the first senior one that each agrees with, or itself."""
-    means, covariances, cameras, times = heads.means, heads.covariances, heads.cameras, heads.times
-    senior = np.arange(len(means))
+def _seniors(mixture: GaussianMixture, heads: Integers, distance: float) -> Integers:
+    """For Gaussians (n,) of a mixture in order of seniority: the first senior one that each agrees with, or itself."""
+    means, covariances, cameras, times = mixture.means, mixture.covariances, mixture.cameras, mixture.times
+    count = len(heads)
+    senior = np.arange(count)
     pairs = [np.int64(0)]
     pairs.clear()
-    order = stable_order(means[:, 0].copy())
+    place = np.empty(count)
+    for i in range(count):
+        place[i] = means[heads[i], 0]
+    order = stable_order(place)
     # with thousands of tracks whose depth is unknown, most of the time goes to pairs far apart: row after row in memory
-    u, v, spread = picked(means[:, 0].copy(), order), picked(means[:, 1].copy(), order), np.empty(len(order))
-    for i in range(len(order)):
-        spread[i] = distance * covariances[order[i], 1, 1]
-    for i in range(len(order)):
-        a = order[i]
+    u, v, spread = picked(place, order), np.empty(count), np.empty(count)
+    for i in range(count):
+        v[i] = means[heads[order[i]], 1]
+        spread[i] = distance * covariances[heads[order[i]], 1, 1]
+    for i in range(count):
+        a = heads[order[i]]
         reach = math.sqrt(distance * covariances[a, 0, 0])
-        for j in range(i + 1, len(order)):
+        for j in range(i + 1, count):
             if u[j] - u[i] > reach:
                 break
             if (v[j] - v[i]) * (v[j] - v[i]) > min(spread[i], spread[j]):
                 continue
-            b = order[j]
+            b = heads[order[j]]
             if cameras[a] == cameras[b] and times[a] == times[b] and _may_agree(means, covariances, a, b, distance):
                 apart = means[a] - means[b]
                 if _within(apart, covariances[a], distance) and _within(apart, covariances[b], distance):
-                    pairs.append(min(a, b) * len(means) + max(a, b))
+                    pairs.append(min(order[i], order[j]) * count + max(order[i], order[j]))
     found = np.empty(len(pairs), dtype=np.int64)
     for i in range(len(pairs)):
         found[i] = pairs[i]
     for i in stable_order(found):
         pair = found[i]
-        older, younger = pair // len(means), pair % len(means)
+        older, younger = pair // count, pair % count
         if senior[older] == older and senior[younger] == younger:
             senior[younger] = older
     return senior

@@ -125,6 +125,23 @@ def _prune(folder: Path) -> None:
                 shutil.rmtree(path, ignore_errors=True)
 
 
+@cache
+def _import_array_functions() -> None:
+    """Import numba's functions of arrays without SciPy's linear algebra, which takes a sixth of a second.
+
+    At that import numba looks whether BLAS is there, which the requirements say. Its check of BLAS when a kernel that
+    uses it is compiled stays.
+    """
+    from numba.np import linalg
+
+    check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        from numba.np import arraymath
+    finally:
+        linalg.ensure_blas = check
+    arraymath.ensure_blas = check
+
+
 class _Locator(_CacheLocator):  # type: ignore[misc]
     """Name and validity of one kernel's folder."""
 
@@ -176,6 +193,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return a kept form, or None if none is kept or it cannot be read for any reason."""
+        _import_array_functions()
         target_context.refresh()
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():

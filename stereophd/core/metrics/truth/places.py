@@ -1,0 +1,63 @@
+"""Where objects are scored: on a plane, and within a region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Booleans
+from stereophd.core.metrics.matching.near_pairs import near_pairs
+from stereophd.core.metrics.scans import PointSets
+from stereophd.core.metrics.truth.visibility import leave_out_unseen
+
+AXES = ("x", "y", "z")
+
+
+def on_plane(points: PointSets, normal: Array) -> PointSets:
+    """Return points moved onto the plane through the origin with a normal (3,), without their covariances."""
+    unit = normal / np.linalg.norm(normal)
+    across = np.eye(3) - np.outer(unit, unit)
+    return replace(points, position=points.position @ across, velocity=points.velocity @ across, covariance=None)
+
+
+def leave_out_outside(
+    estimates: PointSets, truth: PointSets, region: Mapping[str, tuple[float, float]], order: float, cutoff: float
+) -> tuple[PointSets, PointSets, Booleans]:
+    """Leave out what is outside a region: objects with the estimates assigned to them, and estimates near no other.
+
+    An estimate outside that is nearer than the cutoff to an object inside stays: it may be the estimate of that object.
+
+    Parameters
+    ----------
+    estimates, truth : PointSets
+        The same scans.
+    region : mapping
+        Least and greatest value of some axes (`AXES`).
+    order, cutoff : float
+        As for `stereophd.core.metrics.scans.score_scans`.
+
+    Returns
+    -------
+    estimates, truth : PointSets
+        The remaining points of each scan.
+    emptied : (k,) bool array
+        Scans that lost points and have none left.
+    """
+    had = estimates.counts + truth.counts > 0
+    estimates, truth, _ = leave_out_unseen(
+        estimates, truth, _is_inside(truth, region), order, cutoff, mahalanobis=False
+    )
+    kept = _is_inside(estimates, region)
+    kept[near_pairs(estimates, truth, cutoff).estimate] = True
+    estimates = estimates.keep_points(kept)
+    return estimates, truth, had & (estimates.counts + truth.counts == 0)
+
+
+def _is_inside(points: PointSets, region: Mapping[str, tuple[float, float]]) -> Booleans:
+    inside = np.ones(len(points.label), dtype=np.bool_)
+    for axis, (low, high) in region.items():
+        values = points.position[:, AXES.index(axis)]
+        inside &= (values >= low) & (values <= high)
+    return inside

@@ -1,0 +1,154 @@
+"""Bodies end to end: simulate, track, import; what they cannot be combined with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from stereophd.commands.evaluate import evaluate
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import load_config
+from stereophd.errors import InputError
+
+CONFIG = "configs/crowd.yaml"
+SMALL = ["simulate.duration_s=6", "simulate.walkers.count=4"]
+POINTS = ["object={shape: point}", "simulate=null"]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("crowd")
+    simulate(load_config(CONFIG, SMALL), folder, force=True)
+    return folder / "detections.parquet"
+
+
+def lasting(report: dict[str, Any]) -> int:
+    """Return the number of tracks that last for half of the run."""
+    return sum(one["last_s"] - one["first_s"] > 3.0 for one in report["tracks"])
+
+
+def test_a_log_has_boxes_and_tracks_have_extents(log: Path, tmp_path: Path) -> None:
+    boxes = pq.read_table(log)
+    assert {"width_px", "height_px", "object_id"} <= set(boxes.column_names)
+    report = track(load_config(CONFIG, [*SMALL, "report.associations=true"]), log, tmp_path / "out")
+    assert lasting(report) == 4
+    tracks = pq.read_table(tmp_path / "out" / "tracks.parquet")
+    for name, mean, spread in (("height", 1.7, 0.4), ("width", 0.5, 0.3)):
+        assert np.abs(tracks[name].to_numpy() - mean).max() < spread
+        assert (tracks[f"{name}_std"].to_numpy() > 0.0).all()
+    assert len(pq.read_table(tmp_path / "out" / "associations.parquet")) > 0.5 * len(boxes)
+    again = track(load_config(CONFIG, [*SMALL, "report.associations=true"]), log, tmp_path / "again")
+    assert again["log_likelihood"] == report["log_likelihood"]
+    assert (tmp_path / "again/tracks.parquet").read_bytes() == (tmp_path / "out/tracks.parquet").read_bytes()
+
+
+def test_pieces_and_a_grid_of_times(log: Path, tmp_path: Path) -> None:
+    grid = load_config(CONFIG, [*SMALL, "report.times={grid: 0.5}"])
+    report = track(grid, log, tmp_path / "out", pieces_s=3.0, overlap_s=2.0)
+    assert lasting(report) == 4
+    assert report["pieces"]["count"] == 2
+
+
+def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.parquet"
+    pq.write_table(pq.read_table(log).drop_columns(["width_px", "height_px"]), bare)
+    loaded = load_config(CONFIG, POINTS)
+    track(loaded, log, tmp_path / "with")
+    track(loaded, bare, tmp_path / "without")
+    with_boxes, without = (pq.read_table(tmp_path / name / "tracks.parquet") for name in ("with", "without"))
+    assert with_boxes.equals(without)
+    assert "height" not in with_boxes.column_names
+    with pytest.raises(InputError, match="expected the columns width_px and height_px"):
+        track(load_config(CONFIG), bare, tmp_path / "bodies")
+    assert not (tmp_path / "bodies" / "tracks.parquet").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["filter.kind=phd"], "filter.kind: expected pmb .*, found phd"),
+        (["motion={model: static}"], "motion.model: expected one whose objects move .*, found static"),
+        (["report.smooth={}"], "report.smooth: expected none"),
+        (["detector=estimate"], "detector: expected given .*, found estimate"),
+        (["motion.acceleration_std=estimate"], "object.shape: expected point"),
+        (["cameras.northeast.readout_s=0.01"], "cameras.northeast.readout_s: expected 0"),
+        (["object.up=null"], "object: expected width and up, or neither of them"),
+        (["object.up=[0, 0, 0]"], "object: up: expected a direction"),
+        (["object.width=null", "object.up=null"], "object: expected up where objects stand on the ground"),
+    ],
+)
+def test_what_bodies_do_not_go_with_is_refused(log: Path, tmp_path: Path, changes: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        track(load_config(CONFIG, changes), log, tmp_path / "out")
+
+
+def test_bad_boxes_are_bad_rows(log: Path, tmp_path: Path) -> None:
+    table = pq.read_table(log)
+    widths = table["width_px"].to_numpy().copy()
+    widths[5] = -3.0
+    bad = tmp_path / "bad.parquet"
+    place = table.column_names.index("width_px")
+    pq.write_table(table.set_column(place, "width_px", [widths]), bad)
+    with pytest.raises(InputError, match=r"row 5: width_px, height_px: expected positive numbers, found -3.0"):
+        track(load_config(CONFIG), bad, tmp_path / "out")
+    report = track(load_config(CONFIG, ["input.on_bad_row=drop"]), bad, tmp_path / "dropped")
+    assert report["input"]["invalid_box"] == 1
+    widths[5] = np.nan
+    pq.write_table(table.set_column(place, "width_px", [widths]), bad)
+    with pytest.raises(InputError, match="row 5: width_px"):
+        track(load_config(CONFIG), bad, tmp_path / "out")
+
+
+def test_spheres_have_one_extent(tmp_path: Path) -> None:
+    spheres = [
+        "object={shape: ellipsoid, height: {mean: 0.3, std: 0.03}}", "simulate.walkers=null", "simulate.duration_s=6",
+        "simulate.objects={count: 3, box: {x: [2, 8], y: [2, 6], z: [0.5, 1.5]}, velocity_std: 0.2}",
+    ]  # fmt: skip
+    simulate(load_config(CONFIG, spheres), tmp_path / "scene")
+    report = track(load_config(CONFIG, spheres), tmp_path / "scene" / "detections.parquet", tmp_path / "out")
+    assert lasting(report) == 3
+    tracks = pq.read_table(tmp_path / "out" / "tracks.parquet")
+    assert tracks["height"].to_numpy() == pytest.approx(tracks["width"].to_numpy(), rel=0.01)
+    assert tracks["height"].to_numpy() == pytest.approx(0.3, abs=0.15)
+
+
+def test_walkers_need_a_ground(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"simulate\.walkers: expected object.ground"):
+        simulate(load_config(CONFIG, ["object.ground=null"]), tmp_path / "scene")
+    with pytest.raises(InputError, match=r"simulate\.walkers: expected object.shape ellipsoid"):
+        simulate(load_config(CONFIG, ["object={shape: point}"]), tmp_path / "scene")
+
+
+def test_tracks_are_scored_on_the_ground_and_in_a_region(log: Path, tmp_path: Path) -> None:
+    track(load_config(CONFIG, SMALL), log, tmp_path / "out")
+    tracks, truth = tmp_path / "out" / "tracks.parquet", log.parent / "truth.parquet"
+    whole = evaluate(tracks, truth, cutoff=1.0, switch_cost=1.0)
+    assert whole["clear_mot"]["mota"] > 0.95
+    assert whole["clear_mot"]["mostly_tracked"] == 4
+    assert 0.0 < whole["tgospa"]["mean"] < 1.0
+    flat = evaluate(tracks, truth, cutoff=1.0, plane=(0.0, 0.0, 1.0))
+    assert flat["rmse"]["position"] < whole["rmse"]["position"]
+    assert flat["nees"]["position"] is None
+    assert "tgospa" not in flat
+    part = evaluate(tracks, truth, cutoff=1.0, region={"x": (0.0, 5.0)})
+    assert 0 < part["pairs"]["matched"] < whole["pairs"]["matched"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"plane": (0.0, 0.0, 0.0)}, "`plane`: expected a normal"),
+        ({"region": {"w": (0.0, 1.0)}}, "`region`: expected x, y or z"),
+        ({"region": {"x": (1.0, 0.0)}}, "`region`: expected x, y or z"),
+        ({"switch_cost": 0.0}, "`switch_cost`: expected a finite number above 0"),
+        ({"plane": (0.0, 0.0, 1.0), "base": "mahalanobis"}, "`plane`: expected `base` euclidean"),
+    ],
+)
+def test_places_that_cannot_be_are_refused(words: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        evaluate("tracks.parquet", "truth.parquet", cutoff=1.0, **words)
