@@ -45,7 +45,9 @@ def test_what_is_known_stays_as_it_is() -> None:
 
 
 def test_an_unknown_pose_is_refused_where_one_is_needed(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cameras.left.pose: expected a known one, found unknown; `calibrate` finds"):
+    with pytest.raises(
+        InputError, match=r"cameras\.left\.pose: expected a known one, found unknown; `calibrate` finds"
+    ):
         stated(tmp_path).build_cameras()
 
 
