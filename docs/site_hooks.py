@@ -1,8 +1,7 @@
 """What the site holds beside the pages of docs/: MathJax, the configurations, generated pages, and links to them.
 
 MkDocs calls `on_config`, `on_files` and `on_page_markdown`. Files outside docs/ that pages link to (configurations, the
-changelog)
-become files of the site, so that a link works both in the repository and in the site.
+changelog) become files of the site, so that a link works both in the repository and in the site.
 """
 
 from __future__ import annotations

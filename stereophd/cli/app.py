@@ -35,7 +35,7 @@ from stereophd.cli import (
     track,
 )
 from stereophd.cli.flags import with_flags
-from stereophd.cli.options import Session
+from stereophd.cli.options import PlainCommand, Session
 from stereophd.cli.parameters import command
 from stereophd.errors import GateError, InputError, StereophdError
 
@@ -72,7 +72,7 @@ for _name, _command, _purpose in (
     ("experiment", experiment.experiment_command, "Compare methods over many runs of a scenario."),
     ("compile", compile.compile_command, "Compile the kernels ahead, for containers and CI jobs."),
 ):
-    app.command(_name, short_help=_purpose)(command(_command))
+    app.command(_name, cls=PlainCommand, short_help=_purpose)(command(_command))
 app.add_typer(config.app, name="config", help="Show or check a configuration, or print its JSON schema.")
 
 

@@ -15,7 +15,7 @@ def calibrate_command(
 ) -> None:
     """Estimate cameras (poses, and lenses and clocks if they have priors) from a detection log of moving objects.
 
-    Writes cameras.yaml, posterior.parquet, history.parquet and report.json.
+    Writes cameras.yaml, posterior.parquet, history.parquet, report.json, and the tracks made with these cameras.
 
     With several logs, each is calibrated separately and has a folder in DIR; DIR/summary.parquet has a row for each.
     """

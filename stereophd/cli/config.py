@@ -23,7 +23,7 @@ class Command(StrEnum):
     EXPERIMENT = "experiment"
 
 
-@app.command("show")
+@app.command("show", cls=options.PlainCommand)
 @command
 def show_command(
     session: options.Session,
@@ -43,7 +43,7 @@ def show_command(
     print_data(f"# sha256 {loaded.sha256}\n{text.rstrip()}")
 
 
-@app.command("check")
+@app.command("check", cls=options.PlainCommand)
 @command
 def check_command(
     session: options.Session,
@@ -67,7 +67,7 @@ def check_command(
         print_data(f"{words.config}: ok (cameras: {cameras_text}; length in {loaded.config.units.length})")
 
 
-@app.command("schema")
+@app.command("schema", cls=options.PlainCommand)
 @command
 def schema_command(session: options.Session) -> None:
     """Print the JSON schema, which editors use.

@@ -16,7 +16,7 @@ Form = Annotated[
     typer.Argument(metavar="FORMAT", help=FORMAT_HELP, show_default=False),
 ]
 Sources = Annotated[
-    list[Path], typer.Argument(metavar="SOURCE...", help="Files or folders of that format.", show_default=False)
+    list[Path], typer.Argument(metavar="SOURCE", help="Files or folders of that format.", show_default=False)
 ]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras, native or foreign, if the source has none.")]
 Columns = Annotated[

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 
 @dataclass
@@ -20,6 +21,18 @@ class Session:
     debug: bool = False
     printed: bool = False  # whether the one document of `json` is on stdout
     context: typer.Context | None = None  # of the command that runs
+
+
+class PlainCommand(typer.core.TyperCommand):
+    """A command whose help names arguments by their words alone, without the types of Python."""
+
+    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]
+        """Return arguments and options."""
+        parameters = super().get_params(ctx)
+        for parameter in parameters:
+            if parameter.param_type_name == "argument":
+                vars(parameter)["display_type_rich"] = lambda ctx: None
+        return parameters
 
 
 def option(name: str, metavar: str, text: str, **more: Any) -> Any:
@@ -42,7 +55,7 @@ Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG...", help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'.", show_default=False
+        metavar="LOG", help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'.", show_default=False
     ),
 ]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]

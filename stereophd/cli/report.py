@@ -16,7 +16,7 @@ def report_command(
     folders: Annotated[
         list[Path],
         typer.Argument(
-            metavar="DIR...", help="Output folders of track, calibrate, evaluate and simulate.", show_default=False
+            metavar="DIR", help="Output folders of track, calibrate, evaluate and simulate.", show_default=False
         ),
     ],
     out: Annotated[Path, options.option("--out", "FILE", "The page (HTML).")],

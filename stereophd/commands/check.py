@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stereophd.config.loading import LoadedConfig, takes_config
 from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.checks.run import check_log
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 REPORT_VERSION = 1
 
 
+@takes_config
 def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
     """Check a log against a configuration; nothing is written.
 

@@ -219,9 +219,7 @@ def read_posterior(path: Path) -> Posterior | None:
         raise InputError(
             f"{path}: expected the configuration of a calibration in its metadata, found {error}"
         ) from None
-    cameras = config.cameras if isinstance(config.cameras, dict) else {}
-    loaded = LoadedConfig(config, cameras, record["config"], record["config_sha256"], path, {})
-    parameters, reference = build_parameters(loaded)
+    parameters, reference = build_parameters(LoadedConfig(config, path, {}))
     columns = [table[name].to_numpy() for name in parameters.names]
     weights = table["weight"].to_numpy()
     with np.errstate(divide="ignore"):

@@ -75,7 +75,7 @@ def import_recording(
         output folder.
     """
     options = options or ImportOptions()
-    find(form)  # an unknown format is named before a missing source
+    find(form, readable=True)  # an unknown format is named before a missing source
     paths = [Path(source) for source in sources]
     for path in paths:
         if not path.exists():

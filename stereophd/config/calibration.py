@@ -146,6 +146,11 @@ class CalibrationConfig(Model):
         "held-out stretches of the log better",
         default="auto",
     )
+    model: Literal["as_stated", "lenses", "free"] = parameter(
+        "what is estimated although it is stated as known, where the data contradict it: nothing; lenses that are "
+        "stated as none; lenses, intrinsics, readouts and clocks",
+        default="lenses",
+    )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
     annealed: AnnealedSettings = parameter("settings of this method", default_factory=AnnealedSettings)
     sequential: SequentialSettings = parameter("settings of this method", default_factory=SequentialSettings)

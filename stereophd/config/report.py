@@ -91,9 +91,9 @@ class ReportConfig(Model):
     )
     max_position_std: PositiveLength | None = parameter(
         "leave out estimates whose position has a larger standard deviation (square root of the trace of its "
-        "covariance): while one camera alone sees an object, its depth is not known",
+        "covariance): while only one camera sees an object, its depth is not known",
         default=None,
-        advice="the largest error that you can use; it hides tracks that one camera alone sees.",
+        advice="the largest error that you can use; it hides tracks that only one camera sees.",
     )
     min_track_length: Duration = parameter(
         "leave out tracks whose first and last estimates are less than this apart, s",

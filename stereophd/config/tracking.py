@@ -39,7 +39,7 @@ class RegionConfig(Model):
         advice="the room or the arena, with a margin of the position noise.",
     )
     depth: tuple[Length, PositiveLength] | None = parameter(
-        "nearest and farthest depth before the camera that saw the object last",
+        "nearest and farthest depth in front of the camera that saw the object last",
         default=None,
         unit="length",
         advice="from the nearest to somewhat beyond the farthest object.",

@@ -99,7 +99,7 @@ def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], pat
             )
     if birth.per_frame is not None:
         rates = [camera.frame_rate_hz for camera in cameras if camera.frame_rate_hz is not None]
-        value = f"{birth.per_frame:g} times the frames a second of one camera"
+        value = f"{birth.per_frame:g} times the frames per second of one camera"
         if rates:
             value = f"{birth.per_frame * sum(rates) / len(rates):.3g} ({value})"
         LOGGER.warning(

@@ -53,7 +53,7 @@ def _log(found: Mapping[str, Any]) -> Iterator[str]:
             "frames",
             "empty",
             "detections",
-            "a frame",
+            "per frame",
             "most",
             "rate Hz",
             "gaps",

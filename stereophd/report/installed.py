@@ -21,5 +21,5 @@ def whether_to_draw(wanted: bool | None) -> bool:
         Plots are wanted, and matplotlib is not installed.
     """
     if wanted and not can_draw():
-        raise InputError("plots need matplotlib, which is not installed: pip install 'stereophd[plot]'")
+        raise InputError("plots need matplotlib, which is not installed: pip install matplotlib")
     return can_draw() if wanted is None else wanted

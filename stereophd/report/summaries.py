@@ -147,7 +147,7 @@ def _cameras(
             )
         )
     header = (
-        "camera", "frames", "detections", "a frame", "explained", "residual [px]", "mean u, v [px]", "noise [px]",
+        "camera", "frames", "detections", "per frame", "explained", "residual [px]", "mean u, v [px]", "noise [px]",
         "clock offset",
     )  # fmt: skip
     return SummaryTable("Cameras", header, tuple(rows))

@@ -30,7 +30,7 @@ class Detector:
     p_detect : float
         Probability that an object in view is detected.
     clutter_per_frame : float
-        Mean number of false detections a frame, uniform over the image.
+        Mean number of false detections per frame, uniform over the image.
     box_noise : (4,) array_like
         Standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height.
 

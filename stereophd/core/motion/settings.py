@@ -59,8 +59,8 @@ def speed_parameter() -> Any:
         "physical limit on speed; samples above it are scaled back to it",
         default=None,
         unit="length/s",
-        advice="above the fastest object; state it wherever it is known: it removes tracks that fly away while one "
-        "camera alone sees them.",
+        advice="above the fastest object; state it wherever it is known: it removes tracks that fly away while only "
+        "one camera sees them.",
     )
 
 

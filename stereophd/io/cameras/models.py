@@ -81,7 +81,7 @@ class DetectorConfig(Model):
         advice="the share of frames in which an object in view is detected.",
     )
     clutter_per_frame: ClutterRate = parameter(
-        "mean number of false detections a frame, uniform in the image",
+        "mean number of false detections per frame, uniform in the image",
         advice="false detections divided by frames; do not write 0 unless there are none.",
     )
     box_noise: tuple[PositiveFraction, PositiveFraction, PositiveFraction, PositiveFraction] | None = parameter(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stereophd.io.interchange.base import ExportOptions, Format, need_extra
+from stereophd.io.interchange.base import ExportOptions, Format, need_package
 from stereophd.io.interchange.tracks import length_unit, on_grid
 from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
 
@@ -21,7 +21,7 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
     try:
         import ezc3d
     except ImportError as error:
-        raise need_extra("ezc3d", "c3d", "the format c3d") from error
+        raise need_package("ezc3d", "the format c3d") from error
     rate, times, positions = on_grid(tracks, options)
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["RATE"]["value"] = [rate]

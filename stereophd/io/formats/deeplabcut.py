@@ -22,7 +22,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.documents import check_hdf5
-from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_extra
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.points import point_rows
 from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches
@@ -93,7 +93,7 @@ def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
     try:
         import h5py
     except ImportError as error:
-        raise need_extra("h5py", "pose", f"{path}: a file of DeepLabCut in HDF5") from error
+        raise need_package("h5py", f"{path}: a file of DeepLabCut in HDF5") from error
     try:
         with h5py.File(path, "r") as file:
             check_hdf5(file, path)

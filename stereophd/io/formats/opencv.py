@@ -71,7 +71,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
         _place_pair(cameras, pair, where, recording)
     stated = pair.get("unit") if options.length_unit is None else None
     recording.length_unit = str(stated) if stated else unit(options, recording, where)
-    recording.assumed.append("poses lead from the world to the camera: x_camera = R x_world + T")
+    recording.assumed.append("poses map the world to the camera: x_camera = R x_world + T")
     for name, values in cameras.items():
         native = options.name(name)
         recording.cameras[native] = _camera(native, {**_shared(pair), **values}, options, where, recording)

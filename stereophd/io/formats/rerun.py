@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.io.cameras.models import CameraConfig
-from stereophd.io.interchange.base import ExportOptions, Format, need_extra
+from stereophd.io.interchange.base import ExportOptions, Format, need_package
 from stereophd.io.interchange.tracks import metadata_of, trajectories
 
 TIMELINE = "time"
@@ -24,7 +24,7 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
     try:
         import rerun as rr
     except ImportError as error:
-        raise need_extra("rerun-sdk", "rerun", "the format rerun") from error
+        raise need_package("rerun-sdk", "the format rerun") from error
     found = trajectories(tracks, options)
     stream = rr.RecordingStream("stereophd")
     stream.save(str(target))

@@ -18,7 +18,7 @@ import numpy as np
 
 from stereophd.errors import InputError
 from stereophd.io.documents import check_hdf5
-from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_extra
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.points import point_rows
 
@@ -44,7 +44,7 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
     try:
         import h5py
     except ImportError as error:
-        raise need_extra("h5py", "pose", f"{sources[0]}: a file of SLEAP") from error
+        raise need_package("h5py", f"{sources[0]}: a file of SLEAP") from error
     for path in sources:
         stem = path.name.removesuffix(path.suffix).removesuffix(".analysis")
         camera = options.name(stem)

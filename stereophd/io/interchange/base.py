@@ -155,6 +155,6 @@ class Format:
     folder_files: tuple[str, ...] = ()  # What `write_cameras` writes into a folder; of other formats it writes a file
 
 
-def need_extra(package: str, extra: str, purpose: str) -> InputError:
+def need_package(package: str, purpose: str) -> InputError:
     """Return the error of a format whose optional package is not installed."""
-    return InputError(f"{purpose} needs the package {package}; install it with: pip install 'stereophd[{extra}]'")
+    return InputError(f"{purpose} needs the package {package}; install it with: pip install {package}")

@@ -59,7 +59,7 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
     InputError
         No such format, one for export only, or files that are not of it (also while the pieces are consumed).
     """
-    read = find(form).read
+    read = find(form, readable=True).read
     if read is None:
         raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
     for source in sources:

@@ -16,8 +16,14 @@ def names() -> list[str]:
     return list(module_names(PACKAGE))
 
 
-def find(name: str) -> Format:
+def find(name: str, readable: bool = False) -> Format:
     """Return a format by its name.
+
+    Parameters
+    ----------
+    name : str
+    readable : bool
+        Whether the formats that an error lists are those that can be read.
 
     Raises
     ------
@@ -26,6 +32,7 @@ def find(name: str) -> Format:
     """
     known = names()
     if name not in known:
+        known = [word for word in known if find(word).read is not None] if readable else known
         raise InputError(f"format: expected one of {', '.join(known)}, found {name}{_suggestion(name, known)}")
     form: Format = import_member(PACKAGE, name).FORMAT
     return form

@@ -90,7 +90,7 @@ class FoundCameras:
             return None
         size = problem.parameters.size
         nan = np.full((size, size), np.nan)
-        return Outcome(nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
+        return Outcome(problem.parameters, nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
         """Return an outcome with the doubts of the search, and what is known too badly to be called determined."""

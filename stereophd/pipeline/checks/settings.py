@@ -202,8 +202,8 @@ def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
     if spread > SLOWER * stated or (held and spread < stated / FASTER):
         yield Finding(
             "settings.velocity_std", "warning",
-            f"the objects move at about {spread:.3g} {unit}/s an axis, but filter.birth.velocity_std is {stated:g}: it "
-            "seems to be in another unit, or the times are",
+            f"the objects move at about {spread:.3g} {unit}/s per axis, but filter.birth.velocity_std is {stated:g}: "
+            "it seems to be in another unit, or the times are",
             stated, round(spread, 6), None, f"set filter.birth.velocity_std near {1.5 * spread:.2g}", "velocity_std",
         )  # fmt: skip
     limit = getattr(motion, "max_speed", None)

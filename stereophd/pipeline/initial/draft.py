@@ -244,7 +244,7 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
     near, far = figures.depths.tolist()
     middle = float(np.sqrt(near * far))
     seen = f"from {figures.objects} tracks at depths of {near:.3g} to {far:.3g} {unit}"
-    speed = f"from their speeds: {figures.speed_std:.2g} {unit}/s an axis, at most {figures.fastest:.2g} {unit}/s"
+    speed = f"from their speeds: {figures.speed_std:.2g} {unit}/s per axis, at most {figures.fastest:.2g} {unit}/s"
     births = max(figures.births, 1) / max(figures.duration_s, 1e-9)
     if figures.births:
         why = f"{figures.births} new tracks in {figures.duration_s:.3g} s"
@@ -255,7 +255,7 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
         "motion.max_speed": Choice(rounded(max(FASTER * figures.fastest, 0.02 * middle)), speed),
         "region.depth": Choice(
             [rounded(REGION_NEARER * near), rounded(REGION_FARTHER * far)],
-            f"where objects can be, {seen}; it bounds the depth while one camera alone sees an object",
+            f"where objects can be, {seen}; it bounds the depth while only one camera sees an object",
         ),
         "filter.birth.per_s": Choice(rounded(births), why),
         "filter.birth.depth_range": Choice([rounded(NEARER * near), rounded(FARTHER * far)], seen),

@@ -110,9 +110,9 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
         "filter.survival_per_s": Choice(
             FilterSettings.survival_per_s, "the default: exp(-1 / mean time in view, s)", measured=False
         ),
-        "filter.birth.per_s": guess(scale.births_per_s, "new objects a second in the view of a camera"),
+        "filter.birth.per_s": guess(scale.births_per_s, "new objects per second in the view of a camera"),
         "filter.birth.depth_range": guess(
-            [near, far], f"nearest and farthest depth at which objects appear before a camera, {unit}"
+            [near, far], f"nearest and farthest depth at which objects appear in front of a camera, {unit}"
         ),
         "filter.birth.velocity_std": guess(length(scale.velocity_std), f"typical speed divided by 1.7, {unit}/s"),
         "evaluation.cutoff": guess(

@@ -10,7 +10,7 @@ from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.runs.progress import Progress
 
-# A piece is tracked this long before its span, s: an object that one camera alone sees keeps the depth that it had
+# A piece is tracked this long before its span, s: an object that only one camera sees keeps the depth that it had
 # when two did, so that the time is that for which objects stay in one view.
 OVERLAP_S = 60.0
 

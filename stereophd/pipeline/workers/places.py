@@ -100,7 +100,7 @@ class DaskWorkers:
         try:
             from distributed import Client
         except ImportError:
-            raise InputError("`dask` needs Dask, which is not installed: pip install 'stereophd[dask]'") from None
+            raise InputError("`dask` needs Dask, which is not installed: pip install dask distributed") from None
         try:
             self._client = Client(address, timeout=CONNECT_S)
         except (OSError, ValueError, TimeoutError) as error:

@@ -35,7 +35,7 @@ def page(runs: Sequence[Run], title: str = "stereophd report") -> str:
         plotly is not installed.
     """
     if find_spec("plotly") is None:
-        raise InputError("the page needs plotly, which is not installed: pip install 'stereophd[report]'")
+        raise InputError("the page needs plotly, which is not installed: pip install plotly")
     from plotly.offline import get_plotlyjs
 
     data = {"runs": [run_data(run, len(runs)) for run in runs]}

@@ -1,6 +1,6 @@
-"""Stretches of trajectories that one camera alone sees and that have collapsed into it.
+"""Stretches of trajectories that only one camera sees and that have collapsed into it.
 
-The joint optimum of cameras and trajectories weighs the acceleration of objects in lengths. Where one camera alone sees
+The joint optimum of cameras and trajectories weighs the acceleration of objects in lengths. Where only one camera sees
 an object for long, the nearer the object is, the less it has to accelerate for the same motion in the image: the cost
 is least where the object stands in the camera. No other camera contradicts, and the image shows no depth. Such a
 stretch misleads about the cameras: their derivatives grow without bound as the depth goes to zero, and the search for
@@ -48,7 +48,7 @@ def collapsed(trajectories: Integers, times: Array, cameras: Integers, distances
     starts = np.flatnonzero(first)
     # of each stretch from each camera
     nearest = np.minimum.reduceat(distances[order], starts, axis=0)
-    # where two cameras see the object stretches are short: what one camera alone sees counts little
+    # where two cameras see the object stretches are short: what only one camera sees counts little
     near = np.zeros(len(starts), dtype=np.bool_)
     for rows in np.split(np.arange(len(starts)), np.flatnonzero(np.diff(owner[starts])) + 1):
         of_camera = camera[starts[rows]]

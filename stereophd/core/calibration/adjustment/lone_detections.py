@@ -1,6 +1,6 @@
 """Detections of a trajectory that stand alone in their camera: more likely false than right.
 
-Where one camera alone sees an object, its depth is known by its motion only. A false detection of another camera that
+Where only one camera sees an object, its depth is known by its motion only. A false detection of another camera that
 happens to lie on the epipolar line then fits a fitted trajectory, which bends towards it, and the cameras with it. An
 object in view would have been detected in the frames before and after as well. Where two other cameras see the object,
 they confirm the detection.

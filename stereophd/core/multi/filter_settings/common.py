@@ -44,7 +44,7 @@ class BirthPrior:
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
     per_s: BirthRate = parameter(
-        "expected number of objects a second that appear in the view of a camera, uniform over its image",
+        "expected number of objects per second that appear in the view of a camera, uniform over its image",
         unit="1/s",
         default=0.1,
         advice="new objects of a minute divided by 60. Larger: tracks start earlier, and more of them are false.",
@@ -60,8 +60,8 @@ class BirthPrior:
         default=None,
     )
     max_per_frame: Count = parameter(
-        "a frame with more detections than this beyond those of known objects is a burst of clutter: no object is born "
-        "from it, its surplus counts as clutter, and a warning states how many frames were affected",
+        "maximum number of detections of a frame that no known object explains; a frame with more is a burst of "
+        "clutter: it starts no tracks, and a warning reports how many frames were affected",
         default=20_000,
         advice="above the number of objects in view of one camera; it bounds the time of a frame.",
     )
@@ -146,8 +146,8 @@ class FilterSettings:
         advice="exp(-1 / mean time in view, in s): 0.95 for objects that stay for 20 s.",
     )
     out_of_view_s: TimeConstant = parameter(
-        "time constant with which the existence of an object fades while it is outside every view, so that no false "
-        "track lives on there; .inf: it does not fade",
+        "time constant with which the probability of existence decays while no camera can see the object; .inf: no "
+        "decay",
         unit="s",
         default=5.0,
         advice="as long as an object may be hidden from every camera and still be the same one.",

@@ -43,11 +43,11 @@ class PmbSettings(FilterSettings):
     )
     max_hypotheses: Count | None = parameter(
         "bound on the hypotheses of all tracks together: beyond it the likeliest are kept, what the others decided "
-        "remains undecided, and a warning states how many there were; null: sixteen for each detection of the event, "
+        "remains undecided, and a warning reports how many there were; null: sixteen for each detection of the event, "
         "at least 8192",
         default=None,
-        advice="it acts where hundreds of objects appear at once; larger settles them in fewer events, which take "
-        "longer.",
+        advice="it acts where hundreds of objects appear at once; a larger bound resolves the ambiguity in fewer "
+        "frames, but makes each of these frames slower.",
     )
     hypothesis_distance: Annotated[float, Interval(ge=0), NOT_NAN] = parameter(
         "squared Mahalanobis distance, in both covariances, below which two hypotheses of one track merge; "
