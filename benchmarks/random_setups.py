@@ -8,7 +8,7 @@ is a silent error where the status is `determined`, and the truth is far outside
 
     python benchmarks/random_setups.py --runs 50             one line of JSON a run, then a summary
     python benchmarks/random_setups.py --seed 7 --runs 1 --keep DIR     keep configuration, log and results of run 7
-    python benchmarks/random_setups.py --misstated           noise, detection and clutter are stated wrong
+    python benchmarks/random_setups.py --misstated           noise, detection, clutter, lenses and clocks stated wrong
 """
 
 from __future__ import annotations
@@ -149,10 +149,21 @@ def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], di
     if misstated:
         for camera in stated["cameras"].values():
             detector = camera["detector"]
-            detector["sigma_px"] = [detector["sigma_px"][0] * float(np.exp(rng.normal(0.0, 0.5)))] * 2
+            detector["sigma_px"] = [detector["sigma_px"][0] * float(np.exp(rng.normal(0.0, 1.0)))] * 2
             detector["p_detect"] = float(np.clip(detector["p_detect"] + rng.normal(0.0, 0.1), 0.4, 0.99))
             detector["clutter_per_frame"] *= float(np.exp(rng.normal(0.0, 0.7)))
         stated["motion"]["acceleration_std"] *= float(np.exp(rng.normal(0.0, 0.5)))
+        # lenses of a data sheet that says nothing of them, and a clock that was set by hand
+        lens, late = float(rng.uniform(-0.4, 0.1)), float(rng.uniform(-1.0, 1.0) / rate)
+        if rng.random() < 0.5:
+            for camera in cameras.values():
+                camera["distortion"]["k1"] = lens * (1.0 + float(rng.normal(0.0, 0.05)))
+            for camera in stated["cameras"].values():
+                del camera["distortion"]
+            for prior in stated["calibration"]["priors"].values():
+                prior.pop("distortion_std", None)
+        if not clocks and rng.random() < 0.3:
+            cameras[f"cam{count - 1}"]["clock"] = {"offset_s": late, "rate": 1.0}
     drawn = {
         "cameras": count, "layout": layout, "objects": objects, "frames": frames, "rate_hz": rate, "clocks": clocks,
         "lenses": lenses, "scale": known,
@@ -172,12 +183,15 @@ def one_run(seed: int, misstated: bool, folder: Path) -> dict[str, Any]:
     if misstated:
         for name, camera in guess["cameras"].items():
             camera["detector"] = stated["cameras"][name]["detector"]
+            camera["distortion"] = stated["cameras"][name].get("distortion", {"model": "none"})
+            if not row["clocks"]:
+                camera.pop("clock", None)
         (scene / "guess.yaml").write_text(yaml.safe_dump(guess))
     loaded = load_config(folder / "stated.yaml", (), seed, scene / "guess.yaml")
     since = time.process_time()
     report = calibrate(loaded, scene / "detections.parquet", out, jobs=1, plots=False, force=True)
     row |= {"status": report["status"], "reason": report["reason"], "seconds": round(time.process_time() - since, 1)}
-    row["warnings"] = len(report.get("warnings", []))
+    row["said"] = [f["name"] for f in report["checks"] if f["name"].startswith("calibration.")]
     if not (out / "cameras.yaml").exists():
         return row
     true = scene / "cameras.yaml"
@@ -223,7 +237,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0, help="run k has the seed SEED + k")
-    parser.add_argument("--misstated", action="store_true", help="state noise, detection, clutter, acceleration wrong")
+    parser.add_argument(
+        "--misstated",
+        action="store_true",
+        help="state noise, detection, clutter, acceleration wrong, lenses (k1 up to 0.4) and clocks not at all",
+    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the files of every run in DIR/SEED")
     parser.add_argument("--most-objects", type=int, default=20, help="leave out runs of more objects: they take long")
     options = parser.parse_args(arguments)

@@ -59,10 +59,17 @@ class OneOf:
         return {**schema, "discriminator": {"propertyName": self.key, "mapping": mapping}}
 
 
+# The unit of length where no length is known: the distance of two cameras.
+NO_LENGTH = "baseline"
+
+
 class Units(Model):
     """Units of all files of a run."""
 
-    length: Literal["mm", "cm", "m", "km"] = parameter("unit of length of positions and baselines", default="m")
+    length: Literal["mm", "cm", "m", "km", "baseline"] = parameter(
+        "unit of length of positions and baselines; baseline: that of two cameras, where calibrate knows no length",
+        default="m",
+    )
 
 
 class Range3(Model):

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
-from stereophd.cli.options import ConfigWords, Logs, Out, Session, Strict
+from stereophd.cli.options import ConfigWords, Session, Strict
+from stereophd.cli.options import option as shared_option
 from stereophd.cli.terminal import exit_if_strict, load, print_run, progress_bar
-from stereophd.cli.unused_options import report, report_jobs_beside_dask
-from stereophd.commands.options import TrackOptions
+from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
+from stereophd.commands.options import LiveOptions, TrackOptions
 from stereophd.errors import InputError
 
+Logs = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="LOG...",
+        help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'; - : frames from standard input, live.",
+        show_default=False,
+    ),
+]
+Out = Annotated[
+    Path | None, shared_option("--out", "DIR", "Output folder; created if missing. A live run may do without.")
+]
 Smooth = Annotated[bool, typer.Option("--smooth", help="Smooth every track over the whole log (report.smooth).")]
 Associations = Annotated[
     bool, typer.Option("--associations", help="Write which detection belongs to which track (report.associations).")
@@ -22,17 +35,29 @@ Associations = Annotated[
 def track_command(
     session: Session,
     words: ConfigWords,
-    log: Logs,
-    out: Out,
     options: TrackOptions,
+    live: LiveOptions,
+    log: Logs = None,
+    out: Out = None,
     smooth: Smooth = False,
     associations: Associations = False,
     strict: Strict = False,
 ) -> None:
     """Estimate 3-D tracks from detection logs: tracks.parquet, scans.parquet and report.json.
 
-    With several logs, each has a folder in DIR, and DIR/summary.parquet has a row for each.
+    With several logs, each has a folder in DIR, and DIR/summary.parquet has a row for each. With - as LOG, --follow or
+    --listen the recording is still running: a line of JSON for each event on standard output, the files at its end.
     """
+    if live.follow is not None or live.listen is not None or log == [Path("-")]:
+        from stereophd.cli.track_live import run_live
+
+        run_live(session, load(words), live, log or [], out, options.force)
+        return
+    if not log:
+        raise InputError("LOG: expected a detection log, found none (- reads frames from standard input)")
+    if out is None:
+        raise InputError("--out: expected a folder, found none")
+    refuse(session, ("record",), "with -, --follow or --listen, found a recording that has ended")
     if options.overlap_s is not None and options.pieces_s is None:
         raise InputError("--overlap: expected --pieces S too, found none")
     loaded = load(words)

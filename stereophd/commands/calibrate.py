@@ -24,10 +24,12 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.filters import pmb_filter
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, read_problem
+from stereophd.pipeline.calibration.found_cameras import with_found_cameras
+from stereophd.pipeline.calibration.inputs import read_problem
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
+from stereophd.pipeline.calibration.run import CalibrationRun
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
 from stereophd.pipeline.calibration.work import size_of_calibration
@@ -49,7 +51,6 @@ from stereophd.pipeline.tracking.run import (
 from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
-    from stereophd.config.calibration import CalibrationConfig
     from stereophd.config.loading import LoadedConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.pipeline.runs.progress import Progress
@@ -113,6 +114,7 @@ def calibrate(
     from joblib import effective_n_jobs
 
     jobs = effective_n_jobs(options.jobs)
+    loaded, unknown = with_found_cameras(loaded, log_path)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
     record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
@@ -131,17 +133,19 @@ def calibrate(
         held.enter_context(output_lock(out_dir))
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
-        outcome = _outcome(loaded, section, problem, unfinished, jobs, progress)
+        outcome = unknown.outcome_of_none(problem) if unknown is not None else None
+        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
+        outcome = outcome if unknown is None else unknown.judged(problem, outcome)
         report = build_report(section, problem, outcome, loaded.config.units.length)
-        _write_posterior(out, problem, outcome, to_metadata(record))
+        _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
-            cameras = problem.parameters.build(outcome.values)
+            cameras = outcome.parameters.build(outcome.values)
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )
             report["tracking"], further = _track(loaded, cameras, log_path, out, to_metadata(record))
             findings += report_findings(further)
-        report["checks"] = findings + _findings_of(report)
+        report["checks"] = findings + _findings_of(report, outcome)
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
@@ -149,41 +153,33 @@ def calibrate(
             from stereophd.report.calibration_plots import pictures_of, write_calibration_plots
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
-            write_calibration_plots(pictures_of(problem, outcome, loaded.config.units.length), paths)
+            write_calibration_plots(pictures_of(outcome, loaded.config.units.length), paths)
     return _accepted(report, options.require, log_path)
 
 
-def _findings_of(report: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the findings about the result: the data leave something open, or a known length was not used."""
+def _findings_of(report: dict[str, Any], outcome: Outcome) -> list[dict[str, Any]]:
+    """Return the findings about the result: the data leave something open, or say what was not stated."""
     found = []
     if report["status"] != DETERMINED:
         text = f"{report['status']}: {report['reason']}"
         # logged at the end, after the outputs
         found.append(Finding("calibration.status", "warning", text, cause=report["status"].replace(" ", "_")).as_dict())
-    if (warning := report.get("scale_warning")) is not None:
-        found += report_findings((Finding("calibration.scale", "warning", warning, cause="scale_not_used"),))
-    return found
+    remarks = [Finding(f"calibration.{remark.topic}", "warning", remark.text) for remark in outcome.remarks]
+    return found + report_findings(tuple(remarks))
 
 
-def _outcome(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    unfinished: UnfinishedRun,
-    jobs: int,
-    progress: Progress | None,
-) -> Outcome:
+def _outcome(run: CalibrationRun) -> Outcome:
     """Run the method of the configuration; where it is interrupted, keep what it has finished."""
-    method = annealed_outcome if section.method == "annealed" else sequential_outcome
+    method = annealed_outcome if run.section.method == "annealed" else sequential_outcome
     try:
-        with within_arithmetic(f"{loaded.path}: calibration"):
-            return method(loaded, section, problem, unfinished, jobs, progress)
+        with within_arithmetic(f"{run.loaded.path}: calibration"):
+            return method(run)
     except InputError:
         raise
     except BaseException:
         # of any class: compiled code may turn the exception of a signal into one of its own
-        if unfinished.save() or unfinished.exists:
-            LOGGER.warning("stopped: continue with `resume=True` from %s", unfinished.folder)
+        if run.unfinished.save() or run.unfinished.exists:
+            LOGGER.warning("stopped: continue with `resume=True` from %s", run.unfinished.folder)
         raise
 
 
@@ -196,13 +192,11 @@ def _accepted(report: dict[str, Any], require: str | None, log_path: Path | str)
     return report
 
 
-def _write_posterior(
-    out: OutputFolder, problem: CalibrationProblem, outcome: Outcome, metadata: dict[bytes, bytes]
-) -> None:
+def _write_posterior(out: OutputFolder, outcome: Outcome, metadata: dict[bytes, bytes]) -> None:
     """Write particles and history; nothing where nothing was found."""
     if outcome.reason:
         return
-    names = problem.parameters.names
+    names = outcome.parameters.names
     with TableWriter(out.path(POSTERIOR_FILE), posterior_schema(names), metadata) as table:
         weights = np.exp(outcome.log_weights - outcome.log_weights.max())
         columns: dict[str, NDArray[np.float64]] = {"weight": weights / weights.sum()}

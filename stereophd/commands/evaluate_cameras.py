@@ -29,6 +29,7 @@ from stereophd.options import takes
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, raise_if_failed
+from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -120,7 +121,8 @@ def _read_pair(cameras_path: Path | str, true_path: Path | str) -> tuple[list[Ca
             f"{cameras_path}: expected two or more cameras, those of {true_path} ({', '.join(true.cameras)}), "
             f"found {', '.join(estimated.cameras)}"
         )
-    if estimated.units.length != true.units.length:
+    # cameras without a known length are compared all the same: their scale is an error of its own
+    if estimated.units.length not in (true.units.length, NO_LENGTH):
         raise InputError(
             f"{cameras_path}: units.length: expected {true.units.length} as in {true_path}, "
             f"found {estimated.units.length}"
@@ -217,9 +219,7 @@ def read_posterior(path: Path) -> Posterior | None:
         raise InputError(
             f"{path}: expected the configuration of a calibration in its metadata, found {error}"
         ) from None
-    cameras = config.cameras if isinstance(config.cameras, dict) else {}
-    loaded = LoadedConfig(config, cameras, record["config"], record["config_sha256"], path, {})
-    parameters, reference = build_parameters(loaded)
+    parameters, reference = build_parameters(LoadedConfig(config, path, {}))
     columns = [table[name].to_numpy() for name in parameters.names]
     weights = table["weight"].to_numpy()
     with np.errstate(divide="ignore"):

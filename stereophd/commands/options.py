@@ -68,6 +68,28 @@ class TrackOptions(Replacing):
 
 
 @options
+class LiveOptions:
+    """Where the frames of a recording that is still running come from, and where they are kept."""
+
+    follow: Path | None = option(
+        "Track a recording that is still running: a growing file of JSON lines or Arrow IPC, or a folder of Parquet "
+        "parts.",
+        default=None,
+        metavar="LOG",
+    )
+    listen: str | None = option(
+        "Track frames that arrive at a ZeroMQ address, such as tcp://127.0.0.1:5555 (needs the extra 'live').",
+        default=None,
+        metavar="ADDRESS",
+    )
+    record: Path | None = option(
+        "Keep the frames of a running recording as JSON lines while they arrive.",
+        default=None,
+        metavar="FILE",
+    )
+
+
+@options
 class CalibrateOptions(Replacing):
     """Options of `calibrate`, for one log and for several."""
 

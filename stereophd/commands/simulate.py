@@ -6,7 +6,8 @@ therefore does not depend on the number of runs or workers; a single run is run 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.logs.writing import LogWriter
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.io.streams.messages import Message
 from stereophd.io.tables.schemas import TRUTH
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
@@ -98,6 +100,25 @@ def simulate(
         "cameras": list(loaded.cameras),
         **{key: sum(count[key] for count in counts) for key in counts[0]},
     }
+
+
+def play_frames(loaded: LoadedConfig) -> Iterator[str]:
+    """Yield the frames of run 0 as messages (`stereophd.io.streams.messages`), each at its time in the scene.
+
+    Raises
+    ------
+    InputError
+        As `simulate`.
+    """
+    check_simulation(loaded)
+    scene = build_scene(loaded.config, loaded.build_cameras(), RUN_OBJECTS.seed(loaded.config.seed, 0))
+    began_s: float | None = None
+    for frame in simulate_frames(scene, RUN_FRAMES.seed(loaded.config.seed, 0)):
+        camera = scene.cameras[frame.camera]
+        true_s = camera.clock.to_true(frame.log_time_s)
+        began_s = time.monotonic() - true_s if began_s is None else began_s
+        time.sleep(max(began_s + true_s - time.monotonic(), 0.0))
+        yield Message(camera.name, frame.frame, frame.log_time_s, frame.pixels).to_line()
 
 
 def check_simulation(loaded: LoadedConfig) -> SimulateConfig:

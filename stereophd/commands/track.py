@@ -42,11 +42,9 @@ from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
-    Tracking,
+    TrackingRun,
     build_tracking,
-    open_journal,
     with_detectors,
-    with_estimated_detectors,
     write_tracks,
 )
 from stereophd.pipeline.tracking.single import SingleTracker
@@ -58,7 +56,8 @@ if TYPE_CHECKING:
 
 CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
-FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS)
+# The last is of a live run, which tracks its recording at the end.
+FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS, "detections.parquet")
 REPORT_VERSION = 1
 
 LOGGER = logging.getLogger("stereophd")
@@ -119,12 +118,12 @@ def track(
             unfinished.held(options.resume, options.force),
             OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists) as out,
         ):
-            tracking = with_estimated_detectors(tracking, loaded, stream, options.threads)
+            tracking = tracking.with_estimated_detectors(stream)
             stream = stream.with_cameras(tracking.cameras)
             plots = options.plots and whether_to_draw(options.plots)
-            run = _Run(loaded, tracking, stream, record, unfinished, motion, plots)
+            run = _Outputs(tracking, stream, record, unfinished, motion, plots)
             if options.pieces_s is None:
-                journal = open_journal(unfinished, tracking)
+                journal = tracking.open_journal(unfinished)
                 report = run.write(tracking.records(stream, journal), findings, out, journal=journal)
             else:
                 joined = run.in_pieces(options, progress)
@@ -133,11 +132,10 @@ def track(
 
 
 @dataclass(frozen=True)
-class _Run:
-    """One run: what tracks, what is read, and where an unfinished run is kept."""
+class _Outputs:
+    """What makes the outputs of a run: what tracks, what is read, and where an unfinished run is kept."""
 
-    loaded: LoadedConfig
-    tracking: Tracking
+    tracking: TrackingRun
     stream: EventStream
     record: dict[str, Any]
     unfinished: UnfinishedRun
@@ -151,8 +149,8 @@ class _Run:
         assert overlap_s is not None
         log = Path(os.path.abspath(self.stream.source))
         unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)
-        work = PieceWork(self.loaded, self.tracking.cameras, log, unfinished, options.threads)
-        ahead = self.loaded.config.report.smooth is not None
+        work = PieceWork(self.tracking.loaded, self.tracking.cameras, log, unfinished, options.threads)
+        ahead = self.tracking.report.smooth is not None
         pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
         track_pieces(work, pieces, options.jobs, options.dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
@@ -161,7 +159,7 @@ class _Run:
 
     def lasting(self, records: Iterator[Record]) -> Iterator[Record]:
         """Leave out tracks shorter than ``report.min_track_length``."""
-        least = self.loaded.config.report.min_track_length
+        least = self.tracking.report.min_track_length
         return lasting(records, least) if least > 0.0 else records
 
     def write(
@@ -169,7 +167,7 @@ class _Run:
         joined: JoinedPieces | None = None, journal: Journal | None = None,
     ) -> dict[str, Any]:  # fmt: skip
         """Write all files of the output folder; return the report."""
-        loaded, tracking = self.loaded, self.tracking
+        tracking, loaded = self.tracking, self.tracking.loaded
         if tracking.detectors is not None:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)

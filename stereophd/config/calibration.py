@@ -129,8 +129,9 @@ class CalibrationConfig(Model):
         "posterior of method annealed: a Gaussian at the optimum, or particles", default="laplace"
     )
     reference: str = parameter("the camera whose pose is known and fixes the frame")
-    priors: Annotated[dict[str, CameraPrior], Len(1)] = parameter(
-        "priors of the unknown cameras by name; a camera without a prior is known"
+    priors: dict[str, CameraPrior] = parameter(
+        "priors of the unknown cameras by name; a camera without a prior is known, or found where its pose is unknown",
+        default_factory=dict,
     )
     shared: list[list[str]] = parameter(
         "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list
@@ -144,6 +145,11 @@ class CalibrationConfig(Model):
         "which unknowns are estimated besides poses and clocks: all; auto: fewer of them if a smaller set predicts "
         "held-out stretches of the log better",
         default="auto",
+    )
+    model: Literal["as_stated", "lenses", "free"] = parameter(
+        "what is estimated although it is stated as known, where the data contradict it: nothing; lenses that are "
+        "stated as none; lenses, intrinsics, readouts and clocks",
+        default="lenses",
     )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
     annealed: AnnealedSettings = parameter("settings of this method", default_factory=AnnealedSettings)

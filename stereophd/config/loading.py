@@ -8,7 +8,7 @@ import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, wraps
+from functools import cached_property, lru_cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
@@ -40,33 +40,29 @@ LOGGER = logging.getLogger("stereophd")
 
 @dataclass(frozen=True)
 class LoadedConfig:
-    """A configuration that is complete and valid.
+    """A configuration that is complete and valid."""
 
-    Attributes
-    ----------
-    config
-        The models; ``config.cameras`` is inline (or None where the configuration names none).
-    cameras
-        Name -> camera, in the order that decides ties; empty where the configuration names none.
-    resolved
-        All values including defaults, cameras inline, as JSON-able data; loading it gives the same.
-    sha256
-        Hash of the canonical JSON of `resolved`.
-    path
-        The configuration file.
-    inputs
-        Role (``config``, ``cameras``) -> SHA-256 of the files that were read.
-    tree
-        The values of the file and the overrides, cameras inline, without defaults.
-    """
-
-    config: Config
-    cameras: dict[str, CameraConfig]
-    resolved: dict[str, Any]
-    sha256: str
-    path: Path
-    inputs: dict[str, str]
+    config: Config  # The models; ``config.cameras`` is inline (or None where the configuration names none)
+    path: Path  # The configuration file
+    inputs: dict[str, str]  # Role (``config``, ``cameras``) -> SHA-256 of the files that were read
+    # The values of the file and the overrides with their places, without defaults: what `variant` changes.
     tree: Tree = field(default_factory=lambda: Tree({}), repr=False, compare=False)
+
+    @property
+    def cameras(self) -> dict[str, CameraConfig]:
+        """Name -> camera, in the order that decides ties; empty where the configuration names none."""
+        return self.config.cameras if isinstance(self.config.cameras, dict) else {}
+
+    @cached_property
+    def resolved(self) -> dict[str, Any]:
+        """All values including defaults, cameras inline, as JSON-able data; loading it gives the same."""
+        values: dict[str, Any] = infinity_as_text(self.config.model_dump(mode="json"))
+        return values
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the canonical JSON of `resolved`."""
+        return sha256_of(self.resolved)
 
     @property
     def record(self) -> ConfigRecord:
@@ -83,6 +79,13 @@ class LoadedConfig:
         """
         if not self.cameras:
             raise InputError(f"{self.path}: cameras: expected cameras (here or by `cameras_path`), found none")
+        for name, camera in self.cameras.items():
+            if camera.must_be_found:
+                key = "pose" if camera.pose.unknown else "clock.offset_s"
+                raise InputError(
+                    f"{self.path}: cameras.{name}.{key}: expected a known one, found unknown; `calibrate` finds it, "
+                    "and writes a cameras.yaml for `track`"
+                )
         return tuple(camera.build(name) for name, camera in self.cameras.items())
 
 
@@ -147,7 +150,7 @@ def load_config(
     _check_camera_of_reports(config, tree)
     if unit is not None and unit != config.units.length:
         raise InputError(f"{cameras_file}: units.length: expected {config.units.length} as in {source}, found {unit}")
-    return _loaded(config, source, inputs, tree)
+    return LoadedConfig(config, source, inputs, tree)
 
 
 def takes_config(
@@ -213,7 +216,7 @@ def make_config(values: Mapping[str, Any], name: str = "configuration") -> Loade
     _inline_trajectories(tree, Path())
     config = _validate(Config, tree)
     _check_camera_of_reports(config, tree)
-    return _loaded(config, Path(name), inputs, tree)
+    return LoadedConfig(config, Path(name), inputs, tree)
 
 
 def _as_data(value: Any) -> Any:
@@ -246,13 +249,7 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
             change = Tree(copy.deepcopy(value), {(): Place(f"{loaded.path}: {where}")})
             apply_override(tree, key_path(key), change)
     _inline_trajectories(tree, loaded.path.parent)
-    return _loaded(_validate(Config, tree), loaded.path, loaded.inputs, tree)
-
-
-def _loaded(config: Config, path: Path, inputs: dict[str, str], tree: Tree) -> LoadedConfig:
-    resolved = infinity_as_text(config.model_dump(mode="json"))
-    cameras = config.cameras if isinstance(config.cameras, dict) else {}
-    return LoadedConfig(config, cameras, resolved, sha256_of(resolved), path, inputs, tree)
+    return LoadedConfig(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 
 
 def load_cameras(path: Path | str) -> CamerasFile:

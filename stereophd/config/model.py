@@ -14,6 +14,7 @@ from pydantic import Field
 
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.experiment import ExperimentConfig
+from stereophd.config.live import LiveConfig
 from stereophd.config.motion import Motion
 from stereophd.config.report import EvaluationConfig, InputConfig, ReportConfig
 from stereophd.config.simulate import SimulateConfig
@@ -48,6 +49,9 @@ class Config(Model):
     filter: Filter | None = Field(None, description="the filter (track)")
     input: InputConfig = Field(default_factory=InputConfig, description="how a log is read (track)")
     report: ReportConfig = Field(default_factory=ReportConfig, description="which estimates are written (track)")
+    live: LiveConfig = Field(
+        default_factory=LiveConfig, description="how a recording that is still running is tracked (track)"
+    )
     evaluation: EvaluationConfig = Field(
         default_factory=EvaluationConfig, description="how tracks are scored (evaluate)"
     )

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
-from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS, marker_of
 
@@ -61,9 +60,9 @@ class CalibrationPictures:
         return f"{self.names[index]} [{unit}]"
 
 
-def pictures_of(problem: CalibrationProblem, outcome: Outcome, length_unit: str) -> CalibrationPictures:
+def pictures_of(outcome: Outcome, length_unit: str) -> CalibrationPictures:
     """Return what is drawn of a calibration."""
-    parameters, history, fit = problem.parameters, outcome.history, outcome.fit
+    parameters, history, fit = outcome.parameters, outcome.history, outcome.fit
     shape = (-1, parameters.size)
     return CalibrationPictures(
         names=parameters.names,

@@ -33,8 +33,8 @@ ACTING = {
     "import": {"--cameras"},
     "init": {"--log", "--cameras", "--length-unit", "--kind"},
     "report": {"--log", "--truth", "--title"},
-    "simulate": {"--cameras"},
-    "track": {"--cameras", "--smooth", "--associations", "--strict"},
+    "simulate": {"--cameras", "--realtime"},
+    "track": {"--cameras", "--smooth", "--associations", "--strict", "--listen"},
 }
 for _name, _kind in OPTIONS.items():
     _declared = {declared.flag_of(name) for name, declared in declarations(_kind).items() if not declared.use}
@@ -48,6 +48,8 @@ REFUSED = [
     (["calibrate", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs"),
     (["track", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs, or --pieces S"),
     (["track", "CONFIG", "b", "--out", "c"], ["--overlap", "3"], "--overlap: expected --pieces S too"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--record", "d"], "--record: expected only with -, --follow or"),
+    (["track", "CONFIG", "b"], ["--follow", "d"], "expected one of -, --follow and --listen"),
     (["simulate", "CONFIG", "--out", "c"], ["--jobs", "2"], "--jobs: expected only with --runs N, found one run"),
     (["init", "c"], ["--strict"], "--strict: expected only with --log FILE"),
     (["evaluate", "a", "b"], ["--dask", "d"], "--dask: expected only for folders of runs"),
@@ -216,6 +218,21 @@ def test_no_option_is_said_to_act_and_refused() -> None:
     acting = {(name, option) for name, options in ACTING.items() for option in options}
     assert not acting & (refused | reported)
     assert not refused & reported
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["track", "CONFIG", "-", "--pieces", "9"], "--pieces"),
+        (["simulate", "CONFIG", "--realtime", "--runs", "2"], "--runs"),
+    ],
+)
+def test_what_is_for_recordings_that_have_ended_is_refused(
+    words: list[str], option: str, call: Call, config: Path
+) -> None:
+    result = call(*(str(config) if word == "CONFIG" else word for word in words))
+    assert result.code == 2
+    assert result.err.startswith(f"error: {option}: expected only")
 
 
 def test_every_option_is_in_a_table() -> None:

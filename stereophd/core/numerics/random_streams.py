@@ -66,6 +66,7 @@ SEQUENTIAL_PARTICLES = Purpose((FIRST_KEY + 2,), ("calibrate",), "particles of m
 TEMPERED_PARTICLES = Purpose((FIRST_KEY + 3,), ("calibrate",), "particles of posterior smc")
 POSTERIOR_DRAWS = Purpose((FIRST_KEY + 4,), ("calibrate",), "draws from the posterior of method annealed")
 CALIBRATION_PAIRING = Purpose((FIRST_KEY + 5,), ("calibrate",), "pairing of tracks, one child a start")
+CAMERA_DISCOVERY = Purpose((FIRST_KEY + 9,), ("calibrate",), "choice of hypotheses where nothing is known of cameras")
 SINGLE_ESTIMATOR = Purpose((FIRST_KEY + 6,), ("track",), "particles and samples of a single-object estimator")
 BOUND_TRAJECTORIES = Purpose(
     (FIRST_KEY + 7,), ("experiment", "experiment of one object"), "trajectories over which a bound is averaged"
@@ -77,7 +78,9 @@ MOVE_REFERENCE = Purpose(
 # Streams of a fixed seed. Any number would do; another one changes results a little.
 SCRAMBLE_SEED = 5  # scramble of the low-discrepancy points of the estimators of one object
 SHARED_ERRORS_SEED = 0  # errors that `calibrate` draws to find how much of them a fit absorbs
+NOISE_SEED = 0  # errors that `calibrate` draws to find the redundancy of each camera's detections
 COMPILED_SAMPLES_SEED = 0  # samples of the small filters that are built to compile the kernels; no result uses them
+WARM_UP_SEED = 0  # detections that make the kernels ready before the first frame of a live run; no result uses them
 
 
 def run_number(seed: int, run: int) -> int:

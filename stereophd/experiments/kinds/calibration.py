@@ -20,6 +20,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.adjustment.recording import Recording
+from stereophd.core.calibration.annealing.method import HistoryRow
 from stereophd.core.calibration.unknowns.observability import UNDETERMINED, observability, pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import RADIANS
@@ -33,8 +34,8 @@ from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, build_scale
 from stereophd.pipeline.calibration.methods import annealed_outcome
-from stereophd.pipeline.calibration.outcome import HistoryRow
 from stereophd.pipeline.calibration.report import status_of
+from stereophd.pipeline.calibration.run import CalibrationRun
 from stereophd.pipeline.calibration.samplers import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
 from stereophd.pipeline.calibration.work import size_of_calibration
@@ -73,7 +74,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     problem = CalibrationProblem(parameters, reference, recording, build_scale(guessed, parameters), {})
     method = annealed_outcome if section.method == "annealed" else sequential_outcome
     with tempfile.TemporaryDirectory() as folder, method_clock():
-        outcome = method(guessed, section, problem, UnfinishedRun(Path(folder), ""), 1, None)
+        outcome = method(CalibrationRun(guessed, problem, UnfinishedRun(Path(folder), "")))
     found = Series("found", "1", np.array([float(status_of(problem, outcome)[0] != UNDETERMINED)]))
     limits = _scene_bounds(loaded, number)
     return [found, *_errors(loaded, parameters, reference, true, outcome.history, limits)]
@@ -114,7 +115,7 @@ def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, Pa
     scene = build_scene(config, true_cameras, RUN_OBJECTS.seed(config.seed, number))
     guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, number))
     own = RUN_METHOD.seed(config.seed, number).generate_state(1)
-    guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0])}), cameras=guess)
+    guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0]), "cameras": guess}))
     parameters, reference = build_parameters(guessed)
     return scene, guessed, parameters, reference, parameters.difference(true_cameras)
 

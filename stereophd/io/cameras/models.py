@@ -23,7 +23,7 @@ from stereophd.core.settings import (
     Time,
     parameter,
 )
-from stereophd.io.cameras.poses import PoseConfig
+from stereophd.io.cameras.poses import PoseConfig, parse_pose
 from stereophd.validated import Model, OneOf, Units
 
 ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
@@ -41,6 +41,7 @@ class IntrinsicsConfig(Model):
     fy: PositivePixels = parameter("focal length along v", unit="px")
     cx: Pixel = parameter("principal point along u, from the centre of the top-left pixel", unit="px")
     cy: Pixel = parameter("principal point along v, from the centre of the top-left pixel", unit="px")
+    unknown: bool = parameter("the focal length is a guess (focal: unknown)", default=False)
 
 
 class UnknownFocalConfig(Model):
@@ -63,6 +64,7 @@ def _parse_intrinsics(value: Any, info: ValidationInfo) -> Any:
         "fy": float(width),
         "cx": 0.5 * (width - 1.0) if given.cx is None else given.cx,
         "cy": 0.5 * (height - 1.0) if given.cy is None else given.cy,
+        "unknown": True,
     }
 
 
@@ -122,6 +124,21 @@ class ClockConfig(Model):
 
     offset_s: Time = parameter("true time at time 0 of the log", default=0.0, unit="s")
     rate: ClockRate = parameter("true seconds in a second of the log", default=1.0)
+    unknown: bool = parameter("the offset is unknown (offset_s: unknown)", default=False)
+
+
+class UnknownClockConfig(Model):
+    """A clock of which nothing is known: calibrate finds its offset from the tracks alone."""
+
+    offset_s: Literal["unknown"] = parameter("true time at time 0 of the log")
+    rate: ClockRate = parameter("true seconds in a second of the log, about which calibrate looks", default=1.0)
+
+
+def _parse_clock(value: Any) -> Any:
+    """Turn an unknown offset into a clock to start from."""
+    if not isinstance(value, dict) or not isinstance(value.get("offset_s"), str):
+        return value
+    return {"offset_s": 0.0, "rate": UnknownClockConfig.model_validate(value).rate, "unknown": True}
 
 
 class CameraConfig(Model):
@@ -132,7 +149,9 @@ class CameraConfig(Model):
         IntrinsicsConfig,
         BeforeValidator(_parse_intrinsics, json_schema_input_type=IntrinsicsConfig | UnknownFocalConfig),
     ] = parameter("pinhole intrinsics; focal: unknown starts at the width of the image (calibrate)", unit="px")
-    pose: PoseConfig = parameter("where the camera stands and looks")
+    pose: Annotated[PoseConfig, BeforeValidator(parse_pose, json_schema_input_type=PoseConfig | Literal["unknown"])] = (
+        parameter("where the camera stands and looks, or unknown: calibrate finds it from the tracks alone")
+    )
     detector: Annotated[
         DetectorConfig,
         BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
@@ -148,7 +167,9 @@ class CameraConfig(Model):
         advice="needed by simulate only; logs carry their times.",
     )
     phase_s: Time = parameter("time of the first frame after the start (simulate)", default=0.0, unit="s")
-    clock: ClockConfig = parameter("how the times of the log become true times", default_factory=ClockConfig)
+    clock: Annotated[
+        ClockConfig, BeforeValidator(_parse_clock, json_schema_input_type=ClockConfig | UnknownClockConfig)
+    ] = parameter("how the times of the log become true times", default_factory=ClockConfig)
     readout_s: Readout = parameter(
         "rolling shutter: a detection in row v was made readout_s * v / height after the time of its frame, s; "
         "negative: read from the bottom up",
@@ -156,8 +177,13 @@ class CameraConfig(Model):
         advice="0 for a global shutter; for a rolling shutter at most the time between two frames.",
     )
 
+    @property
+    def must_be_found(self) -> bool:
+        """Whether its pose or its clock is unknown, so that nothing but `calibrate` can use it."""
+        return self.pose.unknown or self.clock.unknown
+
     def build(self, name: str) -> Camera:
-        """Return the geometric `Camera` of this name."""
+        """Return the geometric `Camera` of this name; an unknown pose is the origin, and an unknown offset 0."""
         values = asdict(self.distortion)
         model = values.pop("model")
         return Camera(

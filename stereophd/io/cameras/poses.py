@@ -99,9 +99,16 @@ class PoseConfig(Model):
         default=None,
     )
     mount: MountConfig | None = parameter("how that body carries the camera; default: they are one", default=None)
+    unknown: bool = parameter(
+        "nothing is known of the pose (pose: unknown): calibrate finds it from the tracks alone", default=False
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> PoseConfig:
+        if self.unknown:
+            if self.model_dump(exclude_defaults=True).keys() != {"unknown"}:
+                raise ValueError("expected nothing besides unknown, found more")
+            return self
         if self.rotation_matrix is not None and self.rotation_vector_deg is not None:
             raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both")
         if self.trajectory is None:
@@ -117,7 +124,9 @@ class PoseConfig(Model):
         return self
 
     def build(self) -> Pose:
-        """Return the `Pose`; without a rotation the camera looks along the world's z axis."""
+        """Return the `Pose`; without a rotation the camera looks along the world's z axis. Unknown: the origin."""
+        if self.unknown:
+            return Pose(np.eye(3), np.zeros(3))
         if self.trajectory is not None:
             mount = self.mount or MountConfig()
             file = self.trajectory
@@ -132,3 +141,19 @@ class PoseConfig(Model):
             rotation_rate=np.deg2rad(self.rotation_rate_deg_s),
             time_s=self.time_s,
         )
+
+
+def parse_pose(value: Any) -> Any:
+    """Turn the short form ``unknown`` into a pose of which nothing is known."""
+    if isinstance(value, str):
+        if value != "unknown":
+            raise ValueError(f"expected unknown or center and a rotation, found {value}")
+        return {"unknown": True}
+    return _tuples(value)
+
+
+def _tuples(value: Any) -> Any:
+    """Return a value with tuples in place of lists, which pydantic does not take for them behind our own validators."""
+    if isinstance(value, dict):
+        return {key: _tuples(part) for key, part in value.items()}
+    return tuple(_tuples(part) for part in value) if isinstance(value, list) else value

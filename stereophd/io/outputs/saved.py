@@ -178,6 +178,7 @@ class GrowingFile:
             path.unlink(missing_ok=True)
             self._stream = open(path, "xb")  # noqa: SIM115 (closed by close)
             self._stream.write(_head(identity))
+            self._stream.flush()  # known as ours from here on
         else:
             if path.stat().st_nlink > 1:  # somebody's copy stays whole
                 with atomic_write(path) as temporary:

@@ -10,6 +10,7 @@ import numpy as np
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.core.calibration.unknowns.observability import (
     DETERMINED,
+    HARMLESS_MOVE,
     PARTLY,
     UNDETERMINED,
     UNDETERMINED_RATIO,
@@ -21,6 +22,7 @@ from stereophd.core.calibration.unknowns.observability import (
 from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.inputs import CalibrationProblem
 from stereophd.pipeline.calibration.outcome import Outcome
+from stereophd.wording import percent
 
 # Parameters that make up this part of a direction (in units of prior standard deviations) are named.
 NAMED_PART = 0.3
@@ -30,14 +32,20 @@ def status_of(problem: CalibrationProblem, outcome: Outcome) -> tuple[str, str, 
     """Status, what is wrong if anything, and the observability if there is a posterior."""
     if outcome.reason:
         return UNDETERMINED, outcome.reason, None
-    found = observability(problem.parameters, problem.reference, outcome.values, outcome.covariance)
+    moves = None if outcome.moves is None else outcome.moves.relative_move
+    found = observability(outcome.parameters, problem.reference, outcome.values, outcome.covariance, moves)
     if outcome.doubt:
         return UNDETERMINED, outcome.doubt, found
-    if found.status == DETERMINED:
+    reservations = [remark.text for remark in outcome.remarks if remark.is_reservation]
+    if found.status == DETERMINED and not reservations:
         return DETERMINED, "", found
+    if found.status == DETERMINED:
+        return PARTLY, "; ".join(reservations), found
     count = int((found.ratios > UNDETERMINED_RATIO).sum())
-    why = f"the data leave {count} of {problem.parameters.size} directions of the parameters as the prior has them"
-    return (PARTLY if found.status == PARTLY else UNDETERMINED), why, found
+    why = f"the data leave {count} of {outcome.parameters.size} directions of the parameters as the prior has them"
+    if (largest := float(found.open_moves.max(initial=0.0))) > HARMLESS_MOVE:
+        why += f", and one of them moves tracks by {percent(largest)} of their distance"
+    return (PARTLY if found.status == PARTLY else UNDETERMINED), "; ".join([why, *reservations]), found
 
 
 def build_report(
@@ -58,8 +66,8 @@ def build_report(
         report["scale"] = _scale(section, found, "scale_warning" not in outcome.details)
         if status != UNDETERMINED:
             report["cameras"] = _cameras(problem, outcome)
-        report["parameters"] = _parameters(problem, outcome, found, status, length_unit)
-        report["observability"] = _observability(problem, found)
+        report["parameters"] = _parameters(outcome, found, status, length_unit)
+        report["observability"] = _observability(outcome, found)
     return {**report, **outcome.details}
 
 
@@ -79,8 +87,8 @@ def _scale(section: CalibrationConfig, found: Observability, used: bool) -> dict
 def _cameras(problem: CalibrationProblem, outcome: Outcome) -> dict[str, Any]:
     """Standard deviations of rotation, direction of translation, scale and centre of every unknown camera."""
     out = {}
-    for name in posed_cameras(problem.parameters):
-        spread = pose_spread(problem.parameters, problem.reference, outcome.values, outcome.covariance, name)
+    for name in posed_cameras(outcome.parameters):
+        spread = pose_spread(outcome.parameters, problem.reference, outcome.values, outcome.covariance, name)
         out[name] = {
             "rotation_std_deg": math.degrees(spread.rotation),
             "direction_std_deg": finite_or_none(math.degrees(spread.direction)),
@@ -90,12 +98,10 @@ def _cameras(problem: CalibrationProblem, outcome: Outcome) -> dict[str, Any]:
     return out
 
 
-def _parameters(
-    problem: CalibrationProblem, outcome: Outcome, found: Observability, status: str, length_unit: str
-) -> list[dict[str, Any]]:
+def _parameters(outcome: Outcome, found: Observability, status: str, length_unit: str) -> list[dict[str, Any]]:
     rows = []
     for index, (name, parameter) in enumerate(
-        zip(problem.parameters.names, problem.parameters.parameters, strict=True)
+        zip(outcome.parameters.names, outcome.parameters.parameters, strict=True)
     ):
         rows.append(
             {
@@ -111,8 +117,8 @@ def _parameters(
     return rows
 
 
-def _observability(problem: CalibrationProblem, found: Observability) -> dict[str, Any]:
-    names = problem.parameters.names
+def _observability(outcome: Outcome, found: Observability) -> dict[str, Any]:
+    names = outcome.parameters.names
     directions = []
     for ratio, direction in zip(found.ratios.tolist(), found.directions, strict=True):
         order = np.argsort(-np.abs(direction), kind="stable")

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from stereophd.config.calibration import CalibrationConfig
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.annealing.fits import fit_from
+from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
 from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagreement, explained
-from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
 from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
@@ -26,44 +25,27 @@ from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.filters import phd_filter, pmb_filter
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, annealed_task
-from stereophd.pipeline.calibration.outcome import HistoryRow, Outcome
-from stereophd.pipeline.runs.progress import Progress
-from stereophd.pipeline.runs.unfinished import UnfinishedRun
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
+from stereophd.pipeline.calibration.inputs import annealed_task
+from stereophd.pipeline.calibration.outcome import Outcome
+from stereophd.pipeline.calibration.run import CalibrationRun
 
 # What an unfinished run keeps of a sampler: its state, and its steps so far.
 BRIDGE = tuple[BridgeState, list[BridgeInfo]]
 
 
-def sequential_outcome(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    unfinished: UnfinishedRun,
-    jobs: int,
-    progress: Progress | None,
-) -> Outcome:
+def sequential_outcome(run: CalibrationRun) -> Outcome:
     """Method sequential: the paper's particle filter over cameras, with moves or without."""
-    if section.sequential.moves == "none":
-        return _plain_outcome(loaded, section, problem, unfinished, jobs, progress)
-    settings, parameters = section.sequential, problem.parameters
-    template = (
-        pmb_filter(loaded, parameters.cameras)
-        if settings.likelihood == "pmb"
-        else phd_filter(loaded, parameters.cameras, settings.samples)
-    )
-    path = BlockPath(_evidence(problem, template, jobs, problem.scale), settings)
-    sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(loaded.config.seed))
+    settings, problem = run.section.sequential, run.problem
+    if settings.moves == "none":
+        return _plain_outcome(run)
+    path = BlockPath(_evidence(run, settings.likelihood, problem.scale, samples=settings.samples), settings)
+    sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(run.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
-        unfinished.keep("sequential", (state, list(steps)))
-        if progress is not None:
-            progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
+        run.unfinished.keep("sequential", (state, list(steps)))
+        run.report_progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
 
-    result = bridging.run(sampler, unfinished.read("sequential", BRIDGE), after)
+    result = bridging.run(sampler, run.unfinished.read("sequential", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
     details = {"log_evidence": result.log_evidence, "sampler": _sampler_figures(result, settings.likelihood)}
     last, times = {info.stage: info for info in result.history}, np.sort(problem.recording.times)
@@ -72,40 +54,36 @@ def sequential_outcome(
         for number, stage in enumerate(path.stages)
         if stage.inflation == 1.0
     )
-    doubt = _doubt(loaded, section, problem, mean, covariance, details)
-    return Outcome(mean, covariance, result.values, result.log_weights, history, "", doubt, None, details)
-
-
-def _plain_outcome(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    unfinished: UnfinishedRun,
-    jobs: int,
-    progress: Progress | None,
-) -> Outcome:
-    """The paper's filter without changes: particles are weighted, resampled and jittered."""
-    settings = section.sequential
-    cameras, parameters = problem.parameters.cameras, problem.parameters
-    template = (
-        phd_filter(loaded, cameras, settings.samples) if settings.likelihood == "phd" else pmb_filter(loaded, cameras)
+    doubt = _doubt(run, mean, covariance, details)
+    return Outcome(
+        problem.parameters, mean, covariance, result.values, result.log_weights, history, "", doubt, details=details
     )
+
+
+def _template(run: CalibrationRun, likelihood: str, samples: int | None = None) -> DisparityFilter:
+    """Return the filter that weighs hypotheses of the cameras."""
+    cameras = run.problem.parameters.cameras
+    return pmb_filter(run.loaded, cameras) if likelihood == "pmb" else phd_filter(run.loaded, cameras, samples)
+
+
+def _plain_outcome(run: CalibrationRun) -> Outcome:
+    """The paper's filter without changes: particles are weighted, resampled and jittered."""
+    settings, problem, parameters = run.section.sequential, run.problem, run.problem.parameters
     noises = {"center": settings.center_noise, "rotation": float(np.deg2rad(settings.rotation_noise_deg))}
     walk = np.array([noises.get(p.quantity.name, 0.0) for p in parameters.parameters])
     events = problem.scans().events
 
     def after(number: int, state: Any, history: Any) -> None:
-        unfinished.keep("sequential", (state, list(history)))
-        if progress is not None:
-            progress(number, len(events))
+        run.unfinished.keep("sequential", (state, list(history)))
+        run.report_progress(number, len(events))
 
     result = sequential.run(
         parameters,
         events,
-        FilterBatch(template, jobs),
+        FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs),
         settings,
-        SEQUENTIAL_PARTICLES.seed(loaded.config.seed),
-        unfinished.read("sequential", tuple[SequentialState, list[SequentialInfo]]),
+        SEQUENTIAL_PARTICLES.seed(run.seed),
+        run.unfinished.read("sequential", tuple[SequentialState, list[SequentialInfo]]),
         after,
         walk if walk.any() else None,
     )
@@ -118,23 +96,19 @@ def _plain_outcome(
         "resampled": sum(info.resampled for info in result.history),
     }
     history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
-    doubt = _doubt(loaded, section, problem, mean, covariance, details)
-    return Outcome(mean, covariance, result.state.values, result.state.log_weights, history, "", doubt, None, details)
+    doubt = _doubt(run, mean, covariance, details)
+    return Outcome(
+        parameters, mean, covariance, result.state.values, result.state.log_weights, history, "", doubt,
+        details=details,
+    )  # fmt: skip
 
 
-def _doubt(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    values: Array,
-    covariance: Array,
-    details: dict[str, Any],
-) -> str:
+def _doubt(run: CalibrationRun, values: Array, covariance: Array, details: dict[str, Any]) -> str:
     """Why particles are not to be trusted: tracks that two cameras share move the cameras far away, or are missing.
 
     Particles that settled on wrong cameras are narrow, and still far from the nearest optimum.
     """
-    task = annealed_task(loaded, section, problem)
+    task = annealed_task(run.loaded, run.section, run.problem)
     fit = fit_from(task, values)
     details["explained"] = 0.0 if fit is None else explained(task, fit)
     if fit is None:
@@ -151,57 +125,47 @@ def _doubt(
 
 
 def smc_outcome(
-    loaded: LoadedConfig,
-    section: CalibrationConfig,
-    problem: CalibrationProblem,
-    scale: ScaleMeasurement | None,
-    modes: Modes,
-    fit: Fit,
-    history: tuple[HistoryRow, ...],
-    details: dict[str, Any],
-    unfinished: UnfinishedRun,
-    jobs: int,
-    progress: Progress | None,
+    run: CalibrationRun, scale: ScaleMeasurement | None, modes: Modes, annealed: Calibrated, details: dict[str, Any]
 ) -> Outcome:
     """Full posterior by tempered particles about the modes found."""
-    settings = section.smc
-    cameras = problem.parameters.cameras
-    template = pmb_filter(loaded, cameras) if settings.evidence == "pmb" else phd_filter(loaded, cameras)
-    evidence = _evidence(problem, template, jobs, scale, settings.max_events)
-    path = TemperedPath(problem.parameters, evidence, modes, settings)
-    sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(loaded.config.seed))
+    settings, parameters = run.section.smc, run.problem.parameters
+    path = TemperedPath(parameters, _evidence(run, settings.evidence, scale, settings.max_events), modes, settings)
+    sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(run.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
-        unfinished.keep("smc", (state, list(steps)))
-        if progress is not None:
-            progress(int(1000 * state.temperature), 1000)
+        run.unfinished.keep("smc", (state, list(steps)))
+        run.report_progress(int(1000 * state.temperature), 1000)
 
-    result = bridging.run(sampler, unfinished.read("smc", BRIDGE), after)
+    result = bridging.run(sampler, run.unfinished.read("smc", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
     details["smc"] = {**_sampler_figures(result, settings.evidence), "modes": len(modes.weights)}
-    return Outcome(mean, covariance, result.values, result.log_weights, history, "", "", fit, details)
+    return Outcome(
+        parameters, mean, covariance, result.values, result.log_weights, annealed.history, "", annealed.doubt,
+        annealed.fit, annealed.remarks, annealed.moves, details,
+    )  # fmt: skip
 
 
 def _evidence(
-    problem: CalibrationProblem,
-    template: DisparityFilter,
-    jobs: int,
+    run: CalibrationRun,
+    likelihood: str,
     scale: ScaleMeasurement | None,
     most: int | None = None,
+    samples: int | None = None,
 ) -> LogEvidence:
     """Return the evidence of at most about `most` events; where the scale is free, no prior of objects decides on it.
 
     Hypotheses of the poses of cameras that stand still share the events, and are filtered side by side.
     """
+    problem, template = run.problem, _template(run, likelihood, samples)
     parameters = problem.parameters
     reference = problem.reference if scale_is_free(parameters) else None
     if parameters.only_poses and not template.rig.moving:
-        return Evidence(parameters, problem.scans(most).events, FilterBatch(template, jobs), reference, scale)
+        return Evidence(parameters, problem.scans(most).events, FilterBatch(template, run.jobs), reference, scale)
     if not can_be_enlarged(parameters.cameras, problem.reference):
         reference = None
     frames = problem.frames(most)
     frames = frames[np.lexsort((problem.recording.cameras[frames], problem.recording.times[frames]))]
-    return RecordingEvidence(parameters, problem.recording, frames, template, jobs, reference, scale)
+    return RecordingEvidence(parameters, problem.recording, frames, template, run.jobs, reference, scale)
 
 
 def _sampler_figures(result: BridgeResult, evidence: str) -> dict[str, Any]:

@@ -47,6 +47,11 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
     """
     section = calibration_section(loaded)
     cameras = loaded.build_cameras()
+    if not section.priors:
+        raise InputError(
+            f"{loaded.path}: calibration.priors: expected priors of at least one camera, or cameras with "
+            "`pose: unknown`, found none"
+        )
     names = [camera.name for camera in cameras]
     if len(cameras) < 2:
         raise InputError(f"{loaded.path}: cameras: expected two or more to calibrate, found {len(cameras)}")
@@ -163,6 +168,8 @@ def with_quantities(
         changed = [quantity for quantity in quantities() if quantity.entry(before) != quantity.entry(camera)]
         for quantity in changed:
             _merge(values, quantity.entry(camera))
+        if (camera.fx, camera.fy) != (before.fx, before.fy):
+            values["intrinsics"]["unknown"] = False
         if changed:
             try:
                 config = CameraConfig.model_validate(values)

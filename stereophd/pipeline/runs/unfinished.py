@@ -180,4 +180,7 @@ def _is_ours(folder: Path, relative: Path) -> bool:
     """Whether a file in such a folder is part of an unfinished run."""
     if len(relative.parts) != 1:
         return False
-    return relative.name.startswith(TEMPORARY_PREFIX) or is_saved(folder / relative)
+    path = folder / relative
+    if relative.suffix == GROWING and not path.is_symlink() and not path.stat().st_size:
+        return True  # killed as it was made
+    return relative.name.startswith(TEMPORARY_PREFIX) or is_saved(path)

@@ -202,28 +202,40 @@ def run_estimator(
     """
     times = times or ReportTimes()
     run = RunState(estimator.init()) if run is None else run
-    names = [camera.name for camera in estimator.rig.cameras]
     for event in events:
-        if times.grid_s is not None:
-            yield from _forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
-        name = names[event.camera]
-        first_label = run.estimator.next_label
-        run.estimator, info, estimates = estimator.step(run.estimator, event)
-        attributed = run.attribution.update(name, info.detected, estimates)
-        estimates = _supported(estimates, run, len(names))
-        associations = run.associations.update(event, name, info.claims)
-        if times.whole_run or times.after(name):
-            associations += tuple(run.associations.report(times.certain(estimates)))
-        run.last = record = Record(
-            event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,
-            times.after(name), event=event if keep_events else None, associations=associations,
-        )  # fmt: skip
-        run.forecast_from_s = event.time_s - same_time(event.time_s)
-        if run.events % FORGET_EVERY == 0:
-            run.attribution.keep(run.estimator.labels)
-            run.associations.keep(run.estimator.labels)
-        run.events += 1
-        yield record
+        yield from work_event(estimator, run, event, times, keep_events)
+    yield from finish(estimator, run, times)
+
+
+def work_event(
+    estimator: Estimator[State], run: RunState[State], event: Event, times: ReportTimes, keep_events: bool = False
+) -> Iterator[Record]:
+    """Work one event of `run_estimator`: yield the predictions before it, and its own record."""
+    cameras = estimator.rig.cameras
+    if times.grid_s is not None:
+        yield from _forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
+    name = cameras[event.camera].name
+    first_label = run.estimator.next_label
+    run.estimator, info, estimates = estimator.step(run.estimator, event)
+    attributed = run.attribution.update(name, info.detected, estimates)
+    estimates = _supported(estimates, run, len(cameras))
+    associations = run.associations.update(event, name, info.claims)
+    if times.whole_run or times.after(name):
+        associations += tuple(run.associations.report(times.certain(estimates)))
+    run.last = record = Record(
+        event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,
+        times.after(name), event=event if keep_events else None, associations=associations,
+    )  # fmt: skip
+    run.forecast_from_s = event.time_s - same_time(event.time_s)
+    if run.events % FORGET_EVERY == 0:
+        run.attribution.keep(run.estimator.labels)
+        run.associations.keep(run.estimator.labels)
+    run.events += 1
+    yield record
+
+
+def finish(estimator: Estimator[State], run: RunState[State], times: ReportTimes) -> Iterator[Record]:
+    """Yield the predictions of `run_estimator` after the last event."""
     if times.grid_s is not None and run.last is not None:
         yield from _forecasts(estimator, run, times, run.last.time_s + same_time(run.last.time_s))
 

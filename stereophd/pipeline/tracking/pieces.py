@@ -32,7 +32,7 @@ from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import RecordFile, RecordPart, read_records
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
-from stereophd.pipeline.tracking.run import tracking_with
+from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 
@@ -96,7 +96,7 @@ def track_pieces(
 
 def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) -> int:
     """Track one piece, and write its records; return their number."""
-    tracking = tracking_with(work.loaded, work.cameras, work.threads)
+    tracking = build_tracking(work.loaded, work.threads, work.cameras)
     config = work.loaded.config
     reader = LogReader(
         work.log, work.cameras, config.input.on_bad_row, config.input.image_margin_px, from_s=piece.begin_s

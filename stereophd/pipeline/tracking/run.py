@@ -41,9 +41,11 @@ TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", 
 
 
 @dataclass(frozen=True)
-class Tracking:
-    """Everything that tracking a log needs."""
+class TrackingRun:
+    """A run of `track`: the configuration, and what tracks a log by it."""
 
+    loaded: LoadedConfig
+    threads: int
     estimator: Estimator[Any]  # A filter of many objects, or a `SingleTracker`
     motion: Motion  # For smoothing
     cameras: tuple[Camera, ...]  # With the detectors that the estimator works with
@@ -69,6 +71,31 @@ class Tracking:
         elif single:
             events = at_most_one(stream)
         return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
+
+    def open_journal(self, unfinished: UnfinishedRun) -> Journal:
+        """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
+
+        Raises
+        ------
+        InputError
+            What an earlier process kept is damaged.
+        """
+        journal = Journal(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
+        journal.load()
+        return journal
+
+    def with_estimated_detectors(self, stream: EventStream) -> TrackingRun:
+        """Return the run with detectors estimated from the log; the same where the configuration gives them all."""
+        estimated = estimated_cameras(self.loaded)
+        if not estimated:
+            return self
+        config, path = self.loaded.config, self.loaded.path
+        samples = sample_log(stream.frames, self.cameras, SAMPLE_FRAMES)
+        started, priors = starting_detectors(self.cameras, estimated, samples)
+        cameras, detectors = estimate_detectors(
+            started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stream
+        )
+        return replace(build_tracking(self.loaded, self.threads, cameras), detectors=detectors)
 
 
 def reported_records(
@@ -98,32 +125,15 @@ def reported_records(
     return (lasting if journal is None else journal.lasting)(records, report.min_track_length)
 
 
-def open_journal(unfinished: UnfinishedRun, tracking: Tracking) -> Journal:
-    """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
-
-    Raises
-    ------
-    InputError
-        What an earlier process kept is damaged.
-    """
-    journal = Journal(unfinished, tracking.estimator, keeps_records=tracking.report.smooth is not None)
-    journal.load()
-    return journal
-
-
-def build_tracking(loaded: LoadedConfig, threads: int = 1) -> Tracking:
-    """Return what tracks, with the detectors that the configuration gives.
+def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera, ...] | None = None) -> TrackingRun:
+    """Return what tracks by a configuration, with its cameras or others, such as those with estimated detectors.
 
     Raises
     ------
     InputError
         The configuration has no filter or no cameras, or they do not fit each other.
     """
-    return tracking_with(loaded, loaded.build_cameras(), threads)
-
-
-def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: int) -> Tracking:
-    """Return what tracks with cameras in place of the configuration's, such as with estimated detectors."""
+    cameras = loaded.build_cameras() if cameras is None else cameras
     config = loaded.config
     _check_reassociation(loaded)
     if isinstance(config.object, EllipsoidSettings):
@@ -133,10 +143,10 @@ def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: in
         from stereophd.pipeline.tracking.bodies import build_bodies
 
         body_filter = build_bodies(loaded, config.object, cameras)
-        return Tracking(body_filter, body_filter.motion, cameras, config.report, boxes=True)
+        return TrackingRun(loaded, threads, body_filter, body_filter.motion, cameras, config.report, boxes=True)
     if not isinstance(config.filter, SingleSettings):
         multi_filter = replace(build_filter(config, cameras, loaded.path, threads), claims=True)
-        return Tracking(multi_filter, multi_filter.motion, cameras, config.report)
+        return TrackingRun(loaded, threads, multi_filter, multi_filter.motion, cameras, config.report)
     motion = build_motion(config, loaded.path)
     estimator = build_single(config, motion, cameras, loaded.path)
     if estimated_cameras(loaded):
@@ -145,7 +155,8 @@ def tracking_with(loaded: LoadedConfig, cameras: tuple[Camera, ...], threads: in
         if camera.readout_s != 0.0:
             where = f"{loaded.path}: cameras.{camera.name}.readout_s"
             raise InputError(f"{where}: expected 0 where filter.kind is single, found {camera.readout_s:g}")
-    return Tracking(SingleTracker(estimator, config.filter.point), motion, cameras, config.report)
+    tracker = SingleTracker(estimator, config.filter.point)
+    return TrackingRun(loaded, threads, tracker, motion, cameras, config.report)
 
 
 def _check_reassociation(loaded: LoadedConfig) -> None:
@@ -160,20 +171,6 @@ def _check_reassociation(loaded: LoadedConfig) -> None:
         raise InputError(f"{where} where motion.model is static, found true")
     if isinstance(config.report.times, GridTimes):
         raise InputError(f"{where} where report.times is a grid, found true")
-
-
-def with_estimated_detectors(tracking: Tracking, loaded: LoadedConfig, stream: EventStream, threads: int) -> Tracking:
-    """Return what tracks with detectors estimated from the log; the same where the configuration gives them all."""
-    estimated = estimated_cameras(loaded)
-    if not estimated:
-        return tracking
-    config, path = loaded.config, loaded.path
-    samples = sample_log(stream.frames, tracking.cameras, SAMPLE_FRAMES)
-    started, priors = starting_detectors(tracking.cameras, estimated, samples)
-    cameras, detectors = estimate_detectors(
-        started, priors, lambda used: build_labelled_filter(config, used, path, threads), stream
-    )
-    return replace(tracking_with(loaded, cameras, threads), detectors=detectors)
 
 
 def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:

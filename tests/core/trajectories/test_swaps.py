@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.geometry.camera import Camera, Detector
@@ -13,7 +15,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.trajectories.chain import NONE, Chain, WholeRun, make_chain, make_run
-from stereophd.core.trajectories.smoothing import Trajectory
+from stereophd.core.trajectories.smoothing import Trajectory, smooth
 from stereophd.core.trajectories.swaps import choose_anew
 
 MOTION = ConstantVelocity([0.3, 0.3, 0.3])
@@ -248,3 +250,34 @@ def test_the_log_likelihood_is_that_of_all_detections_at_once() -> None:
     _, determinant = np.linalg.slogdet(2.0 * np.pi * spread)
     expected = -0.5 * float(error @ np.linalg.solve(spread, error)) - 0.5 * determinant
     assert chain.ahead[2] == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_pass_both_ways_is_the_smoother_of_rauch_tung_and_striebel() -> None:
+    events, own = _scene(8)
+    chain = _tracks(_run(events), own)[1]
+    # about settled states another pass changes nothing but by rounding
+    filtered, covariances, _ = chain.ahead
+    expected = smooth(replace(chain.trajectory, states=filtered, covariances=covariances), MOTION)
+    found = chain.smoothed().trajectory
+    stds = np.sqrt(np.diagonal(expected.covariances, axis1=1, axis2=2))
+    np.testing.assert_allclose(found.states, expected.states, atol=1e-6 * stds.max())
+    np.testing.assert_allclose(found.covariances, expected.covariances, rtol=1e-5, atol=1e-9)
+
+
+def test_the_gain_of_a_detection_is_its_likelihood_over_that_of_a_miss() -> None:
+    events, own = _scene(9, missed=0.0)
+    run = _run(events)
+    (chain, *_) = _tracks(run, own)
+    event, camera = 20, CAMERAS[20 % 3]
+    state, covariance = chain.trajectory.states[event], chain.trajectory.covariances[event]
+    gains = run.gains(event, state[None], covariance[None])[0]
+    pixel = camera.project(state[None, :3])[0]
+    steps = 1e-6 * np.eye(3)
+    jacobian = np.stack([(camera.project((state[:3] + step)[None])[0] - pixel) / 1e-6 for step in steps], axis=1)
+    spread = jacobian @ covariance[:3, :3] @ jacobian.T + 0.7**2 * np.eye(2)
+    place = own[0][event]
+    density = multivariate_normal(pixel, spread).pdf(run.points[run.starts[event] + place])
+    clutter = 0.05 / (1280 * 720)
+    assert gains[place] == pytest.approx(np.log(0.9 * density / (0.1 * clutter)), abs=1e-3)
+    # the corners are 35 pixels apart
+    assert np.isinf(np.delete(gains, place)).all()

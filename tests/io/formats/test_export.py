@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -196,3 +198,45 @@ def test_targets_and_sources_are_checked(tracks: Path, tmp_path: Path) -> None:
     export("opencv", tmp_path / "cameras.yaml", tmp_path / "rig.yml")
     export("anipose", tmp_path / "rig.yml", tmp_path / "rig.toml")
     assert 'name = "left"' in (tmp_path / "rig.toml").read_text()
+
+
+class TestAFormatThatIsAFolder:
+    @pytest.fixture
+    def cameras(self, tmp_path: Path) -> Path:
+        write_cameras(tmp_path / "cameras.yaml", rig(), "cm")
+        return tmp_path / "cameras.yaml"
+
+    def test_a_move_that_fails_leaves_the_earlier_one(
+        self, cameras: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        model = tmp_path / "model"
+        export("colmap", cameras, model)
+        (model / "cameras.txt").write_text("earlier")
+        before = {path.name: path.read_text() for path in model.iterdir()}
+        monkeypatch.setattr("stereophd.io.outputs.commit._exchange", lambda one, other: False)
+        replace, calls = os.replace, [0]
+
+        def fails_late(source: Path, target: Path) -> None:
+            calls[0] += 1
+            if calls[0] == 9:  # the second new file
+                raise OSError(errno.EIO, "Input/output error", str(source))
+            replace(source, target)
+
+        monkeypatch.setattr(os, "replace", fails_late)
+        with pytest.raises(InputError, match="cannot write"):
+            export("colmap", cameras, model, force=True)
+        assert {path.name: path.read_text() for path in model.iterdir()} == before
+
+    def test_what_is_not_ours_stays(self, cameras: Path, tmp_path: Path) -> None:
+        model = tmp_path / "model"
+        export("colmap", cameras, model)
+        with pytest.raises(InputError, match="already holds"):
+            export("colmap", cameras, model)
+        (model / "points3D.txt").write_text("points of a reconstruction")
+        with pytest.raises(InputError, match=r"points3D\.txt: expected none or an empty file, found content"):
+            export("colmap", cameras, model, force=True)
+        assert (model / "points3D.txt").read_text() == "points of a reconstruction"
+        (model / "points3D.txt").write_text("")
+        (model / "notes.txt").write_text("mine")
+        with pytest.raises(InputError, match="which this command does not write"):
+            export("colmap", cameras, model, force=True)

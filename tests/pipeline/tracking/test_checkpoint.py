@@ -211,6 +211,8 @@ def test_killed_before_the_first_state_begins_anew(
         patch.setattr("stereophd.pipeline.runs.unfinished.shutil.rmtree", lambda *_, **__: None)
         killed_after(monkeypatch, 20, lambda: track(*scene, out))
     assert set(kept(out)) == {"scans.parquet.growing", "tracks.parquet.growing"}
+    (partial,) = out.glob("partial-*")
+    (partial / "other.growing").touch()  # killed as it was made
     track(*scene, out)
     track(*scene, tmp_path / "whole")
     assert files(out) == files(tmp_path / "whole")

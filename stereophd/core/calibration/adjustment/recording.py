@@ -7,7 +7,7 @@ make other events of the same recording.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,15 @@ class Recording:
     def frame_of(self) -> Integers:
         """Frame (n,) of each detection."""
         return np.repeat(np.arange(len(self.cameras)), np.diff(self.first))
+
+    def periods(self, count: int) -> Array:
+        """Median time between two frames of each of `count` cameras, s; 0 of a camera with fewer than two."""
+        steps = [np.diff(self.times[self.cameras == camera]) for camera in range(count)]
+        return np.array([float(np.median(step)) if len(step) else 0.0 for step in steps])
+
+    def with_noise(self, factors: Array) -> Recording:
+        """Return the recording with the noise of each camera's detections times a factor (c,)."""
+        return replace(self, sigma=self.sigma * factors[self.cameras[self.frame_of], None])
 
     def true_times(self, cameras: Sequence[Camera]) -> Array:
         """True time (f,) of each frame by the clocks of cameras, s."""

@@ -128,7 +128,7 @@ def shared_errors(
     if not any(components[1] > 0.0 for components in found.values()):
         return SharedErrors(own, shared, weights)
     normal = rng.standard_normal((len(cells), 2)), rng.standard_normal((int(cells.max()) + 1, 2))[cells]
-    left = [_left(linearisation, values, states, errors) for errors in normal]
+    left = [remaining_errors(linearisation, values, states, errors) for errors in normal]
     for k, components in found.items():
         here = linearisation.members[k]
         responses = np.array([variance_components(one[here], cells[here]) for one in left]).T
@@ -143,7 +143,7 @@ def shared_errors(
     return SharedErrors(own, shared, weights)
 
 
-def _left(linearisation: Linearisation, values: Array, states: Array, errors: Array) -> Array:
+def remaining_errors(linearisation: Linearisation, values: Array, states: Array, errors: Array) -> Array:
     """Return what one linear step of cameras and trajectories leaves of errors (n, 2) of the detections."""
     observations, knots = linearisation.problem.observations, linearisation.problem.knots
     equations = linearisation.at(values, states)

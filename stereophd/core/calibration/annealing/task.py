@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +94,13 @@ class Task:
             parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings,
             clocks, stages or default_stages(parameters),
         )  # fmt: skip
+
+    def with_noise(self, factors: Array) -> Task:
+        """Return the task with the noise of each camera's detections times a factor (c,)."""
+        recording, cameras = self.recording.with_noise(factors), self.parameters.cameras
+        scans = Scans.of(recording, cameras)
+        tracking = scans if self.tracking is self.scans else Scans.of(recording, cameras, self.frames)
+        return replace(self, recording=recording, scans=scans, tracking=tracking)
 
     def held(self, number: int) -> NDArray[np.bool_] | None:
         """Values (m,) that are held in the pass of this number; None where all are free."""

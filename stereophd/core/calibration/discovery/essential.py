@@ -1,7 +1,8 @@
 """Essential matrices from rays of two cameras, many sets of rays at once: eight-point and five-point methods.
 
-A constraint x_b^T E x_a = 0 is linear in the nine entries of E. The eight-point method takes the least eigenvector of
-the normal matrix of many constraints; here it is weighted anew from step to step (Cauchy weights of Sampson's distance).
+A constraint x_b^T E x_a = 0 is linear in the nine entries of E. The eight-point method takes the least eigenvector
+of the normal matrix of many constraints; here it is weighted anew from step to step (Cauchy weights of Sampson's
+distance).
 The five-point method (D. Nister, 2004; H. Stewenius, C. Engels and D. Nister, "Recent developments on direct relative
 orientation", 2006) also uses that E has two equal singular values and one of zero, and so needs five constraints: a
 four-dimensional null space, and the eigenvectors of a matrix of ten rows. What it gets here is the four least

@@ -101,13 +101,14 @@ class PairFit:
     stds: Array  # (11,): deviations of the components, 0 of what is held
     pairs: Integers  # (p, 2): tracks that are one object
     depths: Array  # (n, 2): depths of their samples before both cameras, in lengths of the baseline
+    points: Array  # (n, 3): where they are, in the axes of a and in lengths of the baseline
     samples: Array  # (n, 3): track of a, time of a, track of b of these
     residual: float  # median distance of the paired samples over their noise
     parallax: float  # median angle between their rays, rad
 
 
 def straightened(slopes: Array, coefficient: float) -> Array:
-    """Slopes (n, 2) without a radial distortion 1 + k1 r^2: a few fixed-point steps, which need not end for far points."""
+    """Slopes (n, 2) without a radial distortion 1 + k1 r^2: a few fixed-point steps."""
     if coefficient == 0.0:
         return slopes
     out = slopes
@@ -135,6 +136,7 @@ class PairProblem:
 
     @property
     def focal_px(self) -> Array:
+        """Focal lengths (2,) of the prior mean, px."""
         return self.found.focal[list(self.cameras)]
 
     @property
@@ -293,7 +295,8 @@ class PairProblem:
         return PairFit(
             replace(state, rotation=rotation, direction=direction), paired.gain, paired.pieces, tolerance, front,
             np.sqrt(np.maximum(np.diag(covariance), 0.0)),
-            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]), depths[good], samples[good],
+            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]),
+            depths[good], a[good] * depths[good, :1], samples[good],
             float(np.median(distances)) / (0.6745 * self.noise_px),
             float(np.arcsin(np.clip(np.median(sines[inlying]), 0.0, 1.0))) if inlying.any() else 0.0,
         )  # fmt: skip
@@ -329,7 +332,7 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Paired:
-    """Samples of the tracks that are paired, the pairs (p, 2), the gain of all, and the pieces that they have in common."""
+    """Samples of the tracks that are paired, the pairs (p, 2), their gain, and the pieces that they have in common."""
 
     rows: _Rows
     pairs: Integers

@@ -1,9 +1,9 @@
 """Two cameras from nothing: essential matrices over a grid of clock offsets, scored by the tracks that meet.
 
-Tracks are compared on a grid of times. At every offset of the clocks hypotheses of E come from the eight-point method on
-single pairs of curved tracks (and on all tracks joined, where one object is seen at a time), and from the five-point
-method on two pairs of tracks. Each is scored by what its tracks gain: for a track the gain of its best partner, the mean
-over its times of
+Tracks are compared on a grid of times. At every offset of the clocks hypotheses of E come from the eight-point method
+on single pairs of curved tracks (and on all tracks joined, where one object is seen at a time), and from the five-point
+method on two pairs of tracks. Each is scored by what its tracks gain: for a track the gain of its best partner, the
+mean over its times of
 
     log((1 - e) N(distance; 0, tolerance) / density by chance + e),
 
@@ -137,8 +137,10 @@ class PairSearch:
             essential = np.concatenate(parts)
             essential = essential[np.isfinite(essential).all(axis=(1, 2))]
             scores = self.scores(essential, shift)
-            for k in np.argsort(-scores, kind="stable")[:MOST_NEAR]:
-                every.append((shift, Hypothesis(essential[k], shift * self.grid.step, float(scores[k]))))
+            every += [
+                (shift, Hypothesis(essential[k], shift * self.grid.step, float(scores[k])))
+                for k in np.argsort(-scores, kind="stable")[:MOST_NEAR]
+            ]
         kept: list[tuple[int, Hypothesis]] = []
         for shift, hypothesis in sorted(every, key=lambda entry: -entry[1].score):
             if sum(abs(shift - other) <= NEAR for other, _ in kept) < MOST_NEAR:
@@ -146,7 +148,7 @@ class PairSearch:
         return [hypothesis for _, hypothesis in kept[:most]]
 
     def _singles(self) -> list[tuple[Array, Array]]:
-        """Slopes (g, 2) of tracks of a and of b that may be one curved object; first all tracks joined, if few overlap."""
+        """Slopes (g, 2) of tracks of a and of b that may be one curved object; the first are all tracks joined."""
         a, b = (self.found.of_camera(number) for number in self.cameras)
         joined = [_joined(self.grid.first, self.found.pieces[a]), _joined(self.grid.second, self.found.pieces[b])]
         out = [(joined[0], joined[1])]
@@ -207,7 +209,7 @@ class PairSearch:
         return nearest_essential(essential[order[rank < SCORED]])
 
     def _samples(self, shift: int) -> tuple[Integers, Booleans, Array]:
-        """Places (i, s) of the samples of the tracks of a, which of them a track of b has (i, j, s), b's slopes (j, i, s, 2)."""
+        """Places (i, s) of samples of the tracks of a, whether b's tracks have them (i, j, s), and how (j, i, s, 2)."""
         places = np.stack([_spread(track) for track in self.grid.first])
         slopes = self.grid.of_second(slice(None), places, shift)
         here = np.isfinite(np.take_along_axis(self.grid.first[..., 0], places, axis=1))
@@ -256,7 +258,7 @@ def _spread(track: Array) -> Integers:
     seen = np.flatnonzero(np.isfinite(track[:, 0]))
     if not len(seen):
         return np.zeros(SAMPLES, dtype=np.int64)
-    return seen[np.linspace(0, len(seen) - 1, SAMPLES).astype(int)]
+    return np.asarray(seen[np.linspace(0, len(seen) - 1, SAMPLES).astype(int)])
 
 
 def _joined(table: Array, pieces: Array) -> Array:

@@ -1,12 +1,13 @@
 """Several cameras from nothing: two by two, joined along the pairs of the greatest gain.
 
 The first baseline along the tree is the unit of length. That of any other pair follows from the depths of the same
-tracks at the same times before a camera that it shares with a pair already placed.
+tracks at the same times before a camera that it shares with a pair already placed. A pair beside the tree whose optimum
+agrees with the poses confirms the pairs between its cameras.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -15,16 +16,18 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior
 from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_tracks
-from stereophd.core.calibration.discovery.two_cameras import PairResult, find_pair
+from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairResult, find_pair
 from stereophd.core.calibration.discovery.verdict import doubts_of_pair, doubts_of_tracks
 from stereophd.core.calibration.pairing.hypotheses import spanning_tree
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.pose import Pose, rotation_to_vector
 from stereophd.core.two_views.track_rays import RawTracks
 
 # Depths of common samples that give the ratio of two baselines, at least.
 LEAST_COMMON = 6
+# Angles, rad, to which the optimum of a pair beside the tree agrees with the tree.
+LOOP_ANGLE = np.deg2rad(6.0)
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,11 @@ class Rig:
     pairs: tuple[PairResult, ...]  # those that join the cameras, the greatest gain first
     doubts: tuple[str, ...]  # why the cameras may be wrong; empty if they are believed
     gain: float
+
+    def depth(self, reference: int) -> float:
+        """Return the median depth of the objects before the reference, in units of the first baseline."""
+        pair = next(pair for pair in self.pairs if reference in pair.cameras)
+        return float(np.median(pair.best.depths[:, pair.cameras.index(reference)]))
 
 
 @dataclass(frozen=True)
@@ -98,13 +106,14 @@ def discover(views: Sequence[View], raw: RawTracks, reference: int, rng: np.rand
     if len(tree) < len(views) - 1:
         return Discovery((), "the cameras fall into groups without common objects")
     chosen = [results[two] for two in tree]
-    rigs = [_rig(views, found, reference, chosen)]
+    others = [results[two] for two in results if two not in tree]
+    rigs = [_rig(views, found, reference, chosen, others)]
     # another optimum of the pair with the smallest gap is the second hypothesis
     doubtful = min(range(len(chosen)), key=lambda k: chosen[k].gap)
     for other in chosen[doubtful].fits[1:3]:
         pairs = list(chosen)
         pairs[doubtful] = replace(chosen[doubtful], fits=(other, *chosen[doubtful].fits))
-        rigs.append(_rig(views, found, reference, pairs))
+        rigs.append(_rig(views, found, reference, pairs, others))
     placed_rigs = tuple(rig for rig in rigs if rig is not None)
     if not placed_rigs:
         return Discovery((), "no object is seen by three cameras at one time: the baselines cannot be compared")
@@ -122,7 +131,13 @@ def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, f
     return prior, 4.0 * offset
 
 
-def _rig(views: Sequence[View], found: SlopeTracks, reference: int, pairs: list[PairResult]) -> Rig | None:
+def _rig(
+    views: Sequence[View],
+    found: SlopeTracks,
+    reference: int,
+    pairs: Sequence[PairResult],
+    others: Sequence[PairResult],
+) -> Rig | None:
     """Place cameras along the tree of pairs, the reference first; None if the baselines cannot be compared."""
     scales = _scales(found, reference, pairs)
     if scales is None:
@@ -158,14 +173,42 @@ def _rig(views: Sequence[View], found: SlopeTracks, reference: int, pairs: list[
             lens=Lens("radial", k1=lens) if view.lens_is_unknown else camera.lens,
             clock=Clock(clock[0] + clock[1] * camera.clock.offset_s, clock[1] * camera.clock.rate),
         ))  # fmt: skip
-        spreads.append(Spread(*np.sqrt(variances[number]).tolist(), focal_std, lens_std))
+        rotation, direction, offset, rate = np.sqrt(variances[number]).tolist()
+        spreads.append(Spread(rotation, direction, offset, rate, focal_std, lens_std))
     names = [view.camera.name for view in views]
-    doubts = [text for pair in pairs for text in doubts_of_pair(pair, names)]
+    confirmed = _confirmed(poses, pairs, others)
+    doubts = [text for pair in pairs for text in doubts_of_pair(pair, names, pair.cameras in confirmed)]
     return Rig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts), sum(pair.best.gain for pair in pairs))
 
 
+def _confirmed(
+    poses: Mapping[int, Pose], pairs: Sequence[PairResult], others: Sequence[PairResult]
+) -> set[tuple[int, int]]:
+    """Pairs of the tree on the way between two cameras whose own optimum, found without the tree, agrees with it."""
+    out: set[tuple[int, int]] = set()
+    for other in others:
+        a, b = (poses[number] for number in other.cameras)
+        state, offset = other.best.state, b.rotation @ (a.center - b.center)
+        turn = np.linalg.norm(rotation_to_vector(state.rotation @ (b.rotation @ a.rotation.T).T))
+        cosine = float(state.direction @ offset) / max(float(np.linalg.norm(offset)), 1e-12)
+        if other.best.front >= LEAST_FRONT and max(turn, np.arccos(np.clip(cosine, -1.0, 1.0))) <= LOOP_ANGLE:
+            out.update(_way(other.cameras, [pair.cameras for pair in pairs]))
+    return out
+
+
+def _way(ends: tuple[int, int], tree: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Pairs of a tree between two cameras."""
+    ways: dict[int, list[tuple[int, int]]] = {ends[0]: []}
+    while ends[1] not in ways:
+        for a, b in tree:
+            for known, new in ((a, b), (b, a)):
+                if known in ways and new not in ways:
+                    ways[new] = [*ways[known], (a, b)]
+    return ways[ends[1]]
+
+
 def _averaged(pairs: Sequence[PairResult], camera: int, component: int) -> tuple[float, float]:
-    """Mean and deviation of the logarithm of a focal length (component 7) or of a lens (9) over the pairs of a camera."""
+    """Mean and deviation of the logarithm of a focal length (component 7) or of a lens (9), over pairs of a camera."""
     values, weights = [], []
     for pair in pairs:
         if camera not in pair.cameras:

@@ -17,7 +17,7 @@ LEAST_MOTION, LEAST_SEEN = 12.0, 0.5
 LEAST_LENGTH, MOST_TRACKS = 6, 40
 # Frames over which tracks are smoothed, at most, and as a part of a quadratic piece.
 MOST_SMOOTHED, SMOOTHED_PART = 31, 2.0
-# A quadratic piece fits its detections to this many pixels, or standard deviations of a distance if those are more (root mean square).
+# A quadratic piece fits its detections (root mean square) to this many pixels, or to this many standard deviations.
 PIECE_TOLERANCE, PIECE_SIGMAS = 3.0, 1.25
 
 
@@ -69,7 +69,7 @@ def count_pieces(times: Array, pixels: Array, tolerance: float) -> int:
 
 
 def smoothed(times: Array, pixels: Array, window: int) -> Array:
-    """Pixels (n, 2) of a track after a quadratic fit over a window of frames about each; the track itself if it is short."""
+    """Pixels (n, 2) of a track after quadratic fits over a window of frames about each; as they are if it is short."""
     window -= 1 - window % 2
     if window < 5:
         return pixels

@@ -1,7 +1,7 @@
 """Whether cameras that were found are believed, and what kind of motion leaves them open.
 
 A start counts by absolute deviations and by the gap to the next other optimum: a prior made from the data says nothing
-about what the data determine. The limits are those that parted right from wrong answers on recordings with known cameras.
+about what the data determine. The limits parted right from wrong answers on recordings with known cameras.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stereophd.core.calibration.discovery.pair_fit import PairFit, distance_of
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
-from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairFit, PairResult
+from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairResult
 
 # Largest deviations of rotation and direction, rad, of a pair that is believed; gain over that of the next optimum.
 MOST_ROTATION, MOST_DIRECTION, LEAST_GAP = np.deg2rad(2.0), np.deg2rad(3.0), 2.0
@@ -36,8 +37,11 @@ def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
     return f"no object can be followed before {', '.join(still)}: record fewer false detections, or more frames"
 
 
-def doubts_of_pair(pair: PairResult, names: Sequence[str]) -> list[str]:
-    """Return why two cameras that were found may be wrong; empty if they are believed."""
+def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool) -> list[str]:
+    """Return why two cameras that were found may be wrong; empty if they are believed.
+
+    Where further cameras confirm a pair, its next optimum counts no more.
+    """
     fit = pair.best
     two = " and ".join(names[number] for number in pair.cameras)
     doubts = []
@@ -55,10 +59,10 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str]) -> list[str]:
         doubts.append(f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}")
     if fit.residual > MOST_RESIDUAL:
         doubts.append(
-            f"rays of {two} miss each other by {fit.residual:.1f} times the noise: a lens, a focal length or a clock is "
-            "unlike what is stated"
+            f"rays of {two} miss each other by {fit.residual:.1f} times the noise: a lens, a focal length or a clock "
+            "is unlike what is stated"
         )
-    if pair.gap < LEAST_GAP:
+    if pair.gap < LEAST_GAP and not is_confirmed:
         doubts.append(_second_optimum(pair, two))
     if fit.stds[:3].max() > MOST_ROTATION or fit.stds[3:5].max() > MOST_DIRECTION:
         kind = "; the objects move in one plane" if _is_plane(fit) else ""
@@ -71,23 +75,18 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str]) -> list[str]:
 
 def _second_optimum(pair: PairResult, two: str) -> str:
     """Say how the next optimum of two cameras differs."""
-    best, other = pair.fits[0], next(fit for fit in pair.fits[1:] if fit.front >= LEAST_FRONT)
-    turn = float(
-        np.rad2deg(np.arccos(np.clip(0.5 * (np.trace(best.state.rotation.T @ other.state.rotation) - 1), -1, 1)))
-    )
+    best, other = pair.best, next(fit for fit in pair.fits[1:] if fit.front >= LEAST_FRONT)
+    turn, _ = distance_of(best.state, other.state)
     apart = other.state.offset_s - best.state.offset_s
     return (
-        f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {turn:.0f} degrees and {apart:+.2f} s "
-        "away: record objects that speed up and turn, or state the clock"
+        f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {np.rad2deg(turn):.0f} degrees, "
+        f"{apart:+.2f} s away: record objects that speed up and turn, or state the clock"
     )
 
 
 def _is_plane(fit: PairFit) -> bool:
     """Whether the points lie in one plane."""
-    state = fit.state
-    # any two coordinates and the depth: directions in the image are not kept, so the depths of both cameras
-    points = np.column_stack([fit.depths, np.ones(len(fit.depths))])
-    if len(points) < 4:
+    if len(fit.points) < 4:
         return True
-    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(sizes[1] < PLANE * sizes[0]) and state.rate > 0.0
+    sizes = np.linalg.svd(fit.points - fit.points.mean(axis=0), compute_uv=False)
+    return bool(sizes[2] < PLANE * sizes[0])

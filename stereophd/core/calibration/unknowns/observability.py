@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,9 @@ from stereophd.core.numerics.covariance_factors import covariance_factor
 
 # A direction whose posterior standard deviation is above this part of the prior's is not determined by the data.
 UNDETERMINED_RATIO = 0.7
+# An undetermined direction of lenses, images or shutters is forgiven if one posterior standard deviation of it moves
+# tracks by less than this part of their distance.
+HARMLESS_MOVE = 0.02
 # Draws of the posterior have at least this part of the optimum's scale.
 LEAST_SCALE = 0.05
 DETERMINED, PARTLY, UNDETERMINED = "determined", "partly determined", "undetermined"
@@ -40,10 +44,23 @@ class Observability:
     # `DETERMINED` if nothing but the scale keeps a ratio above `UNDETERMINED_RATIO`; `PARTLY` if at least half of the
     # directions do not; else `UNDETERMINED`.
     status: str
+    # (m,): Part of their distance by which one posterior standard deviation along each undetermined direction moves
+    # tracks.
+    open_moves: Array
 
 
-def observability(parameters: ParameterSet, reference: int, values: Array, covariance: Array) -> Observability:
-    """Compare a posterior (values (m,), covariance (m, m)) with the prior."""
+def observability(
+    parameters: ParameterSet,
+    reference: int,
+    values: Array,
+    covariance: Array,
+    moves: Callable[[Array], float] | None = None,
+) -> Observability:
+    """Compare a posterior (values (m,), covariance (m, m)) with the prior.
+
+    With `moves`, the share of their distance by which a step of the values moves tracks, undetermined directions of
+    lenses and images count where they matter.
+    """
     std = parameters.prior_std
     whitened = covariance / np.outer(std, std)
     eigenvalues, vectors = np.linalg.eigh((whitened + whitened.T) / 2.0)
@@ -65,11 +82,15 @@ def observability(parameters: ParameterSet, reference: int, values: Array, covar
     )
     open_directions = int((needed > UNDETERMINED_RATIO).sum())
     status = PARTLY if open_directions <= len(needed) // 2 else UNDETERMINED
+    open_moves = np.zeros(len(ratios))
+    if moves is not None:
+        for number in np.flatnonzero(ratios > UNDETERMINED_RATIO):
+            open_moves[number] = moves(ratios[number] * directions[number] * std)
     if open_directions <= allowed:
-        status = DETERMINED
+        status = DETERMINED if open_moves.max(initial=0.0) <= HARMLESS_MOVE else PARTLY
     bits = -0.5 * float(np.log2(np.maximum(eigenvalues, 1e-300)).sum())
     own = np.sqrt(np.diag(covariance)) / std
-    return Observability(ratios, directions, own, scale_ratio, bits, status)
+    return Observability(ratios, directions, own, scale_ratio, bits, status, open_moves)
 
 
 def laplace_draws(

@@ -46,17 +46,18 @@ class Estimates:
 
     def divided(self, confirmed: int) -> Estimates:
         """Return the first estimates, so many of them, with the others as the tentative ones."""
-        return replace(self.take(slice(confirmed)), tentative=self.take(slice(confirmed, None)))
+        return self.take(slice(confirmed), self.take(slice(confirmed, None)))
 
-    def take(self, kept: NDArray[np.bool_] | slice) -> Estimates:
-        """Return some of the estimates, by a mask (k,) or a slice, without the tentative ones."""
+    def take(self, kept: NDArray[np.bool_] | slice, tentative: Estimates | None = None) -> Estimates:
+        """Return some of the estimates, by a mask (k,) or a slice, with others as the tentative ones."""
         return Estimates(
             self.track_ids[kept],
             self.states[kept],
             self.covariances[kept],
             self.existence[kept],
             self.labels[kept],
-            extents=None if self.extents is None else self.extents[kept],
+            tentative,
+            None if self.extents is None else self.extents[kept],
         )
 
 

@@ -1,0 +1,62 @@
+"""``stereophd track`` of a recording that is still running."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from stereophd.cli.options import Session
+from stereophd.cli.unused_options import refuse
+from stereophd.commands.options import LiveOptions
+from stereophd.errors import InputError
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+    from stereophd.io.streams.sources import Arrivals
+
+WHOLE_LOGS = ("jobs", "dask", "threads", "pieces_s", "overlap_s", "resume", "plots")
+
+
+def run_live(
+    session: Session, loaded: LoadedConfig, live: LiveOptions, log: list[Path], out: Path | None, force: bool
+) -> None:
+    """Track frames as they arrive; lines on standard output, a summary on standard error."""
+    from stereophd.commands.track_live import LiveOutputs, track_live
+
+    refuse(session, WHOLE_LOGS, "for a recording that has ended, found one that is still running")
+    arrivals, source = _source(log, live)
+    outputs = LiveOutputs(sys.stdout, out, live.record, force)
+    try:
+        done = track_live(loaded, arrivals, source, outputs)
+    except BrokenPipeError:
+        # the reader has gone; what Python would write at its end has no reader either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return
+    if session.quiet:
+        return
+    latency = done["latency_ms"]
+    typer.echo(
+        f"{done['frames']['frames']} frames, {done['late_frames']} of them late ({done['revised_events']} events "
+        f"revised), {done['frames']['too_late']} too late; from frame to row {latency['p50']:.1f} ms in the median, "
+        f"{latency['p99.9']:.1f} ms for 99.9 %",
+        err=True,
+    )
+
+
+def _source(log: list[Path], live: LiveOptions) -> tuple[Arrivals, str]:
+    """Return the one source that is stated."""
+    from stereophd.io.streams.sources import follow, from_stream, listen
+
+    choices = {"LOG": log, "--follow": live.follow, "--listen": live.listen}
+    stated = [name for name, value in choices.items() if value]
+    if len(stated) != 1 or (log and log != [Path("-")]):
+        raise InputError(f"expected one of -, --follow and --listen, found {' and '.join(stated)}")
+    if live.follow is not None:
+        return follow(live.follow), str(live.follow)
+    if live.listen is not None:
+        return listen(live.listen), live.listen
+    return from_stream(sys.stdin.buffer), "standard input"

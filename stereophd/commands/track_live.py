@@ -1,0 +1,234 @@
+"""Track a recording that is still running: a line for each record as soon as it is known, the usual files at its end.
+
+Every frame that was used is recorded as a line of JSON, in the order of arrival. At the end of the stream, or at an
+interrupt, the recording becomes ``detections.parquet`` and is tracked as `stereophd.commands.track` does: the files are
+those of that command, to the byte, however the frames arrived.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import heapq
+import logging
+import math
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, TextIO
+
+import pyarrow as pa
+
+from stereophd.core.single.settings import SingleSettings
+from stereophd.errors import InputError
+from stereophd.io.logs.rows import OPTIONAL
+from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.io.streams.messages import Message, parse_line
+from stereophd.io.streams.rows import line_of
+from stereophd.io.streams.sources import Arrivals
+from stereophd.io.tables.schemas import DETECTIONS
+from stereophd.io.tables.writing import TableWriter
+from stereophd.pipeline.build import report_times
+from stereophd.pipeline.live.frames import FrameChecks
+from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up
+from stereophd.pipeline.tracking.run import build_tracking, estimated_cameras
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+LOG_FILE = "detections.parquet"
+# Optional columns of a log, as the filters read them.
+FIELDS = {name: pa.field(name, kind, nullable=True) for name, kind in OPTIONAL.items()}
+PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@dataclass(frozen=True)
+class LiveOutputs:
+    """Where a live run writes; None: nowhere."""
+
+    lines: TextIO | None = None  # A line of JSON for each record
+    folder: Path | None = None  # The files of a batch run, at the end
+    recording: Path | None = None  # The frames as lines of JSON, while they arrive
+    force: bool = False  # Whether the folder may hold an earlier run
+
+
+def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: LiveOutputs) -> dict[str, Any]:
+    """Track frames as they arrive.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        With a ``filter`` section of several objects and cameras.
+    arrivals : iterator of Message or None
+        See `stereophd.io.streams.sources`. An interrupt ends it like the end of the stream.
+    source : str
+        Its name, for messages.
+    outputs : LiveOutputs
+
+    Returns
+    -------
+    dict
+        Counts of frames, late, revised and bad ones, and ``latency_ms``: percentiles of the time from the arrival of a
+        frame to its row.
+
+    Raises
+    ------
+    InputError
+        The configuration is for whole logs only; a frame is bad and ``input.on_bad_row`` is ``error``; an output
+        cannot be written.
+    """
+    _check(loaded)
+    if outputs.recording is not None and outputs.recording.exists():
+        raise InputError(f"{outputs.recording}: the file exists; choose another name for the recording")
+    tracking = build_tracking(loaded)
+    warm_up(tracking.estimator, tracking.cameras)
+    config = loaded.config
+    checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
+    with _recording(outputs) as (path, stream):
+        times = report_times(config.report)
+        run = LiveRun(tracking.estimator, times, checks, config.live, lambda message: _record(message, stream))
+        with contextlib.suppress(KeyboardInterrupt):
+            _write_lines(run, arrivals, source, outputs, config.report.max_position_std)
+        report = {"frames": checks.counts, **_summary(run)}
+        if outputs.folder is not None and checks.counts["frames"]:
+            _write_files(loaded, path, outputs)
+    return report
+
+
+def _check(loaded: LoadedConfig) -> None:
+    """Refuse what needs the whole log."""
+    if isinstance(loaded.config.filter, SingleSettings):
+        raise InputError(f"{loaded.path}: filter.kind: expected a filter of several objects (live), found single")
+    if estimated_cameras(loaded):
+        raise InputError(
+            f"{loaded.path}: detector: expected the detectors of all cameras for a live run, found estimate; estimate "
+            "them from a recording first (`stereophd track`)"
+        )
+
+
+@contextlib.contextmanager
+def _recording(outputs: LiveOutputs) -> Iterator[tuple[Path, IO[str] | None]]:
+    """Open the file of the frames: the user's, or a temporary one for the files of the end."""
+    with contextlib.ExitStack() as held:
+        path = outputs.recording
+        if path is None and outputs.folder is None:
+            yield Path(), None
+            return
+        if path is None:
+            path = Path(held.enter_context(tempfile.TemporaryDirectory())) / "frames.jsonl"
+        try:
+            stream = held.enter_context(open(path, "x", encoding="utf-8", newline="\n"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+        yield path, stream
+
+
+def _record(message: Message, stream: IO[str] | None) -> None:
+    """Write a frame before it is worked: a killed run has lost none."""
+    if stream is not None:
+        stream.write(message.to_line() + "\n")
+        stream.flush()
+
+
+def _write_lines(
+    run: LiveRun, arrivals: Arrivals, source: str, outputs: LiveOutputs, max_position_std: float | None
+) -> None:
+    for live in run.records(arrivals, source):
+        if outputs.lines is not None and live.record.reported:
+            outputs.lines.write(_line(live, max_position_std) + "\n")
+            outputs.lines.flush()
+        if not live.is_revised:
+            run.counts.add_latency(live.arrived_s)
+
+
+def _line(live: LiveRecord, max_position_std: float | None) -> str:
+    record = live.record
+    estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
+    return line_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)
+
+
+def _summary(run: LiveRun) -> dict[str, Any]:
+    latencies = run.counts.latency_percentiles_ms(PERCENTILES)
+    return {
+        "late_frames": run.counts.late,
+        "revised_events": run.counts.revised,
+        "latency_ms": {f"p{p:g}": value for p, value in zip(PERCENTILES, latencies, strict=True)},
+    }
+
+
+def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) -> None:
+    """Turn the recording into a log, and track it as a batch run does."""
+    from stereophd.commands.track import track
+
+    assert outputs.folder is not None
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / LOG_FILE
+        write_log(loaded, recording, log)
+        track(loaded, log, outputs.folder, force=outputs.force)
+        # after the other files: the log lies beside them, and is no output of `track`
+        with open(log, "rb") as content, open(outputs.folder / LOG_FILE, "wb") as target:
+            target.write(content.read())
+
+
+def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
+    """Write recorded frames (lines of JSON) as a detection log, in order of time.
+
+    A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out.
+
+    Raises
+    ------
+    InputError
+        A line is no frame (a last line that a killed run left incomplete is passed over).
+    """
+    columns = _columns_of(recording)
+    schema = functools.reduce(lambda schema, name: schema.append(FIELDS[name]), columns, DETECTIONS)
+    with TableWriter(log, schema, to_metadata(provenance("track", loaded.record))) as table:
+        for message in _in_order(loaded, _messages(recording)):
+            row: dict[str, Any] = {"time_s": message.time_s, "camera": message.camera, "frame": message.frame}
+            empty = not len(message.pixels)
+            row |= (
+                {"u_px": [None], "v_px": [None]}
+                if empty
+                else {"u_px": message.pixels[:, 0], "v_px": message.pixels[:, 1]}
+            )
+            for name in columns:
+                values = message.columns.get(name)
+                row[name] = [None] * max(len(message.pixels), 1) if values is None or empty else values
+            table.append(row)
+
+
+def _messages(recording: Path) -> Iterator[Message]:
+    with open(recording, encoding="utf-8") as stream:
+        for number, line in enumerate(stream, start=1):
+            if line.endswith("\n"):
+                yield parse_line(line, f"{recording}: line {number}")
+
+
+def _columns_of(recording: Path) -> list[str]:
+    """Return the optional columns that some frame has, in the order of the schema."""
+    present = {name for message in _messages(recording) for name in message.columns}
+    return [name for name in FIELDS if name in present]
+
+
+def _in_order(loaded: LoadedConfig, messages: Iterable[Message]) -> Iterator[Message]:
+    """Yield messages in order of true time, then of the cameras; memory holds those of ``live.span_s``."""
+    span_s = loaded.config.live.span_s
+    cameras = {camera.name: (index, camera.clock) for index, camera in enumerate(loaded.build_cameras())}
+    waiting: list[tuple[float, int, int, int, Message]] = []
+    written: tuple[float, int, int] = (-math.inf, 0, 0)
+    newest = -math.inf
+    for number, message in enumerate(messages):
+        index, clock = cameras[message.camera]
+        key = (clock.to_true(message.time_s), index, message.frame)
+        if key < written:
+            continue
+        newest = max(newest, key[0])
+        heapq.heappush(waiting, (*key, number, message))
+        while waiting and waiting[0][0] < newest - span_s:
+            time_s, camera, frame, _, oldest = heapq.heappop(waiting)
+            written = (time_s, camera, frame)
+            yield oldest
+    yield from (entry[-1] for entry in sorted(waiting, key=lambda entry: entry[:4]))

@@ -1,0 +1,159 @@
+"""What is stated as known, tested by the data: evidence for freeing it, and how far the answer would move.
+
+All values are free in the enlarged set of `calibration.unknowns.held`; what the calibration holds lies at its stated
+value there, where the gradient g of the objective (minus the logarithm of the posterior) need not vanish. With the
+precision H of all values, the trajectories integrated out, freeing the group G beside the free values F changes the
+logarithm of the marginal evidence by (Laplace's method)
+
+    1/2 g_FG^T H_FG^-1 g_FG - 1/2 g_F^T H_F^-1 g_F - 1/2 (log det H_FG - log det H_F) - sum log std_G,
+
+and G moves to its part of -H_FG^-1 g_FG. A group that the data do not see changes it by nothing. This is the score test
+(C. R. Rao, 1948) with the volume of the prior. The free values move with G by D = -H_F^-1 H_FG. With the probability p
+that the statement is wrong (prior odds and evidence), G is uncertain by p (S_G + h h^T), h the value that fits and S_G
+its covariance. What this moves is measured on the tracks (a principal point and a rotation make up for each other):
+where tracks move by more than the stated covariance H_F^-1 of the free values moves them, the statement matters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior
+from stereophd.core.calibration.adjustment.problem import Problem
+from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate
+from stereophd.core.calibration.adjustment.track_moves import TrackMoves
+from stereophd.core.calibration.unknowns.held import EnlargedSet, HeldGroup
+from stereophd.core.numerics.covariance_factors import covariance_factor
+
+# Odds, after the data, from which a statement is contradicted.
+CONTRADICTED_ODDS = 100.0
+# Least move of tracks that is compared with, in parts of their distance; largest exponent of the odds.
+LEAST_STATED = 1e-4
+LARGEST_LOG_ODDS = 700.0
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """A statement, and what the data say of it."""
+
+    group: HeldGroup
+    # `values`, `stds`: arrays (k,): Offsets from what is stated that fit, and their posterior standard deviations.
+    values: Array
+    stds: Array
+    log_evidence: float  # For freeing the group.
+    # How far tracks move for one standard deviation of the group, and by all that it leaves uncertain, over how far
+    # they move for one of the answer as stated.
+    moves: float
+    expected_move: float
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the data contradict the statement."""
+        return self.log_evidence + float(np.log(self.group.odds)) > float(np.log(CONTRADICTED_ODDS))
+
+
+@dataclass(frozen=True)
+class QuadraticPosterior:
+    """Gradient (m,) and precision (m, m) of minus the logarithm of a posterior of values, and the moves of tracks."""
+
+    gradient: Array
+    precision: Array
+    tracks: TrackMoves
+
+
+def quadratic_posterior(
+    problem: Problem, enlarged: EnlargedSet, adjustment: Adjustment, log_noise: float | None
+) -> QuadraticPosterior:
+    """Return the posterior of everything about a fit, in units of the prior standard deviations.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the fit, with the stated noise of the motion where `log_noise` is given.
+    enlarged : EnlargedSet
+    adjustment : Adjustment
+        The fit.
+    log_noise : float or None
+        Logarithm of the noise of the motion over what is stated, if the fit is the marginal optimum; None if it is
+        the joint one.
+    """
+    parameters = enlarged.parameters
+    std = parameters.prior_std
+    weighted = problem.weighted(problem.weights(adjustment.distances))
+    linearisation = Linearisation.of(replace(weighted, parameters=parameters, held=None))
+    values = np.append(adjustment.values, np.zeros(parameters.size - len(adjustment.values)))
+    if log_noise is None:
+        equations = linearisation.at(values, adjustment.states)
+        eliminated, precision = eliminate(equations, 0.0)
+        gradient = equations.coupling.T @ eliminated[:, -1] - equations.value_vector
+    else:
+        posterior = MarginalPosterior(linearisation)
+        unknowns = np.append(values, np.full(posterior.size - len(values), log_noise))
+        point = posterior.at(unknowns, adjustment.states)
+        equations = point.equations
+        gradient, _ = posterior.gradient(point)
+        precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
+        std = posterior.prior_std
+    tracks = TrackMoves.of(problem, adjustment.states, equations)
+    tracks = replace(tracks, slopes=tracks.slopes * std)
+    return QuadraticPosterior(gradient * std, (precision + precision.T) / 2.0 * np.outer(std, std), tracks)
+
+
+def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers) -> list[Suspicion]:
+    """Test every group; those of the greatest evidence first.
+
+    Parameters
+    ----------
+    quadratic : QuadraticPosterior
+        Of all values, and after them what else is unknown (the noise of the motion).
+    enlarged : EnlargedSet
+    free : array of int
+        Places of the values that the fit had free.
+    """
+    size, std = enlarged.parameters.size, enlarged.parameters.prior_std
+    free = np.concatenate([free, np.arange(size, len(quadratic.gradient))])
+    gain, volume, _ = _optimum(quadratic, free)
+    precision = quadratic.precision
+    stated = quadratic.tracks.relative_std(_spread(precision, free, np.empty(0, np.int64), np.empty((0, 0))))
+    suspicions = []
+    for group in enlarged.groups:
+        both = np.append(free, group.places)
+        gain_of_both, volume_of_both, step = _optimum(quadratic, both)
+        log_evidence = gain_of_both - gain - (volume_of_both - volume)
+        inverse = np.asarray(np.linalg.inv(precision[np.ix_(both, both)]), dtype=np.float64)
+        covariance = inverse[len(free) :, len(free) :]
+        values = step[len(free) :]
+        log_odds = min(log_evidence + float(np.log(group.odds)), LARGEST_LOG_ODDS)
+        probability = 1.0 / (1.0 + float(np.exp(-log_odds)))
+        spreads: list[Array] = [covariance, probability * (covariance + np.outer(values, values))]
+        moves = [quadratic.tracks.relative_std(_spread(precision, free, group.places, spread)) for spread in spreads]
+        suspicions.append(
+            Suspicion(
+                group, values * std[group.places], np.sqrt(np.diag(covariance)) * std[group.places], log_evidence,
+                moves[0] / max(stated, LEAST_STATED), moves[1] / max(stated, LEAST_STATED),
+            )
+        )  # fmt: skip
+    return sorted(suspicions, key=lambda suspicion: -suspicion.log_evidence)
+
+
+def _spread(precision: Array, free: Integers, places: Integers, covariance: Array) -> Array:
+    """Root (m, j) of the covariance of all values: of the free ones themselves, or as they follow those at `places`."""
+    if not len(places):
+        root = np.zeros((len(precision), len(free)))
+        root[free] = covariance_factor(np.asarray(np.linalg.inv(precision[np.ix_(free, free)]), dtype=np.float64))
+        return root
+    root = np.zeros((len(precision), len(places)))
+    root[places] = covariance_factor(covariance)
+    root[free] = -np.linalg.solve(precision[np.ix_(free, free)], precision[np.ix_(free, places)]) @ root[places]
+    return root
+
+
+def _optimum(quadratic: QuadraticPosterior, places: Integers) -> tuple[float, float, Array]:
+    """Gain of the exponent, half the log-determinant of the precision, and the step, with only some values free."""
+    precision, gradient = quadratic.precision[np.ix_(places, places)], quadratic.gradient[places]
+    step = np.asarray(-np.linalg.solve(precision, gradient), dtype=np.float64)
+    return -0.5 * float(gradient @ step), 0.5 * float(np.linalg.slogdet(precision)[1]), step

@@ -1,0 +1,397 @@
+"""Method annealed, from the starts to the result: what is stated is the answer of a model that was doubted first.
+
+`calibrated` is the whole of it. The best start is brought to the known scale. The answer is then stated (unknowns
+selected, trajectories integrated out), and doubted: the noise of the detections is estimated, and what the calibration
+holds is tested (`adjustment.suspicions`). Where the noise is another, or a contradicted statement may be given up, the
+answer is stated anew under the better model, until nothing changes. What remains in doubt is a remark.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.calibration.adjustment.noise import noise_factors
+from stereophd.core.calibration.adjustment.selection import Comparison, compare
+from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
+from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
+from stereophd.core.calibration.annealing.fits import (
+    adjusted_to,
+    fit_until,
+    marginal_fit,
+    problem_of,
+    refitted,
+    restricted_fit,
+)
+from stereophd.core.calibration.annealing.known_lengths import with_lengths
+from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
+from stereophd.core.calibration.annealing.starts import agreeing_with_best, best_of, rival_of
+from stereophd.core.calibration.annealing.task import Fit, Start, Task
+from stereophd.core.calibration.unknowns.held import EnlargedSet, enlarge, free_of
+from stereophd.core.calibration.unknowns.scale import scale_is_free
+from stereophd.core.calibration.unknowns.unknown_sets import candidates
+from stereophd.core.numerics.random_streams import NOISE_SEED
+
+# Times at which the history holds the posterior.
+HISTORY_TIMES = 25
+# Most times that the answer is stated anew under a better model.
+MOST_ROUNDS = 8
+# A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
+LEAST_KEPT = 0.8
+# What may be given up of what is stated: nothing, lenses that are stated as none, everything.
+AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
+# An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
+LARGEST_MOVE = 1.0
+# A value so many standard deviations from its own prior is said, and noise beyond this factor from what is stated.
+FAR_FROM_PRIOR, SAID_FACTOR = 3.0, 1.5
+
+
+@dataclass(frozen=True)
+class KnownMeasure:
+    """A speed or a length of the scene that is known: ``speed`` or ``length``, its value and standard deviation."""
+
+    kind: str
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What decides between starts and result."""
+
+    select: str = "auto"  # Whether a smaller set of unknowns may be chosen (`auto`) or not (`all`).
+    model: str = LENSES  # What may be given up of what is stated.
+    known: KnownMeasure | None = None
+    is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something about the answer that has to be said."""
+
+    topic: str  # `noise`, `model`, `sensitivity`, `prior`, `motion`, `scale` or `starts`
+    text: str
+    is_reservation: bool = False  # Whether the data determine the cameras partly at most.
+
+
+@dataclass(frozen=True)
+class HistoryRow:
+    """Posterior of the parameters given the log up to a time."""
+
+    time_s: float
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is stated of a fit."""
+
+    joint: Fit  # The optimum of cameras and trajectories together, with the selected unknowns.
+    fit: Fit  # What is stated: the marginal optimum, or the joint one where that is not to be had.
+    noise_factor: float  # Noise of the motion over what is stated.
+    doubt: str  # Why neither optimum is trusted; empty if there is no reason.
+    comparison: Comparison | None  # Of sets of unknowns.
+
+    @property
+    def is_marginal(self) -> bool:
+        """Whether the trajectories are integrated out."""
+        return self.fit is not self.joint
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """The result of method annealed."""
+
+    task: Task  # With the scale, the noise and the unknowns of the result.
+    fit: Fit
+    history: tuple[HistoryRow, ...]
+    answer: Answer
+    noise: Array  # Noise (c,) of each camera's detections over what is stated.
+    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]  # Statements that the answer holds, and those it gave up.
+    freed: tuple[str, ...]  # Names of unknowns that were stated as known, and contradicted.
+    pairs_of_known_length: int | None
+    moves: TrackMoves
+    doubt: str  # Why the answer is not to be trusted; empty if it may be.
+    remarks: tuple[Remark, ...]
+
+
+def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
+    """Return the answer of the best start.
+
+    Parameters
+    ----------
+    task : Task
+    starts : list of Start
+        One of them has succeeded.
+    choices : Choices
+    """
+    best = best_of(starts)
+    assert best is not None
+    assert best.fit is not None
+    doubt, remarks = doubt_of_starts(task, starts, best, choices.is_sampled)
+    task, fit, remark = at_known_scale(task, best.fit, choices.known)
+    remarks += remark
+    believed = believe(task, fit, choices)
+    task, answer = believed.task, believed.answer
+    remarks += (*motion_remarks(answer), *believed.remarks)
+    fit, pairs = answer.fit, None
+    if has_known_length(task, choices):
+        assert choices.known is not None
+        fit, pairs = with_lengths(task, fit, choices.known.value, choices.known.std)
+    values = fit.adjustment.values
+    early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
+    doubt = doubt or answer.doubt or early
+    if (against := task.parameters.prior_disagreement(values)) is not None:
+        by = choices.known.kind if choices.known is not None else "baseline" if task.scale is not None else ""
+        doubt = f"with the known {by} {against}" if by else against
+    history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
+    remarks += prior_remarks(task, values)
+    return Calibrated(
+        task, fit, history, answer, believed.noise, believed.suspicions, believed.freed, pairs, moves, doubt, remarks
+    )
+
+
+def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bool) -> tuple[str, tuple[Remark, ...]]:
+    """Return why the best start may be wrong although it is the best (empty if it is trusted), and what to say.
+
+    Where poses alone are unknown, starts that find the right cameras end at one optimum. A best start that stands alone
+    although others were run may be a wrong one that happens to explain the log. With further unknowns optima are flat,
+    and this is a remark only. The full posterior decides by itself.
+    """
+    agreeing, wanted = agreeing_with_best(starts), min(task.settings.agreeing_starts, task.most_starts)
+    doubt, remarks = "", tuple[Remark, ...]()
+    if agreeing < wanted:
+        why = f"only {agreeing} of {len(starts)} starts found these cameras: another optimum may be the right one"
+        if not is_sampled and task.parameters.only_moves:
+            doubt = f"{why}; narrower priors show it, or more starts (calibration.annealed.starts)"
+        else:
+            remarks = (
+                Remark("starts", f"{why}; narrower priors or more starts (calibration.annealed.starts) show it"),
+            )
+    if not is_sampled and (rival := rival_of(starts)) is not None:
+        doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
+    return doubt, remarks
+
+
+def why_none_succeeded(starts: list[Start]) -> str:
+    """Return the most frequent reason why starts failed."""
+    often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
+    return f"none of {len(starts)} starts agrees with the data; most often: {often}"
+
+
+def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Task, Fit, tuple[Remark, ...]]:
+    """Adjust again where speeds or a length of the scene are known; the task holds their measurement of the scale."""
+    if known is None:
+        return task, fit, ()
+    if not scale_is_free(task.parameters):
+        why = f"the centres of two cameras are known, which fixes the scale: the known {known.kind} was not used"
+        return task, fit, (Remark("scale", why),)
+    measured = measured_scale(task, fit, known.kind, known.value, known.std)
+    if measured is None:
+        reasons = {
+            "speed": "the objects do not agree on one speed: the known speed was not used",
+            "length": "no two objects keep their distance, or chance may have it: the known length was not used",
+        }
+        return task, fit, (Remark("scale", reasons[known.kind]),)
+    return replace(task, scale=measured), rescaled(task, fit, measured), ()
+
+
+def has_known_length(task: Task, choices: Choices) -> bool:
+    """Whether objects that keep a known distance hold what moving together would make too sure."""
+    return choices.known is not None and choices.known.kind == "length" and task.scale is not None
+
+
+def state(task: Task, fit: Fit, choices: Choices) -> Answer:
+    """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
+    joint, comparison = selected(task, fit, choices)
+    any_noise = has_known_length(task, choices) and joint.held is None
+    stated, noise_factor, doubt = marginal_fit(task, joint, any_noise)
+    return Answer(joint, stated, noise_factor, doubt, comparison)
+
+
+def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | None]:
+    """Adjust with the set of unknowns that predicts the log best, and return the comparison too."""
+    if choices.select == "all" or choices.is_sampled:
+        return fit, None
+    sets = candidates(task.parameters)
+    comparison = compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, sets)
+    if comparison is None:
+        return fit, None
+    free = comparison.sets[comparison.chosen].free
+    return (fit if free.all() else restricted_fit(task, fit, free)), comparison
+
+
+@dataclass(frozen=True)
+class Believed:
+    """An answer whose model was doubted."""
+
+    task: Task
+    answer: Answer
+    noise: Array
+    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]
+    freed: tuple[str, ...]
+    remarks: tuple[Remark, ...]
+
+
+def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
+    """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
+    count = len(task.parameters.cameras)
+    noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
+    for number in range(MOST_ROUNDS):
+        answer = state(task, fit, choices)
+        last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
+        estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, np.random.default_rng(NOISE_SEED))
+        if estimate.differs.any() and not last:
+            factors = np.where(estimate.differs, estimate.factors, 1.0)
+            task, noise = task.with_noise(factors), noise * factors
+            fit = adjusted_anew(task, answer.joint)
+            continue
+        enlarged, suspicions = suspected(task, answer)
+        wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
+        if wrong is None or last:
+            break
+        given_up.append((enlarged, wrong))
+        freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
+        task, fit = with_freed(task, answer.joint, enlarged, wrong)
+    held = [(enlarged, suspicion) for suspicion in suspicions]
+    remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
+    return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
+
+
+def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
+    """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
+    enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
+    problem = problem_of(task, answer.fit)
+    log_noise = None
+    if answer.is_marginal:
+        # the knots of the answer have the noise that was found; here it is an unknown
+        knots = replace(answer.fit.knots, noise_std=answer.fit.knots.noise_std / answer.noise_factor)
+        problem, log_noise = replace(problem, knots=knots), float(np.log(answer.noise_factor))
+    quadratic = quadratic_posterior(problem, enlarged, answer.fit.adjustment, log_noise)
+    return enlarged, suspect(quadratic, enlarged, free_of(task.parameters, answer.fit.held))
+
+
+def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
+    """Whether a contradicted statement may be given up."""
+    return choices.model != AS_STATED and (choices.model == FREE or suspicion.group.is_absent_lens)
+
+
+def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
+    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit."""
+    parameters = enlarged.freed(suspicion.group.places)
+    task = replace(task, parameters=parameters)
+    values = np.append(fit.adjustment.values, suspicion.values)
+    held = None if fit.held is None else np.append(fit.held, np.zeros(len(suspicion.values), dtype=np.bool_))
+    begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=held)
+    return task, adjusted_anew(task, replace(begin, held=None))
+
+
+def adjusted_anew(task: Task, fit: Fit) -> Fit:
+    """Adjust a fit to its detections with the noise and the unknowns of a task, and let it choose them anew."""
+    cameras = task.parameters.build(fit.adjustment.values)
+    trajectories = fit.observations.trajectories
+    observations = task.observations(cameras, trajectories, fit.detections)
+    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
+    chosen = refitted(task, adjusted, weighted=True)
+    return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
+
+
+def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
+    """Return the posterior over time: joint optima of the log so far, and the result as the last row.
+
+    Integrating the trajectories out each time takes too long.
+    """
+    times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
+    rows = [
+        HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
+        for time_s in times[:-1]
+        if (until := fit_until(task, answer, float(time_s))) is not None
+    ]
+    return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
+
+
+def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
+    """Say where the noise of the motion is not believed."""
+    if answer.is_marginal or answer.noise_factor == 1.0:
+        return ()
+    text = (
+        f"the motion of the objects shows {answer.noise_factor:.2g} times the noise that the configuration states: the "
+        "trajectories are not integrated out. motion.acceleration_std is wrong, or objects move together (corners of a "
+        "board: state their known distance, calibration.scale.kind: length)"
+    )
+    return (Remark("motion", text),)
+
+
+def noise_remarks(task: Task, noise: Array) -> tuple[Remark, ...]:
+    """Say where the noise of the detections is far from what is stated."""
+    sigma = [float(camera.detector.sigma.mean()) for camera in task.parameters.cameras]
+    return tuple(
+        Remark(
+            "noise",
+            f"{camera.name}: the residuals show {factor:.2g} times the noise that is stated; {factor * px:.2g} px were "
+            f"used in place of a sigma_px of {px:g}",
+        )
+        for camera, factor, px in zip(task.parameters.cameras, noise.tolist(), sigma, strict=True)
+        if max(factor, 1.0 / factor) > SAID_FACTOR
+    )
+
+
+def freed_remarks(given_up: list[tuple[EnlargedSet, Suspicion]]) -> tuple[Remark, ...]:
+    """Say which statements were given up."""
+    return tuple(
+        Remark(
+            "model",
+            f"the data contradict what is stated: {fitting(enlarged, suspicion)} fits; it was estimated "
+            "(calibration.model: as_stated keeps the statement)",
+        )
+        for enlarged, suspicion in given_up
+    )
+
+
+def held_remarks(enlarged: EnlargedSet, suspicions: list[Suspicion]) -> tuple[Remark, ...]:
+    """Say what the data contradict of what the answer holds, and on what it depends too much."""
+    remarks = []
+    contradicted = next((s for s in suspicions if s.is_contradicted), None)
+    if contradicted is not None:
+        text = (
+            f"the data contradict what is stated: {fitting(enlarged, contradicted)} fits; state it, give it a prior, "
+            "or let it be estimated (calibration.model: free)"
+        )
+        remarks.append(Remark("model", text, is_reservation=True))
+    largest = max(suspicions, key=lambda s: s.expected_move, default=None)
+    if contradicted is None and largest is not None and largest.expected_move > LARGEST_MOVE:
+        text = (
+            f"the answer depends on what is stated: {fitting(enlarged, largest)} fits as well, and moves tracks by "
+            f"{largest.expected_move:.1f} times what is stated"
+        )
+        remarks.append(Remark("sensitivity", text, is_reservation=True))
+    return tuple(remarks)
+
+
+def fitting(enlarged: EnlargedSet, suspicion: Suspicion) -> str:
+    """Name the unknowns of a suspicion and the values that fit."""
+    places: Integers = suspicion.group.places
+    return ", ".join(
+        f"{enlarged.parameters.names[place]} {value:+.3g} +- {std:.2g}"
+        for place, value, std in zip(places.tolist(), suspicion.values.tolist(), suspicion.stds.tolist(), strict=True)
+    )
+
+
+def prior_remarks(task: Task, values: Array) -> tuple[Remark, ...]:
+    """Say which values lie far from their own priors."""
+    parameters = task.parameters
+    scaled = (values - parameters.prior_mean) / parameters.prior_std
+    return tuple(
+        Remark(
+            "prior",
+            f"{name} lies {abs(distance):.1f} standard deviations of its prior from the mean: the prior is too narrow, "
+            "or the answer is wrong",
+            is_reservation=True,
+        )
+        for name, distance in zip(parameters.names, scaled.tolist(), strict=True)
+        if abs(distance) > FAR_FROM_PRIOR
+    )

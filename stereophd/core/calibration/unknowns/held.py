@@ -1,0 +1,113 @@
+"""What is stated as known of the cameras, as unknowns under wide default priors.
+
+Makers state no lens, a focal length of the data sheet, the middle of the image. Whether the data contradict that, and
+how far an answer moves if it is not quite so, are questions to one set of unknowns in which everything is free
+(`calibration.adjustment.suspicions`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.unknowns.quantities.registry import quantities
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import Lens
+
+# Standard deviations of what is stated as known: of k1, of the logarithm of the focal length, of the principal point
+# in widths of the image, of the readout and the clock's offset in periods of the frames, of the clock's rate.
+K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.05, 0.03, 1.0, 1e-3
+# Odds, before the data, that a statement is wrong: of a lens that is stated as none, and of a value that was stated.
+LENS_ODDS, STATED_ODDS = 0.1, 1e-3
+
+
+@dataclass(frozen=True)
+class HeldGroup:
+    """Unknowns that explain one kind of contradiction: a quantity of one camera, or of all cameras that hold it."""
+
+    quantity: str
+    places: Integers  # Places of its values in the enlarged set.
+    is_absent_lens: bool  # Whether the statement is that the cameras have no lens.
+
+    @property
+    def odds(self) -> float:
+        """Odds, before the data, that the values are not as stated."""
+        return LENS_ODDS if self.is_absent_lens else STATED_ODDS
+
+
+@dataclass(frozen=True)
+class EnlargedSet:
+    """The unknowns of a calibration, and after them everything that it holds."""
+
+    parameters: ParameterSet
+    groups: tuple[HeldGroup, ...]
+
+    def freed(self, places: Integers) -> ParameterSet:
+        """Return the unknowns of the calibration together with some of those that it holds."""
+        chosen = sorted({*range(self._count), *places.tolist()})
+        return replace(self.parameters, parameters=tuple(self.parameters.parameters[i] for i in chosen))
+
+    @property
+    def _count(self) -> int:
+        return min((int(group.places.min()) for group in self.groups), default=self.parameters.size)
+
+
+def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
+    """Return the unknowns of a calibration and, under wide priors, what it holds of lenses, images and clocks.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    reference : int
+        Index of the reference camera, whose clock fixes that of the results.
+    periods : array (c,)
+        Median time between two frames of each camera, s.
+    """
+    cameras, extra, groups = [], list[Parameter](), list[HeldGroup]()
+    size, without_lens = parameters.size, set[str]()
+    for camera in parameters.cameras:
+        if camera.lens.model == "none":
+            camera = replace(camera, lens=Lens("radial"))
+        if not camera.lens.coefficients.any():
+            without_lens.add(camera.name)
+        cameras.append(camera)
+    by_quantity: dict[str, list[HeldGroup]] = {}
+    for number, camera in enumerate(cameras):
+        for quantity, stds in _wide_priors(camera, float(periods[number]), number == reference).items():
+            names = [name for name, std in stds.items() if std > 0.0 and parameters.index(camera.name, [name])[0] < 0]
+            if not names:
+                continue
+            places = np.arange(size + len(extra), size + len(extra) + len(names))
+            extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
+            is_absent_lens = quantity == "distortion" and camera.name in without_lens
+            by_quantity.setdefault(quantity, []).append(HeldGroup(quantity, places, is_absent_lens))
+    for quantity, each in by_quantity.items():
+        groups += each
+        if len(each) > 1:
+            places = np.concatenate([group.places for group in each])
+            groups.append(HeldGroup(quantity, places, all(group.is_absent_lens for group in each)))
+    return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
+
+
+def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str, dict[str, float]]:
+    """Standard deviations by quantity and component of what may be misstated of a camera."""
+    wide = {
+        "distortion": {"k1": K1_STD},
+        "focal": {"focal": FOCAL_STD},
+        "principal_point": dict.fromkeys(
+            ("principal_point_u", "principal_point_v"), PRINCIPAL_POINT_WIDTHS * camera.width
+        ),
+        "readout": {"readout": PERIODS * period},
+        "clock_offset": {"clock_offset": PERIODS * period},
+        "clock_rate": {"clock_rate": RATE_STD},
+    }
+    of_the_frame = {quantity.name for quantity in quantities() if quantity.of_the_frame}
+    return {name: stds for name, stds in wide.items() if not (is_reference and name in of_the_frame)}
+
+
+def free_of(parameters: ParameterSet, held: Booleans | None) -> Integers:
+    """Places of the values that a fit did not hold."""
+    return np.arange(parameters.size) if held is None else np.flatnonzero(~held)

@@ -1,0 +1,163 @@
+"""One message is one frame of one camera, as a line of JSON or as rows of a log that belong together.
+
+::
+
+    {"camera": "left", "frame": 7, "time_s": 0.28, "detections": [[612.5, 301.2], [88.0, 240.9]]}
+
+A frame without detections has an empty list. ``"columns"`` names further values of each detection, such as
+``["sigma_u_px", "sigma_v_px"]``: they follow u and v in every row. Keys that are not named here are ignored.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.errors import InputError
+from stereophd.io.documents import MAX_DETECTIONS_AT_ONCE
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION = 1
+# Optional columns of a log that a message may carry; others are ignored.
+FURTHER = ("sigma_u_px", "sigma_v_px", "score", "object_id", "width_px", "height_px")
+
+SCHEMA: dict[str, Any] = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": f"stereophd frame message, version {VERSION}",
+    "type": "object",
+    "required": ["camera", "frame", "time_s", "detections"],
+    "properties": {
+        "camera": {"type": "string", "description": "name of the camera, as in the configuration"},
+        "frame": {"type": "integer", "description": "number of the frame; rises with time"},
+        "time_s": {"type": "number", "description": "time of the frame on the camera's own clock, s"},
+        "detections": {
+            "type": "array",
+            "maxItems": MAX_DETECTIONS_AT_ONCE,
+            "items": {"type": "array", "minItems": 2, "items": {"type": "number"}},
+            "description": "u_px, v_px and the values that `columns` names, of each detection",
+        },
+        "columns": {
+            "type": "array",
+            "items": {"enum": list(FURTHER)},
+            "description": "names of the values of a detection after u_px and v_px",
+        },
+    },
+}
+
+
+@dataclass(frozen=True)
+class Message:
+    """One frame as it arrives, not yet checked against the cameras."""
+
+    camera: str
+    frame: int
+    time_s: float  # On the camera's own clock
+    pixels: Array  # (m, 2), distorted px
+    columns: Mapping[str, Array] = field(default_factory=dict)  # Further values (m,), by column of the log
+    arrived_s: float = field(default_factory=perf_counter, compare=False)  # When it came, on the clock of the process
+
+    def to_line(self) -> str:
+        """Return the line of JSON, without its end; numbers have all their digits."""
+        names = list(self.columns)
+        rows = np.column_stack([self.pixels, *(self.columns[name] for name in names)])
+        document = {"camera": self.camera, "frame": self.frame, "time_s": self.time_s, "detections": rows.tolist()}
+        return json.dumps(document | ({"columns": names} if names else {}))
+
+
+def parse_line(line: bytes | str, where: str, arrived_s: float | None = None) -> Message:
+    """Return the frame of a line of JSON.
+
+    Parameters
+    ----------
+    line
+        The line.
+    where
+        The source and the number of the line, for messages.
+    arrived_s
+        When it came (`time.perf_counter`); default now.
+
+    Raises
+    ------
+    InputError
+        The line is no frame; the message names the key, what was expected and what was found.
+    """
+    arrived_s = perf_counter() if arrived_s is None else arrived_s
+    try:
+        document = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: expected a frame as one line of JSON, found {_shown(line)}") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: expected a frame as one line of JSON, found {_shown(line)}")
+    camera = _value(document, "camera", str, "the name of a camera", where)
+    frame = _value(document, "frame", int, "a whole number", where)
+    time_s = float(_value(document, "time_s", (int, float), "a number of seconds", where))
+    names = document.get("columns", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{where}: columns: expected a list of names, found {_shown(names)}")
+    rows = _value(document, "detections", list, "a list of detections", where)
+    if len(rows) > MAX_DETECTIONS_AT_ONCE:
+        raise InputError(f"{where}: detections: expected at most {MAX_DETECTIONS_AT_ONCE}, found {len(rows)}")
+    width = 2 + len(names)
+    try:
+        values = np.array(rows, dtype=np.float64).reshape(-1, width) if rows else np.empty((0, width))
+        if len(values) != len(rows):
+            raise ValueError("rows of another length")
+    except (ValueError, TypeError) as error:
+        raise InputError(
+            f"{where}: detections: expected rows of {width} numbers (u_px, v_px{''.join(f', {n}' for n in names)}), "
+            f"found {_shown(rows)}"
+        ) from error
+    further = {name: values[:, 2 + k] for k, name in enumerate(names) if name in FURTHER}
+    return Message(camera, frame, time_s, values[:, :2], further, arrived_s)
+
+
+def _value(document: Mapping[str, Any], key: str, kinds: Any, expected: str, where: str) -> Any:
+    value = document.get(key)
+    if not isinstance(value, kinds) or isinstance(value, bool):
+        raise InputError(f"{where}: {key}: expected {expected}, found {_shown(value)}")
+    return value
+
+
+def _shown(value: object) -> str:
+    text = ascii(value)
+    return text if len(text) <= 60 else f"{text[:60]}..."
+
+
+def messages_of_rows(batch: pa.RecordBatch, where: str) -> Iterator[Message]:
+    """Yield the frames of rows of a log; rows of one (camera, frame) that follow each other are one frame.
+
+    Raises
+    ------
+    InputError
+        A required column is missing or null, or a column is of another type.
+    """
+    missing = [name for name in ("time_s", "camera", "frame", "u_px", "v_px") if name not in batch.schema.names]
+    if missing:
+        raise InputError(f"{where}: expected the columns of a detection log, found none named {', '.join(missing)}")
+    try:
+        camera = np.asarray(batch.column("camera").to_pylist(), dtype=object)
+        numbers = {
+            name: np.array(batch.column(name).to_pylist(), dtype=np.float64)
+            for name in ("time_s", "frame", "u_px", "v_px", *FURTHER)
+            if name in batch.schema.names
+        }
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{where}: expected the columns of a detection log, found: {error}") from error
+    if any(name is None for name in camera) or not np.isfinite(numbers["frame"]).all():
+        raise InputError(f"{where}: expected a camera and a frame in every row, found a row without")
+    new = np.ones(len(camera), dtype=bool)
+    new[1:] = (camera[1:] != camera[:-1]) | (numbers["frame"][1:] != numbers["frame"][:-1])
+    starts = np.flatnonzero(new).tolist()
+    for i, j in zip(starts, [*starts[1:], len(camera)], strict=True):
+        pixels = np.stack([numbers["u_px"][i:j], numbers["v_px"][i:j]], axis=1)
+        seen = ~np.isnan(pixels).all(axis=1)
+        further = {name: numbers[name][i:j][seen] for name in FURTHER if name in numbers}
+        yield Message(str(camera[i]), int(numbers["frame"][i]), float(numbers["time_s"][i]), pixels[seen], further)

@@ -1,0 +1,191 @@
+"""Where the frames of a running recording come from: standard input, files that grow, the network.
+
+Each source yields messages as they arrive, and None after every `IDLE_S` without one, so that the reader can act while
+nothing comes. It ends with the stream, at the end of a file that is not followed, or by an interrupt.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import select
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+from stereophd.errors import InputError
+from stereophd.io.streams.messages import Message, messages_of_rows, parse_line
+
+# Longest time between two looks at a source, s.
+IDLE_S = 0.005
+# A line of a frame of a million detections is shorter.
+MAX_LINE_BYTES = 100_000_000
+# An Arrow stream begins with the mark of a continuation, before the length of its schema.
+_ARROW_HEAD = b"\xff\xff\xff\xff"
+_CHUNK_BYTES = 1 << 16
+
+Arrivals = Iterator[Message | None]
+
+
+def from_stream(stream: BinaryIO, name: str = "standard input") -> Arrivals:
+    """Yield the frames of a stream of JSON lines or of Arrow IPC, told apart by the first bytes.
+
+    Raises
+    ------
+    InputError
+        The stream is neither.
+    """
+    buffered = cast(io.BufferedReader, stream if hasattr(stream, "peek") else io.BufferedReader(cast(Any, stream)))
+    if buffered.peek(4)[:4] == _ARROW_HEAD:
+        return _arrow(buffered, name)
+    return _lines(_chunks(buffered), name)
+
+
+def _chunks(stream: io.BufferedReader) -> Iterator[bytes]:
+    """Yield what a stream has, as soon as it has it, and nothing (b"") after each idle time."""
+    yield stream.read1(_CHUNK_BYTES)
+    try:
+        descriptor = stream.fileno()
+    except (OSError, io.UnsupportedOperation):
+        descriptor = None
+    while True:
+        # what `peek` had buffered is read by now: from here on the descriptor itself shows what is there
+        if descriptor is not None and os.name == "posix" and not select.select([descriptor], [], [], IDLE_S)[0]:
+            yield b""
+            continue
+        data = stream.read1(_CHUNK_BYTES) if descriptor is None else os.read(descriptor, _CHUNK_BYTES)
+        if not data:
+            return
+        yield data
+
+
+def _lines(chunks: Iterator[bytes], name: str) -> Arrivals:
+    rest, number = b"", 0
+    for chunk in chunks:
+        if not chunk:
+            yield None
+            continue
+        arrived_s = time.perf_counter()
+        *lines, rest = (rest + chunk).split(b"\n")
+        if len(rest) > MAX_LINE_BYTES:
+            raise InputError(f"{name}: line {number + 1}: expected at most {MAX_LINE_BYTES // 10**6} MB, found more")
+        for line in lines:
+            number += 1
+            if line.strip():
+                yield parse_line(line, f"{name}: line {number}", arrived_s)
+    if rest.strip():
+        yield parse_line(rest, f"{name}: line {number + 1}")
+
+
+def _arrow(stream: Any, name: str) -> Arrivals:
+    import pyarrow as pa
+
+    try:
+        for batch in pa.ipc.open_stream(stream):
+            yield from messages_of_rows(batch, name)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{name}: expected an Arrow stream of a detection log, found: {error}") from error
+
+
+def follow(path: Path) -> Arrivals:
+    """Yield the frames of a file of JSON lines or an Arrow stream that grows, or of a folder of Parquet parts.
+
+    A folder is read in the order of the names of its files; a part must come into it whole (written elsewhere and
+    renamed). A file or folder is followed until an interrupt.
+
+    Raises
+    ------
+    InputError
+        It is not there, or holds something else.
+    """
+    if path.is_dir():
+        return _parts(path)
+    try:
+        stream = open(path, "rb")  # noqa: SIM115 (open as long as it is followed)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    head = stream.read(4)
+    stream.seek(0)
+    if head == _ARROW_HEAD:
+        return _arrow(io.BufferedReader(_Growing(stream)), str(path))
+    return _lines(_growing_chunks(stream), str(path))
+
+
+def _growing_chunks(stream: BinaryIO) -> Iterator[bytes]:
+    while True:
+        data = stream.read(_CHUNK_BYTES)
+        if not data:
+            time.sleep(IDLE_S)
+        yield data
+
+
+class _Growing(io.RawIOBase):
+    """A file whose reader waits for what is not yet written."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        while not (data := self._stream.read(len(buffer))):
+            time.sleep(IDLE_S)
+        buffer[: len(data)] = data
+        return len(data)
+
+
+def _parts(folder: Path) -> Arrivals:
+    import pyarrow.parquet as pq
+
+    from stereophd.io.tables.reading import damaged_is_input_error, open_parquet
+
+    read: set[str] = set()
+    while True:
+        new = sorted(path for path in folder.glob("*.parquet") if path.name not in read)
+        for path in new:
+            read.add(path.name)
+            with open_parquet(path, "part of a detection log") as parquet, damaged_is_input_error(path):
+                assert isinstance(parquet, pq.ParquetFile)
+                for batch in parquet.iter_batches(use_threads=False):
+                    yield from messages_of_rows(batch, str(path))
+        if not new:
+            yield None
+            time.sleep(IDLE_S)
+
+
+def listen(address: str) -> Arrivals:
+    """Yield the frames that arrive at a ZeroMQ address (PULL, bound here): one JSON document a message.
+
+    Raises
+    ------
+    InputError
+        ZeroMQ is not installed (extra ``live``), or the address cannot be bound.
+    """
+    try:
+        import zmq
+    except ImportError as error:
+        raise InputError("messages over the network need the extra `live`: pip install 'stereophd[live]'") from error
+    socket: Any = zmq.Context.instance().socket(zmq.PULL)
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        raise InputError(f"{address}: expected an address such as tcp://127.0.0.1:5555, found: {error}") from error
+    return _received(socket, address)
+
+
+def _received(socket: Any, address: str) -> Arrivals:
+    number = 0
+    try:
+        while True:
+            if not socket.poll(1000.0 * IDLE_S):
+                yield None
+                continue
+            number += 1
+            content = socket.recv()
+            if content == b"":  # the end of the recording
+                return
+            yield parse_line(content, f"{address}: message {number}")
+    finally:
+        socket.close(0)

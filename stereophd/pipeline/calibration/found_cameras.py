@@ -1,0 +1,284 @@
+"""Cameras of which nothing is known: found from the tracks, and made the prior means that `calibrate` starts from.
+
+Where a pose or a clock is `unknown`, `stereophd.core.calibration.discovery` finds the cameras first. What it finds
+replaces the unknown values of the configuration, with priors about them; the methods of `calibrate` then run as from a
+guess. Such priors come from the data. What the data determine is therefore judged by absolute deviations, and by what
+the search itself doubts, never by posterior over prior.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
+from stereophd.config.loading import variant
+from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.discovery.rig import Rig, View, discover
+from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
+from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
+from stereophd.core.calibration.unknowns.quantities.registry import quantities
+from stereophd.core.disparity.trips import disparity_scale
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose, rotation_to_vector
+from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
+from stereophd.errors import InputError
+from stereophd.pipeline.calibration.filters import pmb_filter
+from stereophd.pipeline.calibration.inputs import CalibrationProblem, tracked_frames
+from stereophd.pipeline.calibration.outcome import Outcome
+from stereophd.pipeline.calibration.unit_of_length import with_baseline_unit
+from stereophd.pipeline.calibration.unknowns import calibration_section
+from stereophd.pipeline.stream import covered, open_stream
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
+STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
+# Prior of an unknown focal length (relative), of the rate of an unknown clock, and of a first radial coefficient.
+FOCAL_STD, RATE_STD, LENS_STD = float(np.log(1.6)), 1e-3, 0.1
+# What determined cameras are known to at least: rad, share of the distance, relative focal length, frames.
+MOST_ROTATION, MOST_SHARE, MOST_FOCAL, MOST_FRAMES = np.deg2rad(2.0), 0.05, 0.05, 1.0
+UNIT = "no length is known: the unit of length is the distance of the first two cameras that were joined"
+
+
+@dataclass(frozen=True)
+class FoundCameras:
+    """What was found where poses or clocks are unknown: the rig, or the reason why there is none."""
+
+    names: tuple[str, ...]  # of the cameras that were unknown
+    rig: Rig | None
+    reason: str
+    has_scale: bool
+    intervals: dict[str, float]  # of each camera, s
+
+    def report(self) -> dict[str, Any]:
+        """Return what ``report.json`` says of the search."""
+        out: dict[str, Any] = {"cameras": list(self.names), "reason": self.reason}
+        if not self.has_scale:
+            out["unit_of_length"] = UNIT
+        if self.rig is None:
+            return out
+        names = [camera.name for camera in self.rig.cameras]
+        out["pairs"] = [
+            {
+                "cameras": [names[number] for number in pair.cameras], "gain": pair.best.gain,
+                "gain_over_next_optimum": min(pair.gap, 1e6), "share_in_front": pair.best.front,
+                "pieces_of_curves": pair.best.pieces, "residual_over_noise": pair.best.residual,
+                "parallax_deg": float(np.rad2deg(pair.best.parallax)),
+            }
+            for pair in self.rig.pairs
+        ]  # fmt: skip
+        out["doubts"] = list(self.rig.doubts)
+        out["start"] = {
+            camera.name: {
+                "center": camera.pose.center.tolist(),
+                "rotation_vector_deg": np.rad2deg(rotation_to_vector(camera.pose.rotation)).tolist(),
+                "focal_px": camera.fx, "clock_offset_s": camera.clock.offset_s, "clock_rate": camera.clock.rate,
+            }
+            for camera in self.rig.cameras
+        }  # fmt: skip
+        return out
+
+    def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
+        """Return the outcome where no cameras were found; None where some were."""
+        if self.rig is not None:
+            return None
+        size = problem.parameters.size
+        nan = np.full((size, size), np.nan)
+        return Outcome(nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
+
+    def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
+        """Return an outcome with the doubts of the search, and what is known too badly to be called determined."""
+        details = {**outcome.details, "found_from_nothing": self.report()}
+        if outcome.reason or self.rig is None:
+            return replace(outcome, details=details)
+        doubts = [*self.rig.doubts, *self._left_open(problem, outcome)]
+        return replace(outcome, doubt=outcome.doubt or "; ".join(doubts), details=details)
+
+    def _left_open(self, problem: CalibrationProblem, outcome: Outcome) -> list[str]:
+        """Values whose absolute deviations are too large."""
+        parameters, out = problem.parameters, []
+        stds = dict(zip(parameters.names, np.sqrt(np.diag(outcome.covariance)).tolist(), strict=True))
+        for name in posed_cameras(parameters):
+            spread = pose_spread(parameters, problem.reference, outcome.values, outcome.covariance, name)
+            if not (spread.rotation <= MOST_ROTATION and spread.direction <= MOST_SHARE):
+                out.append(
+                    f"{name} is known to {np.rad2deg(spread.rotation):.1f} degrees in rotation and "
+                    f"{np.rad2deg(spread.direction):.1f} in direction"
+                )
+        for key, std in stds.items():
+            camera, _, component = key.rpartition(".")
+            if component == "focal" and not std <= MOST_FOCAL:
+                out.append(f"the focal length of {camera} is known to {100.0 * std:.0f} %")
+            if component == "clock_offset" and not std <= MOST_FRAMES * self.intervals[camera]:
+                out.append(f"the clock of {camera} is known to {std:.2g} s")
+        return out
+
+
+def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, FoundCameras | None]:
+    """Find cameras whose pose or clock is unknown; return the configuration with them and with priors about them.
+
+    The configuration itself, and None, where none is unknown. Where none are found, their poses are placeholders.
+
+    Raises
+    ------
+    InputError
+        A camera is unknown that moves or has a prior of its pose, or a scale is stated that only known cameras have.
+    """
+    names = tuple(name for name, camera in loaded.cameras.items() if camera.must_be_found)
+    if not names:
+        return loaded, None
+    section = calibration_section(loaded)
+    _check(loaded, section, names)
+    # apart from one another, so that the filter can be built; each camera is tracked alone
+    cameras = tuple(
+        replace(config.build(name), pose=Pose(np.eye(3), [float(number), 0.0, 0.0]))
+        for number, (name, config) in enumerate(loaded.cameras.items())
+    )
+    recording = _read(loaded, cameras, log_path)
+    scans = Scans.of(recording, cameras, tracked_frames(recording, section.annealed.max_events))
+    least = section.annealed.min_detections
+    if section.annealed.one_camera_tracks == "image":
+        tracks = image_tracks(scans, least)
+    else:
+        tracks = one_camera_tracks(pmb_filter(_placed(loaded, cameras), cameras), scans, least)
+    views = [_view(loaded, section, camera) for camera in cameras]
+    reference = [camera.name for camera in cameras].index(section.reference)
+    rng = np.random.default_rng(CAMERA_DISCOVERY.seed(loaded.config.seed))
+    discovery = discover(views, raw_tracks(recording, tracks), reference, rng)
+    intervals = {
+        camera.name: float(np.median(np.diff(np.unique(recording.times[recording.cameras == number]))))
+        for number, camera in enumerate(cameras)
+        if np.count_nonzero(recording.cameras == number) > 1
+    }
+    rig = _in_frame(loaded, section, discovery.rigs[0]) if discovery.rigs else None
+    found = FoundCameras(names, rig, discovery.reason, not isinstance(section.scale, NoScale), intervals)
+    if rig is None:
+        return _placed(loaded, cameras, section), found
+    placed = _placed(loaded, rig.cameras, section, _priors(loaded, section, views, rig, intervals))
+    if found.has_scale:
+        return placed, found
+    multi_filter = pmb_filter(placed, rig.cameras)
+    space = multi_filter.rig.packed[reference]
+    expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
+    return with_baseline_unit(placed, rig.depth(reference) / expected), found
+
+
+def _check(loaded: LoadedConfig, section: CalibrationConfig, names: tuple[str, ...]) -> None:
+    """Refuse what the search does not do."""
+    where = f"{loaded.path}: calibration"
+    known = [name for name, camera in loaded.cameras.items() if not camera.pose.unknown and name != section.reference]
+    if known:
+        raise InputError(
+            f"{loaded.path}: cameras.{known[0]}.pose: expected unknown as that of {names[0]}, found a pose: all poses "
+            "but that of the reference are found together"
+        )
+    if not isinstance(section.scale, NoScale | BaselineScale):
+        raise InputError(
+            f"{where}.scale.kind: expected none or baseline with unknown poses, found {section.scale.kind}"
+        )
+    if section.reference not in loaded.cameras:
+        return  # said when the unknowns are built
+    if loaded.cameras[section.reference].clock.unknown:
+        raise InputError(
+            f"{where}.reference: expected a camera whose clock is taken as true, found {section.reference}"
+        )
+    for name, prior in section.priors.items():
+        for quantity in quantities():
+            if quantity.prior in POSE_PRIORS and np.any(getattr(prior, quantity.prior)):
+                raise InputError(
+                    f"{where}.priors.{name}.{quantity.prior}: expected none of an unknown camera, found one"
+                )
+
+
+POSE_PRIORS = ("center_std", "rotation_std_deg", "velocity_std", "rotation_rate_std_deg_s", "clock_offset_std_s")
+
+
+def _read(loaded: LoadedConfig, cameras: tuple[Camera, ...], log_path: Path | str) -> Recording:
+    stream = open_stream(loaded.config, cameras, log_path)
+    frames = covered(cameras, stream.frames, stream.source)
+    return Recording.of(cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
+
+
+def _stated(section: CalibrationConfig, name: str, key: str, default: float) -> float:
+    """Return a prior deviation of one number that the configuration states of a camera; else a default."""
+    prior = section.priors.get(name)
+    value = getattr(prior, key) if prior is not None else 0.0
+    return float(np.max(value)) if np.any(value) else default
+
+
+def _view(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> View:
+    """Return what is known of a camera."""
+    config = loaded.cameras[camera.name]
+    focal = _stated(section, camera.name, "focal_std", FOCAL_STD if config.intrinsics.unknown else 0.0)
+    lens = config.intrinsics.unknown and camera.lens.model == "none"
+    clock = config.clock.unknown and camera.name != section.reference
+    rate = _stated(section, camera.name, "clock_rate_std", RATE_STD) if clock else 0.0
+    return View(camera, focal, lens, np.inf if clock else 0.0, rate)
+
+
+def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig:
+    """Return a rig in the axes of the reference's pose, and in the unit of a known distance of two of its cameras."""
+    factor = 1.0
+    if isinstance(section.scale, BaselineScale):
+        centers = {camera.name: camera.pose.center for camera in rig.cameras}
+        first, second = (centers.get(name, np.zeros(3)) for name in section.scale.cameras)
+        distance = float(np.linalg.norm(first - second))
+        factor = section.scale.distance / distance if distance > 0.0 else 1.0  # wrong names are refused later
+    origin = loaded.cameras[section.reference].pose.build()
+    poses = (
+        Pose(camera.pose.rotation @ origin.rotation, origin.center + factor * camera.pose.center @ origin.rotation)
+        for camera in rig.cameras
+    )
+    return replace(rig, cameras=tuple(replace(c, pose=pose) for c, pose in zip(rig.cameras, poses, strict=True)))
+
+
+def _priors(
+    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: Rig, intervals: dict[str, float]
+) -> dict[str, Any]:
+    """Return priors about the cameras of a rig, as the configuration writes them."""
+    out: dict[str, Any] = {}
+    centers = {camera.name: camera.pose.center for camera in rig.cameras}
+    for view, camera, spread in zip(views, rig.cameras, rig.spreads, strict=True):
+        prior = copy.deepcopy(loaded.tree.data["calibration"].get("priors", {}).get(camera.name, {}))
+        if view.focal_std > 0.0:
+            prior["focal_std"] = min(view.focal_std, max(STATED * spread.focal, 0.01))
+        if view.lens_is_unknown:
+            prior["distortion_std"] = {"k1": LENS_STD}
+        if camera.name != section.reference:
+            distance = float(np.linalg.norm(camera.pose.center - centers[section.reference]))
+            prior["center_std"] = max(STATED * spread.direction, LEAST_SHARE) * distance
+            prior["rotation_std_deg"] = float(np.rad2deg(max(STATED * spread.rotation, LEAST_ROTATION)))
+        if np.isinf(view.offset_std):
+            prior["clock_offset_std_s"] = max(STATED * spread.offset_s, LEAST_FRAMES * intervals[camera.name])
+            prior["clock_rate_std"] = view.rate_std
+        if prior:
+            out[camera.name] = prior
+    return out
+
+
+def _placed(
+    loaded: LoadedConfig,
+    cameras: tuple[Camera, ...],
+    section: CalibrationConfig | None = None,
+    priors: dict[str, Any] | None = None,
+) -> LoadedConfig:
+    """Return a configuration whose cameras have poses, clocks and intrinsics of others, with priors of all unknowns."""
+    entries = copy.deepcopy(loaded.tree.data["cameras"])
+    for camera in cameras:
+        entry = entries[camera.name]
+        entry["pose"] = {"center": camera.pose.center.tolist(), "rotation_matrix": camera.pose.rotation.tolist()}
+        entry["clock"] = {"offset_s": float(camera.clock.offset_s), "rate": float(camera.clock.rate)}
+        entry["intrinsics"] = {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}
+        if camera.lens.model != "none" and "distortion" not in entry:
+            entry["distortion"] = {"model": camera.lens.model, "k1": float(camera.lens.k1)}
+    changes: dict[str, Any] = {"cameras": entries}
+    if section is not None:
+        placeholder = {c.name: {"rotation_std_deg": 1.0} for c in cameras if c.name != section.reference}
+        changes["calibration.priors"] = priors if priors is not None else placeholder
+    return variant(loaded, [("cameras that were found", changes)])

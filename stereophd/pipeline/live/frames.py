@@ -1,0 +1,106 @@
+"""Frames of messages, checked as the rows of a log are."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import pyarrow as pa
+
+from stereophd.core.arrays import Array
+from stereophd.core.geometry.camera import Camera
+from stereophd.errors import InputError
+from stereophd.io.logs.checks import KINDS, duplicate_fault, point_faults, raise_first
+from stereophd.io.logs.reading import Frame
+from stereophd.io.logs.rows import Decoded, Rows
+from stereophd.io.streams.messages import Message
+
+# Kinds of frames that a running recording cannot use, beside the kinds of bad rows.
+FRAME_KINDS = ("too_late", "repeated_frame")
+
+
+class FrameChecks:
+    """Turn messages into frames, by the rules of `stereophd.io.logs.reading.LogReader`.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        In the configuration's order.
+    on_bad_row : str
+        ``error``: the first bad detection raises; ``drop``: bad ones are dropped and counted.
+    image_margin_px : float
+        How far outside the image a detection may be.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], on_bad_row: Literal["error", "drop"], image_margin_px: float) -> None:
+        self._cameras = tuple(cameras)
+        self._index = {camera.name: i for i, camera in enumerate(cameras)}
+        self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float)
+        self._drop, self._margin = on_bad_row == "drop", image_margin_px
+        self._recent: list[deque[int]] = [deque(maxlen=1000) for _ in cameras]
+        self.counts = dict.fromkeys(("frames", "empty_frames", "detections", *KINDS, *FRAME_KINDS), 0)
+
+    def frame(self, message: Message, where: str) -> Frame | None:
+        """Return the frame of a message on true time, or None if nothing of it can be used.
+
+        Raises
+        ------
+        InputError
+            Something is bad, and ``on_bad_row`` is ``error``.
+        """
+        camera = self._index.get(message.camera, -1)
+        count = max(len(message.pixels), 1)
+        empty = not len(message.pixels)
+        sigma = _pairs(message, "sigma_u_px", "sigma_v_px")
+        sizes = _pairs(message, "width_px", "height_px")
+        rows = Rows(
+            np.arange(count),
+            np.full(count, message.time_s),
+            np.full(count, camera),
+            np.full(count, message.frame),
+            np.full((1, 2), np.nan) if empty else message.pixels,
+            np.full(count, empty),
+            sigma,
+            None,
+            sizes,
+        )
+        nothing = np.zeros(count, dtype=bool)
+        piece = Decoded(rows, nothing, nothing, pa.array([message.camera] * count))
+        good = np.ones(count, dtype=bool)
+        faults = list(point_faults(piece, list(self._index), self._sizes, self._margin))
+        for fault in (*faults, duplicate_fault(rows)):
+            if not fault.bad.any():
+                continue
+            if not self._drop:
+                raise_first([fault], rows, where)
+            self.counts[fault.kind] += int((fault.bad & good).sum())
+            good &= ~fault.bad
+        if not good.any():
+            return None
+        if message.frame in self._recent[camera]:
+            self.refuse("repeated_frame", f"{where}: frame: expected each frame once, found {message.frame} again")
+            return None
+        self._recent[camera].append(message.frame)
+        self.counts["frames"] += 1
+        self.counts["empty_frames"] += empty
+        self.counts["detections"] += 0 if empty else int(good.sum())
+        time_s = self._cameras[camera].clock.to_true(message.time_s)
+        pixels = rows.pixels[:0] if empty else rows.pixels[good]
+        sigma, sizes = (None if values is None else values[good] for values in (sigma, sizes))
+        return Frame(time_s, camera, message.frame, pixels, sigma, sizes=sizes)
+
+    def refuse(self, kind: str, reason: str) -> None:
+        """Count a frame that cannot be used, or raise."""
+        if not self._drop:
+            raise InputError(reason)
+        self.counts[kind] += 1
+
+
+def _pairs(message: Message, first: str, second: str) -> Array | None:
+    """Return two columns of a message as (m, 2), or None where it has no detection or not both."""
+    columns = message.columns
+    if not len(message.pixels) or not {first, second} <= columns.keys():
+        return None
+    return np.stack([columns[first], columns[second]], axis=1)

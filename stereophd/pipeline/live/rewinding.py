@@ -1,0 +1,105 @@
+"""An estimator over frames that arrive in any order: a late frame takes it back to the state before that frame.
+
+An event is worked as soon as it arrives. The states before the events of the last seconds are kept. A frame that is
+older than the last event rewinds the estimator to the state before its own time, and the events from there on are
+worked again: exactly what a run over the frames in order gives, because `RunState` holds all that a run depends on.
+Memory is bounded by the span, and a frame older than that is too late.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from stereophd.core.disparity.events import Event
+from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, finish, work_event
+
+
+@dataclass(frozen=True)
+class Step:
+    """An event that was worked, with the state before it."""
+
+    key: tuple[float, int, int]  # True time, camera and frame: the order of a run
+    event: Event
+    before: RunState[Any]
+    records: tuple[Record, ...]
+
+
+class RewindingRun:
+    """A run of an estimator that late events can join.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    times : ReportTimes
+        When estimates are reported.
+    span_s : float
+        How far back an event may be, in true time before the newest one, s.
+    """
+
+    def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float) -> None:
+        self._estimator, self._times, self._span_s = estimator, times, span_s
+        self._run: RunState[Any] = RunState(estimator.init())
+        self._steps: list[Step] = []
+        self._settled: tuple[float, int, int] | None = None
+
+    def is_too_late(self, event: Event) -> bool:
+        """Whether an event comes before one whose state is no longer kept."""
+        return self._settled is not None and _key(event) < self._settled
+
+    def work(self, event: Event) -> Sequence[Step]:
+        """Work an event, and those after it again; return their steps, the event's own first.
+
+        Raises
+        ------
+        ValueError
+            The event `is_too_late`.
+        """
+        if self.is_too_late(event):
+            raise ValueError(f"event at {event.time_s} s is before the states that are kept")
+        place = bisect_left(self._steps, _key(event), key=lambda step: step.key)
+        later = self._steps[place:]
+        if later:
+            self._run = later[0].before
+            del self._steps[place:]
+        new = [self._step(event), *(self._step(step.event) for step in later)]
+        self._steps += new
+        self._forget()
+        return new
+
+    def finish(self) -> Iterator[Record]:
+        """Yield what is reported after the last event."""
+        yield from finish(self._estimator, self._run, self._times)
+
+    def _step(self, event: Event) -> Step:
+        before = copy_of(self._run)
+        records = tuple(work_event(self._estimator, self._run, event, self._times))
+        return Step(_key(event), event, before, records)
+
+    def _forget(self) -> None:
+        """Remove states that no event may come before."""
+        newest = self._steps[-1].key[0]
+        count = 0
+        while count < len(self._steps) - 1 and self._steps[count].key[0] < newest - self._span_s:
+            count += 1
+        if count:
+            self._settled = self._steps[count].key
+            del self._steps[:count]
+
+
+def _key(event: Event) -> tuple[float, int, int]:
+    return event.time_s, event.camera, event.frame
+
+
+def copy_of(run: RunState[Any]) -> RunState[Any]:
+    """Return a copy of a run that does not change when the run continues; states and records are frozen already."""
+    waiting = run.associations
+    associations = replace(
+        waiting,
+        known=dict(waiting.known),
+        claimed=dict(waiting.claimed),
+        pending={label: list(rows) for label, rows in waiting.pending.items()},
+    )
+    return replace(run, attribution=Attribution(run.attribution.pending), associations=associations)

@@ -1,0 +1,161 @@
+"""A live run: messages in, records out, with the time that each took."""
+
+from __future__ import annotations
+
+import gc
+import heapq
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stereophd.config.live import LiveConfig
+from stereophd.core.arrays import Integers
+from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.random_streams import WARM_UP_SEED
+from stereophd.io.logs.reading import Frame
+from stereophd.io.streams.messages import Message
+from stereophd.io.streams.sources import Arrivals
+from stereophd.pipeline.live.frames import FrameChecks
+from stereophd.pipeline.live.rewinding import RewindingRun
+from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes
+
+# Events and detections of an event that make the kernels ready before the first frame.
+WARM_UP_EVENTS, WARM_UP_DETECTIONS = 40, 4
+# Classes of latencies: to 10 s.
+LATENCY_STEP_S, LATENCY_STEPS = 1e-4, 100_000
+
+
+@dataclass(frozen=True)
+class LiveRecord:
+    """A record as soon as it is known."""
+
+    record: Record
+    is_revised: bool  # Whether an earlier record of the same event was reported, before a late frame came
+    arrived_s: float  # When the frame came that made it (`time.perf_counter`)
+
+
+@dataclass
+class LiveCounts:
+    """What happened to the frames of a run so far."""
+
+    late: int = 0  # Frames that took the filter back
+    revised: int = 0  # Events that were worked again
+    # Frames by the time from their arrival to their row, in steps of `LATENCY_STEP_S`; memory does not grow with them.
+    latencies: Integers = field(default_factory=lambda: np.zeros(LATENCY_STEPS, dtype=np.int64))
+
+    def add_latency(self, arrived_s: float) -> None:
+        """Count a frame whose row is written now."""
+        step = int((time.perf_counter() - arrived_s) / LATENCY_STEP_S)
+        self.latencies[min(step, LATENCY_STEPS - 1)] += 1
+
+    def latency_percentiles_ms(self, percentiles: Sequence[float]) -> list[float]:
+        """Return percentiles of the latencies, ms, rounded up to a step; NaN without frames."""
+        total = self.latencies.sum()
+        if not total:
+            return [math.nan] * len(percentiles)
+        places = np.searchsorted(np.cumsum(self.latencies), np.ceil(total * np.asarray(percentiles) / 100.0))
+        return [1e3 * LATENCY_STEP_S * (place + 1) for place in places.tolist()]
+
+
+class LiveRun:
+    """Track messages as they arrive.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    times : ReportTimes
+        When estimates are reported.
+    checks : FrameChecks
+    settings : LiveConfig
+    keep : callable
+        Called with each message that is used.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator[Any],
+        times: ReportTimes,
+        checks: FrameChecks,
+        settings: LiveConfig,
+        keep: Callable[[Message], object],
+    ) -> None:
+        self.counts = LiveCounts()
+        self._cameras: Sequence[Camera] = estimator.rig.cameras
+        self._checks, self._settings, self._keep = checks, settings, keep
+        self._run = RewindingRun(estimator, times, settings.span_s)
+        self._waiting: list[tuple[float, int, int, Frame, float]] = []
+        self._newest = np.full(len(self._cameras), -np.inf)
+
+    def records(self, arrivals: Arrivals, source: str) -> Iterator[LiveRecord]:
+        """Yield the records of messages, and at the end of the stream those that are left.
+
+        Raises
+        ------
+        InputError
+            A message cannot be used, and the configuration does not drop such.
+        """
+        for number, message in enumerate(arrivals, start=1):
+            if message is not None:
+                self._take(message, f"{source}: frame {message.frame} of camera {message.camera} (message {number})")
+            # while messages come, only their own times count: a backlog is no wait
+            yield from self._release(-np.inf if message is not None else time.perf_counter())
+        yield from self._release(np.inf)
+        now = time.perf_counter()
+        yield from (LiveRecord(record, False, now) for record in self._run.finish())
+
+    def _take(self, message: Message, where: str) -> None:
+        frame = self._checks.frame(message, where)
+        if frame is not None:
+            self._keep(message)
+            self._newest[frame.camera] = max(self._newest[frame.camera], frame.time_s)
+            heapq.heappush(self._waiting, (frame.time_s, frame.camera, frame.frame, frame, message.arrived_s))
+
+    def _release(self, now: float) -> Iterator[LiveRecord]:
+        """Work the frames that need not wait: every camera has gone on, or they have waited long enough."""
+        wait_s = self._settings.wait_s
+        while self._waiting:
+            time_s, _, _, frame, arrived_s = self._waiting[0]
+            is_complete = time_s <= self._newest.min()
+            has_waited = time_s <= self._newest.max() - wait_s or now - arrived_s >= wait_s
+            if not (is_complete or has_waited):
+                return
+            heapq.heappop(self._waiting)
+            yield from self._work(frame, arrived_s)
+
+    def _work(self, frame: Frame, arrived_s: float) -> Iterator[LiveRecord]:
+        camera = self._cameras[frame.camera].at(frame.time_s)
+        event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes)
+        if self._run.is_too_late(event):
+            reason = (
+                f"frame {frame.frame} of camera {camera.name}: expected a frame at most {self._settings.span_s:g} s"
+            )
+            self._checks.refuse("too_late", f"{reason} older than the newest (live.span_s), found an older one")
+            return
+        steps = self._run.work(event)
+        self.counts.late += len(steps) > 1
+        self.counts.revised += len(steps) - 1
+        for place, step in enumerate(steps):
+            for record in step.records:
+                yield LiveRecord(record, place > 0, arrived_s)
+
+
+def warm_up(estimator: Estimator[Any], cameras: Sequence[Camera]) -> None:
+    """Work events of random detections, so that every kernel is loaded before the first frame; nothing of them stays.
+
+    Objects that were there before the program began are collected once and no more: a collection of all of them takes
+    longer than an event.
+    """
+    rng = np.random.default_rng(WARM_UP_SEED)
+    state = estimator.init()
+    pixels = [rng.uniform(0.2, 0.8, (WARM_UP_DETECTIONS, 2)) * (c.width, c.height) for c in cameras]
+    for number in range(WARM_UP_EVENTS):
+        index = number % len(cameras)
+        event: Event = make_event(cameras[index], index, 0.02 * number, pixels[index], frame=number)
+        state, _, _ = estimator.step(state, event)
+    gc.collect()
+    gc.freeze()

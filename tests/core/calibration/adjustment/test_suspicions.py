@@ -1,0 +1,95 @@
+"""What is stated as known is tested, and the noise of the detections estimated, on problems whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from stereophd.core.calibration.adjustment.noise import noise_factors
+from stereophd.core.calibration.adjustment.problem import Problem
+from stereophd.core.calibration.adjustment.solver import Adjustment, adjust
+from stereophd.core.calibration.adjustment.suspicions import (
+    QuadraticPosterior,
+    Suspicion,
+    quadratic_posterior,
+    suspect,
+)
+from stereophd.core.calibration.adjustment.track_moves import TrackMoves
+from stereophd.core.calibration.unknowns.held import EnlargedSet, HeldGroup, enlarge
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import Lens
+from tests.core.calibration.problems_of_unknowns import observe, problem_of, rig, unknowns
+
+PERIODS = np.array([0.1, 1 / 7, 0.2])
+POSES = ("center", "rotation")
+
+
+def posed(lens: Lens, stated: Lens) -> tuple[Problem, Adjustment]:
+    """Poses adjusted to detections by cameras of one lens, where another is stated."""
+    true = tuple(replace(camera, lens=lens) for camera in rig())
+    observations, _, points = observe(true, 1, 4, 8.0)
+    cameras: tuple[Camera, ...] = tuple(replace(camera, lens=stated) for camera in true)
+    problem, states = problem_of(unknowns(cameras, POSES), observations, points)
+    return problem, adjust(problem, np.zeros(problem.parameters.size), states)
+
+
+def suspicions_of(problem: Problem, adjustment: Adjustment) -> tuple[EnlargedSet, list[Suspicion]]:
+    enlarged = enlarge(problem.parameters, 0, PERIODS)
+    quadratic = quadratic_posterior(problem, enlarged, adjustment, None)
+    return enlarged, suspect(quadratic, enlarged, np.arange(problem.parameters.size))
+
+
+def test_a_lens_that_was_stated_as_none_is_named_with_its_value() -> None:
+    problem, adjustment = posed(Lens("radial", k1=-0.1), Lens())
+    enlarged, suspicions = suspicions_of(problem, adjustment)
+    worst = suspicions[0]
+    assert worst.is_contradicted
+    assert worst.group.quantity == "distortion"
+    assert [enlarged.parameters.names[i] for i in worst.group.places] == ["cam0.k1", "cam1.k1", "cam2.k1"]
+    assert (np.abs(worst.values + 0.1) < 5.0 * worst.stds).all()
+
+
+def test_what_is_stated_right_is_not_contradicted() -> None:
+    problem, adjustment = posed(Lens(), Lens())
+    _, suspicions = suspicions_of(problem, adjustment)
+    assert not any(suspicion.is_contradicted for suspicion in suspicions)
+    assert max(suspicion.expected_move for suspicion in suspicions) < 1.0
+
+
+def test_the_evidence_is_that_of_a_gaussian_model() -> None:
+    # y = A x + e with x ~ N(0, I): the last value is held at 0, or free
+    rng = np.random.default_rng(3)
+    matrix, data = rng.standard_normal((8, 3)), 2.0 * rng.standard_normal(8)
+    held = multivariate_normal(np.zeros(8), np.eye(8) + matrix[:, :2] @ matrix[:, :2].T).logpdf(data)
+    free = multivariate_normal(np.zeros(8), np.eye(8) + matrix @ matrix.T).logpdf(data)
+    precision = matrix.T @ matrix + np.eye(3)
+    optimum = np.append(np.linalg.solve(precision[:2, :2], matrix[:, :2].T @ data), 0.0)
+    gradient = precision @ optimum - matrix.T @ data
+    names = ParameterSet(rig()[:1], unknowns(rig(), ("principal_point", "focal")).parameters[:3])
+    enlarged = EnlargedSet(names, (HeldGroup("focal", np.array([2]), False),))
+    tracks = TrackMoves(np.ones((1, 3)), np.zeros((1, 3, 3)))
+    (suspicion,) = suspect(QuadraticPosterior(gradient, precision, tracks), enlarged, np.array([0, 1]))
+    assert suspicion.log_evidence == pytest.approx(free - held)
+    value = np.linalg.solve(precision, matrix.T @ data)[2] * names.prior_std[2]
+    assert suspicion.values == pytest.approx([value])
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.0, 4.0])
+def test_the_noise_of_a_camera_is_found_whatever_is_stated(factor: float) -> None:
+    problem, adjustment = posed(Lens(), Lens())
+    stated = np.array([1.0, 1.0 / factor, 1.0])  # what is stated over the true noise
+    for number in range(4):  # tracks follow the cameras whose noise is stated too small until it is known
+        observations = problem.observations
+        precisions = observations.precisions / stated[observations.cameras, None, None] ** 2
+        noisy = replace(problem, observations=replace(observations, precisions=precisions))
+        adjustment = adjust(noisy, np.zeros(problem.parameters.size), adjustment.states)
+        found = noise_factors(noisy, adjustment, np.random.default_rng(0))
+        if number == 0:
+            assert found.differs.tolist() == [False, factor != 1.0, False]
+        stated = stated * found.factors
+    # 160 to 320 coordinates of each camera tell, to 6 % at most: three standard deviations
+    np.testing.assert_allclose(stated, 1.0, rtol=0.17)

@@ -1,0 +1,96 @@
+"""A best start that no other one confirms is not trusted, where poses alone are unknown; agreement and rivals."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+
+from stereophd.core.calibration.adjustment.solver import Adjustment
+from stereophd.core.calibration.annealing.method import Remark, doubt_of_starts, why_none_succeeded
+from stereophd.core.calibration.annealing.starts import agree, best_of, distinct, rival_of
+from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
+from stereophd.core.calibration.settings import AnnealedSettings
+
+SIZE = 6
+FAILED = "residuals are 3.0 times the detector's noise"
+
+
+def start(number: int, place: float | None, evidence: float = -100.0) -> Start:
+    """A start that ended at a place, in standard deviations, or failed."""
+    values = np.full(SIZE, place or 0.0)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(SIZE), 0.0, np.empty(0), 1, True)
+    fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
+    outcome = FAILED if place is None else SUCCEEDED
+    return Start(number, outcome, values, np.empty((0, SIZE)), fit, evidence, 0.0, 1.0, "pairing 0")
+
+
+def doubt(
+    starts: list[Start], only_moves: bool = True, count: int | None = None, is_sampled: bool = False
+) -> tuple[str, tuple[Remark, ...]]:
+    settings, parameters = AnnealedSettings(starts=count), SimpleNamespace(only_moves=only_moves, only_poses=only_moves)
+    task = SimpleNamespace(settings=settings, parameters=parameters, most_starts=most_starts(settings, parameters))
+    return doubt_of_starts(cast("Task", task), starts, starts[0], is_sampled)
+
+
+def most_starts(settings: AnnealedSettings, parameters: SimpleNamespace) -> int:
+    """`Task.most_starts` of a task with these."""
+    assert Task.most_starts.fget is not None
+    return int(Task.most_starts.fget(SimpleNamespace(settings=settings, parameters=parameters)))
+
+
+def test_more_starts_are_made_where_they_are_cheap() -> None:
+    poses, lenses = SimpleNamespace(only_poses=True), SimpleNamespace(only_poses=False)
+    assert most_starts(AnnealedSettings(), poses) == 24
+    assert most_starts(AnnealedSettings(), lenses) == 8
+    assert most_starts(AnnealedSettings(starts=3), poses) == 3
+
+
+def test_starts_that_agree_are_trusted() -> None:
+    assert doubt([start(0, 0.0), start(1, 0.5)]) == ("", ())
+
+
+def test_a_best_start_that_stands_alone_is_doubted() -> None:
+    why, _ = doubt([start(0, 0.0), *(start(k, None) for k in range(1, 8))])
+    assert why.startswith("only 1 of 8 starts found these cameras")
+    # one that is asked for alone is not, and neither is one beside the full posterior
+    assert doubt([start(0, 0.0)], count=1) == ("", ())
+    assert doubt([start(0, 0.0), start(1, None)], is_sampled=True)[0] == ""
+
+
+def test_with_other_unknowns_a_lone_start_is_a_remark() -> None:
+    why, (remark,) = doubt([start(0, 0.0), start(1, 3.0, -200.0)], only_moves=False)
+    assert why == ""
+    assert remark.text.startswith("only 1 of 2 starts found these cameras")
+    assert not remark.is_reservation
+
+
+def test_a_rival_is_named() -> None:
+    starts = [start(0, 0.0), start(1, 0.1), start(2, 9.0, -102.0)]
+    assert doubt(starts)[0].startswith("starts 0 and 2 agree with the data alike")
+    assert rival_of(starts) is starts[2]
+
+
+def test_what_is_near_or_unlikely_is_no_rival() -> None:
+    # 4 standard deviations apart in the root mean square are too near, 6 nats below the best too unlikely
+    assert rival_of([start(0, 0.0), start(1, 4.0, -100.5)]) is None
+    assert rival_of([start(0, 0.0), start(1, 9.0, -106.0)]) is None
+    assert rival_of([start(0, 0.0), start(1, 9.0, -104.0)]) is not None
+
+
+def test_starts_agree_within_one_standard_deviation_in_the_root_mean_square() -> None:
+    assert agree(start(0, 0.0), start(1, 0.99))
+    assert not agree(start(0, 0.0), start(1, 1.01))
+    assert agree(start(0, 0.0), start(1, 4.9), within=5.0)
+
+
+def test_the_best_of_each_kind_is_distinct() -> None:
+    starts = [start(0, 0.0, -103.0), start(1, 0.2, -101.0), start(2, 8.0, -102.0), start(3, None)]
+    assert [s.number for s in distinct(starts)] == [1, 2]
+    assert best_of(starts) is starts[1]
+    assert best_of([start(0, None)]) is None
+
+
+def test_the_most_frequent_failure_is_named() -> None:
+    assert FAILED in why_none_succeeded([start(0, None), start(1, None)])

@@ -1,0 +1,136 @@
+"""The fits of the annealed method: what each associates, holds and finds; and when one disagrees with the data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.calibration.annealing.fits import (
+    fit_from,
+    fit_until,
+    paired_fit,
+    pairings_of,
+    refitted,
+    tracked_fit,
+)
+from stereophd.core.calibration.annealing.method import Choices, calibrated
+from stereophd.core.calibration.annealing.starts import disagreement, explained, run_start
+from stereophd.core.calibration.annealing.task import Fit, Task
+from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.multi.pmb.filter import PmbFilter
+from tests.core.calibration.pairing.test_search import FRAMES, OBJECTS, recording_of
+from tests.core.calibration.problems import make_template
+from tests.core.calibration.scenes import MadeUp, make_problem
+
+
+@pytest.fixture(scope="module")
+def made() -> MadeUp:
+    return make_problem(5, OBJECTS, FRAMES)
+
+
+@pytest.fixture(scope="module")
+def task(made: MadeUp) -> Task:
+    template = make_template(made.parameters.cameras, "pmb", ConstantVelocity([0.001] * 3, 12.0))
+    assert isinstance(template, PmbFilter)
+    recording = recording_of(made)
+    return Task.of(made.parameters, 0, template, recording, np.arange(2 * FRAMES), None, AnnealedSettings())
+
+
+@pytest.fixture(scope="module")
+def paired(task: Task) -> Fit:
+    return paired_fit(task, pairings_of(task, task.parameters.prior_mean, np.random.SeedSequence(1))[0])
+
+
+def objects_of(fit: Fit) -> list[set[int]]:
+    """True objects of the detections of each trajectory: a log holds all objects of each frame in their order."""
+    objects = fit.detections % OBJECTS
+    return [set(objects[fit.observations.trajectories == j].tolist()) for j in range(fit.knots.count)]
+
+
+def check_near_truth(made: MadeUp, fit: Fit) -> None:
+    """The scale apart, which the data leave open, the values lie within four of their standard deviations."""
+    error = fit.adjustment.values - made.truth
+    assert (np.abs(error) < 4.0 * np.sqrt(np.diag(fit.adjustment.covariance))).all()
+
+
+def test_a_fit_of_paired_tracks_has_one_object_in_each_trajectory(made: MadeUp, paired: Fit) -> None:
+    assert sorted(map(sorted, objects_of(paired))) == [[j] for j in range(OBJECTS)]
+    check_near_truth(made, paired)
+
+
+def test_a_fit_of_tracks_moves_only_what_is_free(task: Task, paired: Fit) -> None:
+    held = np.arange(task.parameters.size) < 3
+    fit = tracked_fit(task, paired.adjustment.values, 1.4, held)
+    assert fit is not None
+    moved = fit.adjustment.values != paired.adjustment.values
+    assert moved.tolist() == (~held).tolist()
+    assert fit.held is held
+
+
+def test_tracks_of_too_few_detections_are_no_fit(task: Task, paired: Fit) -> None:
+    settings = AnnealedSettings(min_detections=FRAMES + 1)
+    assert tracked_fit(replace(task, settings=settings), paired.adjustment.values, 1.0) is None
+
+
+def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, task: Task, paired: Fit) -> None:
+    half = fit_until(task, paired, (FRAMES - 1) / 2)
+    assert half is not None
+    assert half.observations.times.max() <= (FRAMES - 1) / 2
+    # a tenth of the detections in the wrong trajectory
+    wrong = paired.observations.trajectories.copy()
+    wrong[::10] = (wrong[::10] + 1) % OBJECTS
+    mixed = replace(paired, observations=replace(paired.observations, trajectories=wrong))
+    again = refitted(task, mixed)
+    assert again is not None
+    assert sorted(map(sorted, objects_of(again))) == [[j] for j in range(OBJECTS)]
+    # three of a thousand detections lie beyond the gate of 3.7 standard deviations
+    assert len(again.detections) > 0.98 * 2 * FRAMES * OBJECTS
+    check_near_truth(made, again)
+
+
+def test_a_fit_from_the_truth_explains_the_log(made: MadeUp, task: Task) -> None:
+    fit = fit_from(task, made.truth)
+    assert fit is not None
+    check_near_truth(made, fit)
+    assert disagreement(task, fit) is None
+    # without a tenth of its detections it explains as much less
+    fewer = replace(fit, detections=fit.detections[: len(fit.detections) * 9 // 10])
+    assert explained(task, fewer) == pytest.approx(0.9 * explained(task, fit), rel=0.01)
+
+
+def test_what_disagrees_is_named(made: MadeUp, task: Task) -> None:
+    fit = fit_from(task, made.truth)
+    assert fit is not None
+    adjustment = fit.adjustment
+    few = disagreement(task, replace(fit, detections=fit.detections[:10]))
+    assert few is not None
+    assert few.startswith("shared tracks explain only")
+    large = replace(fit, adjustment=replace(adjustment, distances=np.full_like(adjustment.distances, 8.0)))
+    assert disagreement(task, large) == "residuals are 2.0 times the detector's noise"
+    far = replace(fit, adjustment=replace(adjustment, values=9.0 * task.parameters.prior_std))
+    assert str(disagreement(task, far)).endswith("standard deviations from the prior")
+
+
+def test_core_alone_calibrates(made: MadeUp, task: Task) -> None:
+    starts = [run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
+    result = calibrated(replace(task, settings=AnnealedSettings(starts=1)), starts, Choices())
+    check_near_truth(made, result.fit)
+    assert result.doubt == ""
+    assert (result.noise == 1.0).all()
+    assert result.freed == ()
+    assert not any(remark.is_reservation for remark in result.remarks)
+
+
+def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task) -> None:
+    stated = task.with_noise(np.array([3.0, 3.0]))
+    starts = [run_start(stated, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
+    right = calibrated(task, [run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))], Choices())
+    result = calibrated(stated, starts, Choices())
+    np.testing.assert_allclose(result.noise, 1.0 / 3.0, rtol=0.2)
+    assert [remark.topic for remark in result.remarks].count("noise") == 2
+    check_near_truth(made, result.fit)
+    stds, expected = (np.sqrt(np.diag(r.fit.adjustment.covariance)) for r in (result, right))
+    np.testing.assert_allclose(stds, expected, rtol=0.25)

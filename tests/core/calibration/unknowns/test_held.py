@@ -1,0 +1,63 @@
+"""What a calibration holds, as unknowns under wide priors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stereophd.core.calibration.unknowns.held import K1_STD, enlarge
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose
+
+PERIODS = np.array([0.1, 0.04])
+
+
+def cameras(lens: Lens) -> tuple[Camera, ...]:
+    left = Camera(
+        "left", 800, 600, 900.0, 900.0, 400.0, 300.0, Pose(np.eye(3), (0.0, 0.0, 0.0)), Lens(),
+        Detector((1.0, 1.0), 0.9, 1.0),
+    )  # fmt: skip
+    return left, replace(left, name="right", lens=lens)
+
+
+def names(parameters: ParameterSet, places: np.ndarray) -> list[str]:
+    return [parameters.names[place] for place in places]
+
+
+def test_everything_but_the_unknowns_and_the_reference_clock_is_held() -> None:
+    stated = ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),))
+    enlarged = enlarge(stated, 0, PERIODS)
+    held = enlarged.parameters.names[1:]
+    assert enlarged.parameters.names[0] == "right.focal"
+    assert "left.focal" in held
+    assert "right.clock_offset" in held
+    assert not any(name.startswith("left.clock") for name in held)
+    std = dict(zip(enlarged.parameters.names, enlarged.parameters.prior_std, strict=True))
+    assert std["right.k1"] == K1_STD
+    assert std["right.readout"] == PERIODS[1]
+    assert std["right.focal"] == 0.01
+
+
+def test_absent_lenses_are_told_from_stated_ones() -> None:
+    stated = ParameterSet(cameras(Lens("radial", k1=-0.1)), (Parameter("focal", "right", 0.0, 0.01),))
+    lenses = [group for group in enlarge(stated, 0, PERIODS).groups if group.quantity == "distortion"]
+    assert [group.is_absent_lens for group in lenses] == [True, False, False]
+
+
+def test_what_is_freed_follows_the_unknowns() -> None:
+    stated = ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),))
+    enlarged = enlarge(stated, 0, PERIODS)
+    both = next(g for g in enlarged.groups if g.quantity == "distortion" and len(g.places) == 2)
+    freed = enlarged.freed(both.places)
+    assert freed.names == ("right.focal", "left.k1", "right.k1")
+    # the cameras are those of the statement, with a lens to estimate
+    assert [camera.lens for camera in freed.build(np.zeros(3))] == [Lens("radial"), Lens("radial")]
+    assert freed.build([0.0, -0.3, 0.0])[0].lens.k1 == -0.3
+
+
+def test_a_frame_alone_has_no_period() -> None:
+    enlarged = enlarge(ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),)), 0, np.zeros(2))
+    assert not any(name.endswith(("readout", "clock_offset")) for name in enlarged.parameters.names)

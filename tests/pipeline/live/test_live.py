@@ -1,0 +1,138 @@
+"""A live run gives what a batch run gives, in whatever order the frames arrive."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stereophd.commands.track import track
+from stereophd.commands.track_live import LiveOutputs, track_live
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.errors import InputError
+from stereophd.io.logs.reading import LogReader
+from stereophd.io.streams.messages import Message
+from stereophd.io.streams.sources import from_stream
+
+HALL = Path(__file__).resolve().parents[3] / "sample_data"
+
+
+@pytest.fixture(scope="module")
+def loaded() -> LoadedConfig:
+    return load_config(HALL / "hall.yaml", ["report.times=events"], cameras_path=HALL / "hall" / "cameras.yaml")
+
+
+@pytest.fixture(scope="module")
+def frames(loaded: LoadedConfig) -> list[Message]:
+    cameras = loaded.build_cameras()
+    log = LogReader(HALL / "hall" / "detections.parquet", cameras)
+    return [Message(cameras[f.camera].name, f.frame, cameras[f.camera].clock.to_log(f.time_s), f.pixels) for f in log][
+        :90
+    ]
+
+
+def shuffled(frames: Sequence[Message], delay_s: float) -> list[Message]:
+    """Delay every frame by up to `delay_s`."""
+    rng = random.Random(5)
+    return [m for _, _, m in sorted((m.time_s + rng.uniform(0.0, delay_s), k, m) for k, m in enumerate(frames))]
+
+
+def run(loaded: LoadedConfig, frames: Sequence[Message], out: Path | None = None) -> tuple[dict[str, Any], list[Any]]:
+    lines = io.StringIO()
+    content = "".join(frame.to_line() + "\n" for frame in frames).encode()
+    report = track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs(lines, out))
+    return report, [json.loads(line) for line in lines.getvalue().splitlines()]
+
+
+def by_event(lines: Sequence[Any]) -> dict[tuple[str, int], Any]:
+    """Return the last line of each event, without whether it was revised."""
+    return {(line["camera"], line["frame"]): {**line, "revised": False} for line in lines}
+
+
+def test_the_order_of_arrival_does_not_matter(loaded: LoadedConfig, frames: list[Message], tmp_path: Path) -> None:
+    plain, expected = run(loaded, frames, tmp_path / "plain")
+    assert plain["late_frames"] == 0
+    assert len(expected) == len(frames)
+    late, lines = run(loaded, shuffled(frames, 0.5), tmp_path / "late")
+    assert late["late_frames"] > 10
+    assert late["revised_events"] == sum(line["revised"] for line in lines)
+    assert by_event(lines) == by_event(expected)
+    # the log that both wrote, and its tracks, are those of a batch run to the byte
+    track(loaded, tmp_path / "plain" / "detections.parquet", tmp_path / "batch")
+    for name in ("tracks.parquet", "scans.parquet"):
+        batch = (tmp_path / "batch" / name).read_bytes()
+        assert batch == (tmp_path / "plain" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()
+
+
+def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message]) -> None:
+    waiting = load_config(
+        loaded.path, ["report.times=events", "live.wait_s=0.6"], cameras_path=HALL / "hall" / "cameras.yaml"
+    )
+    behind = next(iter(loaded.cameras))
+    delayed = sorted(frames, key=lambda m: m.time_s + (0.5 if m.camera == behind else 0.0))
+    assert run(loaded, delayed)[0]["late_frames"] > 10
+    report, lines = run(waiting, delayed)
+    assert report["late_frames"] == 0
+    assert by_event(lines) == by_event(run(loaded, frames)[1])
+
+
+def test_a_frame_that_is_too_late_is_counted_or_refused(loaded: LoadedConfig, frames: list[Message]) -> None:
+    late = [*frames[3:], frames[2]]
+    with pytest.raises(InputError, match=r"frame 1 of camera .*: expected .* older than the newest \(live.span_s\)"):
+        run(loaded, late)
+    dropping = load_config(
+        loaded.path,
+        ["report.times=events", "input.on_bad_row=drop"],
+        cameras_path=HALL / "hall" / "cameras.yaml",
+    )
+    report, lines = run(dropping, late)
+    assert report["frames"]["too_late"] == 1
+    assert by_event(lines) == by_event(run(loaded, frames[:2] + frames[3:])[1]) or len(lines) == len(late) - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"camera": "none"}, "camera: expected one of"),
+        ({"detections": [[-500.0, 5.0]]}, "expected a detection inside the"),
+        ({"detections": [[5.0, 5.0], [5.0, 5.0]]}, "again|repeated|twice|duplicate"),
+        ({"time_s": 1e300}, "time_s: expected a number between"),
+    ],
+)
+def test_a_bad_frame_is_refused_with_its_place(
+    change: dict[str, Any], expected: str, loaded: LoadedConfig, frames: list[Message]
+) -> None:
+    bad = json.dumps({**json.loads(frames[1].to_line()), **change})
+    content = (frames[0].to_line() + "\n" + bad + "\n").encode()
+    with pytest.raises(InputError, match=f"frames: frame .* of camera .*(message 2).*({expected})"):
+        track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs())
+
+
+def test_a_camera_that_stops_does_not_stop_the_others(loaded: LoadedConfig, frames: list[Message]) -> None:
+    names = list(loaded.cameras)
+    stopped = [m for m in frames if m.camera != names[1] or m.time_s < 1.0 or m.time_s > 2.0]
+    waiting = load_config(
+        loaded.path, ["report.times=events", "live.wait_s=0.2"], cameras_path=HALL / "hall" / "cameras.yaml"
+    )
+    _, lines = run(waiting, stopped)
+    assert [(line["camera"], line["frame"]) for line in lines] == [(m.camera, m.frame) for m in stopped]
+
+
+def test_what_needs_the_whole_log_is_refused(loaded: LoadedConfig) -> None:
+    estimating = load_config(loaded.path, ["detector=estimate"], cameras_path=HALL / "hall" / "cameras.yaml")
+    with pytest.raises(InputError, match="detector: expected the detectors of all cameras for a live run"):
+        track_live(estimating, iter(()), "frames", LiveOutputs())
+
+
+def test_a_recording_holds_what_was_used(loaded: LoadedConfig, frames: list[Message], tmp_path: Path) -> None:
+    outputs = LiveOutputs(recording=tmp_path / "frames.jsonl")
+    track_live(loaded, iter(frames), "frames", outputs)
+    lines = (tmp_path / "frames.jsonl").read_text().splitlines()
+    assert lines == [frame.to_line() for frame in frames]
+    with pytest.raises(InputError, match="the file exists"):
+        track_live(loaded, iter(frames), "frames", outputs)

@@ -1,0 +1,80 @@
+"""Smoothing that would explain the detections of a track worse than the filter did; detections known by their rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stereophd.commands.simulate import simulate
+from stereophd.config.loading import load_config
+from stereophd.core.trajectories.chain import NONE, make_run
+from stereophd.io.logs.reading import LogReader
+from stereophd.io.tables.reading import open_parquet
+from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.tracking.loop import run_estimator
+from stereophd.pipeline.tracking.run_claims import claims_of_run
+from stereophd.pipeline.tracking.smoothed import _is_worse, _smoothed, _trajectories
+from tests.commands.test_track import SCENE
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A configuration, with a log of its scene beside it."""
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "scene.yaml").write_text(SCENE)
+    simulate(load_config(folder / "scene.yaml"), folder / "log")
+    return folder
+
+
+def test_detections_carry_their_rows_of_the_log(log: Path) -> None:
+    loaded = load_config(log / "scene.yaml")
+    cameras, path = loaded.build_cameras(), log / "log" / "detections.parquet"
+    with open_parquet(path, "log") as parquet:
+        table = parquet.read()
+    pixels = np.stack([table[name].to_numpy() for name in ("u_px", "v_px")], axis=1)
+    seen = []
+    for event in EventStream(cameras, LogReader(path, cameras)):
+        assert event.pixels is not None
+        assert event.rows is not None
+        np.testing.assert_array_equal(pixels[event.rows], event.pixels)
+        seen += event.rows.tolist()
+    assert sorted(seen) == np.flatnonzero(np.isfinite(pixels[:, 0])).tolist()
+    # frames in memory state no rows: their detections are numbered as they come
+    frames = [replace(frame, rows=None) for frame in LogReader(path, cameras)]
+    rows = np.concatenate([event.rows for event in EventStream(cameras, frames) if event.rows is not None])
+    assert sorted(rows.tolist()) == list(range(len(seen)))
+
+
+def test_a_track_that_leaps_is_smoothed_from_its_detections_alone(log: Path) -> None:
+    """Filtered states that leap twice to another place draw the smoother away from the detections."""
+    loaded = load_config(log / "scene.yaml", ["filter.kind=pmb"])
+    cameras = loaded.build_cameras()
+    tracker = replace(build_filter(loaded.config, cameras, loaded.path), claims=True)
+    stream = EventStream(cameras, LogReader(log / "log" / "detections.parquet", cameras))
+    whole = list(run_estimator(tracker, stream, keep_events=True))
+    times = np.array([record.time_s for record in whole])
+    run = make_run([record.event for record in whole], times, cameras, tracker.motion)
+    claims = claims_of_run(whole, run)
+    track, label = max(_trajectories(whole, times), key=lambda one: len(one[0].events))
+    detections = claims.detections_of(track, run)
+    assert np.count_nonzero(detections != NONE) > 20
+    labels = np.array([record.first_label for record in whole])
+    (right,) = _smoothed([(track, label)], claims, run, labels)
+    middle = len(track.events) // 2
+    states = track.states.copy()
+    states[middle : middle + 4, :3] += 0.2 * np.linalg.norm(states[middle, :3] - cameras[0].pose.center)
+    leaping = replace(track, states=states)
+    unseen = detections.copy()
+    unseen[middle : middle + 4] = NONE
+    kept = ~np.isin(claims.detections, detections[middle : middle + 4])
+    (found,) = _smoothed([(leaping, label)], claims.take(kept), run, labels)
+    part = found.take(slice(len(found.events) - len(track.events), None))
+    assert not _is_worse(part, leaping, unseen, run)
+    there = right.take(slice(len(right.events) - len(track.events), None))
+    errors = np.linalg.norm(part.states[:, :3] - there.states[:, :3], axis=1)
+    stds = np.sqrt(np.trace(there.covariances[:, :3, :3], axis1=1, axis2=2))
+    assert np.median(errors / stds) < 1.0
