@@ -114,7 +114,7 @@ class TrackingProblem:
 
 
 @dataclass(frozen=True)
-class TrackingRun:
+class SingleObjectRun:
     """Errors (estimate minus truth) of a run, after the last event of each distinct time."""
 
     times: Array  # (t,): Distinct times, s
@@ -130,7 +130,7 @@ def tracking_run(
     settings: EstimatorSettings,
     rng: np.random.Generator,
     clock: AbstractContextManager[None] | None = None,
-) -> TrackingRun:
+) -> SingleObjectRun:
     """Draw a trajectory and its detections (where in view, with each detector's p_detect), and track it.
 
     The estimator, and not the drawing, works within `clock`.
@@ -146,7 +146,7 @@ def tracking_run(
     last = last_events(scenario.times)
     with clock or nullcontext():
         maps, means, covariances = _run(estimator, events, last.tolist())
-    return TrackingRun(scenario.times[last], maps - states[last], means - states[last], covariances)
+    return SingleObjectRun(scenario.times[last], maps - states[last], means - states[last], covariances)
 
 
 def tracking_bound(

@@ -18,7 +18,7 @@ import numpy as np
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
 from stereophd.config.loading import variant
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
-from stereophd.core.calibration.discovery.rig import Rig, View, discover
+from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
@@ -51,7 +51,7 @@ class FoundCameras:
     """What was found where poses or clocks are unknown: the rig, or the reason why there is none."""
 
     names: tuple[str, ...]  # of the cameras that were unknown
-    rig: Rig | None
+    rig: RigHypothesis | None
     reason: str
     has_scale: bool
     intervals: dict[str, float]  # of each camera, s
@@ -90,7 +90,7 @@ class FoundCameras:
             return None
         size = problem.parameters.size
         nan = np.full((size, size), np.nan)
-        return Outcome(nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
+        return Outcome(problem.parameters, nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
         """Return an outcome with the doubts of the search, and what is known too badly to be called determined."""
@@ -222,7 +222,7 @@ def _view(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> V
     return View(camera, focal, lens, np.inf if clock else 0.0, rate)
 
 
-def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig:
+def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: RigHypothesis) -> RigHypothesis:
     """Return a rig in the axes of the reference's pose, and in the unit of a known distance of two of its cameras."""
     factor = 1.0
     if isinstance(section.scale, BaselineScale):
@@ -239,7 +239,7 @@ def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig
 
 
 def _priors(
-    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: Rig, intervals: dict[str, float]
+    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: RigHypothesis, intervals: dict[str, float]
 ) -> dict[str, Any]:
     """Return priors about the cameras of a rig, as the configuration writes them."""
     out: dict[str, Any] = {}

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors.confirmation_delay import FirstReports, first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
@@ -26,6 +26,7 @@ from stereophd.core.metrics.truth.interpolation import (
     last_event_of_each_time,
 )
 from stereophd.core.metrics.truth.places import leave_out_outside, on_plane
+from stereophd.core.metrics.truth.registration import Registration
 from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
@@ -50,7 +51,7 @@ def score_tracks(
     tracks, truth : Tracks, Truth
     sightings : Sightings, optional
         Detections of the log, where only objects that cameras saw lately are scored.
-    options : Options
+    options : ScoreOptions
     max_gap_s : float
         Longest interval of the truth that is interpolated over, s.
     tracks_path : Path
@@ -64,70 +65,90 @@ def score_tracks(
     found = registration_of(tracks, truth, options, max_gap_s, tracks_path)
     if found is not None:
         tracks, sightings = registered_tracks(tracks, found), registered_sightings(sightings, found)
+    scans = _scans_of_sight(_common_scans(tracks, truth, options, max_gap_s, tracks_path), sightings, options)
+    if len(scans.time_s) == 0:
+        raise InputError(_nothing_to_score(tracks, truth, scans.unscored, options, tracks_path))
+    return _scored(scans, tracks, found, options, tracks_path)
+
+
+@dataclass(frozen=True)
+class _Scans:
+    """Estimates and objects of the same scans."""
+
+    time_s: Array
+    estimates: PointSets
+    points: PointSets  # The objects
+    unscored: dict[str, int]  # Scans that are left out, by the reason
+
+    def without(self, emptied: Booleans, estimates: PointSets, points: PointSets, reason: str) -> _Scans:
+        """Return the scans with fewer estimates and objects, without those that this leaves empty."""
+        kept = ~emptied
+        unscored = {**self.unscored, reason: int(emptied.sum())}
+        return _Scans(self.time_s[kept], estimates.keep_scans(kept), points.keep_scans(kept), unscored)
+
+
+def _common_scans(tracks: Tracks, truth: Truth, options: ScoreOptions, max_gap_s: float, tracks_path: Path) -> _Scans:
+    """Bring tracks and truth to the same scans."""
     events = tracks.events if tracks.all_events else add_truth_times(tracks.events, truth.time_s)
     if options.at == "times":
         events = events.take(last_event_of_each_time(events.time_s))
     events = events.take(in_window(events.time_s, options.from_s, options.to_s))
     aligned = align_truth(truth, events.time_s, max_gap_s)
     usable = ~(aligned.outside | aligned.gap)
-    scans = {
+    unscored = {
         "outside_truth": int(aligned.outside.sum()),
         "truth_gap": int((aligned.gap & ~aligned.outside).sum()),
         "unseen": 0,
     }
-    time_s, points = events.time_s[usable], aligned.points.keep_scans(usable)
+    points = aligned.points.keep_scans(usable)
     estimates = _estimates(tracks, events.take(usable), options, tracks_path)
     if options.plane is not None:
         normal = np.array(options.plane)
         estimates, points = on_plane(estimates, normal), on_plane(points, normal)
-    mahalanobis = options.base == "mahalanobis"
+    return _Scans(events.time_s[usable], estimates, points, unscored)
+
+
+def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOptions) -> _Scans:
+    """Leave out objects that no camera saw lately, and what lies outside the region, with the estimates of them."""
+    order, cutoff = options.order, options.known_cutoff
     if sightings is not None and options.seen_by is not None and options.within_s is not None:
-        cameras = cameras_that_saw(sightings, time_s[points.scan], points.label, options.within_s)
+        cameras = cameras_that_saw(sightings, scans.time_s[scans.points.scan], scans.points.label, options.within_s)
         estimates, points, emptied = leave_out_unseen(
-            estimates,
-            points,
-            cameras >= options.seen_by,
-            options.order,
-            options.known_cutoff,
-            mahalanobis=mahalanobis,
-        )
-        scans["unseen"] = int(emptied.sum())
-        time_s = time_s[~emptied]
-        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
+            scans.estimates, scans.points, cameras >= options.seen_by, order, cutoff,
+            mahalanobis=options.base == "mahalanobis",
+        )  # fmt: skip
+        scans = scans.without(emptied, estimates, points, "unseen")
     if options.region is not None:
-        estimates, points, emptied = leave_out_outside(
-            estimates, points, options.region, options.order, options.known_cutoff
-        )
-        scans["outside_region"] = int(emptied.sum())
-        time_s = time_s[~emptied]
-        estimates, points = estimates.keep_scans(~emptied), points.keep_scans(~emptied)
-    if len(time_s) == 0:
-        raise InputError(_nothing_to_score(tracks, truth, scans, options, tracks_path))
-    scores = score_scans(estimates, points, options.order, options.known_cutoff, mahalanobis=mahalanobis)
-    distance = options.known_cutoff if options.match_distance is None else options.match_distance
-    scores, matchable = match_within(
-        estimates, points, scores, options.order, options.known_cutoff, distance, mahalanobis=mahalanobis
-    )
+        estimates, points, emptied = leave_out_outside(scans.estimates, scans.points, options.region, order, cutoff)
+        scans = scans.without(emptied, estimates, points, "outside_region")
+    return scans
+
+
+def _scored(
+    scans: _Scans, tracks: Tracks, registration: Registration | None, options: ScoreOptions, tracks_path: Path
+) -> Scored:
+    """Return all figures of scans."""
+    estimates, points, time_s = scans.estimates, scans.points, scans.time_s
+    order, cutoff, mahalanobis = options.order, options.known_cutoff, options.base == "mahalanobis"
+    scores = score_scans(estimates, points, order, cutoff, mahalanobis=mahalanobis)
+    distance = cutoff if options.match_distance is None else options.match_distance
+    scores, matchable = match_within(estimates, points, scores, order, cutoff, distance, mahalanobis=mahalanobis)
     beside = beside_another(estimates, points, scores, matchable)
     warn_of_wrong_matches(tracks_path, beside, len(scores.pair_scan), distance)
-    near = matchable
-    if distance != options.known_cutoff:
-        near = near_pairs(estimates, points, options.known_cutoff, mahalanobis=mahalanobis)
-    ospa2 = track_ospa(
-        estimates, points, options.ospa2_window, options.order, options.known_cutoff, mahalanobis=mahalanobis
-    )
+    near = matchable if distance == cutoff else near_pairs(estimates, points, cutoff, mahalanobis=mahalanobis)
+    ospa2 = track_ospa(estimates, points, options.ospa2_window, order, cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
     waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
-    found_figures = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
+    summary = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
     if options.switch_cost is not None:
-        tgospa = trajectory_gospa(estimates, points, near, options.order, options.known_cutoff, options.switch_cost)
-        found_figures["tgospa"] = {"mean": tgospa.mean(options.order), **asdict(tgospa)}
+        tgospa = trajectory_gospa(estimates, points, near, order, cutoff, options.switch_cost)
+        summary["tgospa"] = {"mean": tgospa.mean(order), **asdict(tgospa)}
     return Scored(
-        figures=found_figures,
-        scans={"scored": len(time_s), "not_scored": sum(scans.values()), **scans},
+        figures=summary,
+        scans={"scored": len(time_s), "not_scored": sum(scans.unscored.values()), **scans.unscored},
         columns=per_scan_columns(time_s, estimates, points, scores, ospa2, errors),
         estimates=estimates,
-        registration=found,
+        registration=registration,
     )
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pytest
 
 from stereophd.errors import InputError
-from stereophd.io.streams.messages import Message, messages_of_rows, parse_line
+from stereophd.io.streams.messages import SCHEMA, Message, messages_of_rows, parse_line
 
 FRAME = {"camera": "left", "frame": 7, "time_s": 0.1 + 0.2, "detections": [[612.5, 301.25], [0.1, 240.9]]}
 
@@ -59,6 +60,12 @@ def test_what_is_no_frame_is_refused_with_its_place(change: object, expected: st
     line = change if isinstance(change, str) else json.dumps(FRAME | change)  # type: ignore[operator]
     with pytest.raises(InputError, match=f"input: line 4: {expected}"):
         parse_line(line, "input: line 4")
+
+
+def test_the_schema_in_the_repository_is_that_of_the_code() -> None:
+    file = Path(__file__).resolve().parents[3] / "configs" / "frame_message.schema.json"
+    assert json.loads(file.read_text()) == SCHEMA
+    assert set(FRAME) == set(SCHEMA["required"])
 
 
 def test_rows_of_a_log_are_frames() -> None:
