@@ -76,7 +76,7 @@ def init(
         draft = draft_from_log(draft, log_path)
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
-    _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE))
+    _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE), force)
     findings: list[dict[str, Any]] = []
     if draft.cameras:
         loaded = load_config(target)
@@ -164,10 +164,10 @@ def _begin(cameras_file: Path | None, log_path: Path | str | None, unit: str | N
     return Draft(draft.unit, {}, draft.choices, head=(f"The log has the cameras {names}.",))
 
 
-def _write(target: Path, text: str) -> None:
+def _write(target: Path, text: str, force: bool) -> None:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise write_error(error, target.parent) from error
-    with atomic_write(target) as path:
+    with atomic_write(target, replace=force) as path:
         path.write_text(text, encoding="utf-8")

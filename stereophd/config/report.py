@@ -9,7 +9,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stereophd.core.settings import Duration, Pixels, PositiveDuration, PositiveLength, parameter
+from stereophd.core.settings import (
+    Duration,
+    Pixel,
+    Pixels,
+    PositiveDuration,
+    PositiveLength,
+    PositivePixels,
+    parameter,
+)
 from stereophd.validated import Model
 
 
@@ -128,6 +136,12 @@ class InputConfig(Model):
         "a detection further than this outside the image is a bad row (noise may reach over the edge)",
         default=10.0,
         unit="px",
+    )
+    leave_out: dict[str, list[tuple[Pixel, Pixel, PositivePixels]]] = parameter(
+        "by camera, places whose detections are left out: u, v and radius",
+        default_factory=dict,
+        unit="px",
+        advice="dead pixels and lamps, as `check` names them.",
     )
 
 

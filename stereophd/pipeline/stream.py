@@ -22,6 +22,7 @@ from stereophd.pipeline.runs.progress import Progress
 
 if TYPE_CHECKING:
     from stereophd.config.model import Config
+    from stereophd.config.report import InputConfig
     from stereophd.core.geometry.camera import Camera
     from stereophd.core.simulation.detections import SimulatedFrame
 
@@ -172,8 +173,14 @@ def open_stream(
     InputError
         The log cannot be read (see `stereophd.io.logs.reading.LogReader`).
     """
-    reader = LogReader(path, cameras, config.input.on_bad_row, config.input.image_margin_px)
-    return EventStream(cameras, reader, progress)
+    return EventStream(cameras, open_log(config.input, cameras, path), progress)
+
+
+def open_log(
+    settings: InputConfig, cameras: Sequence[Camera], path: Path | str, from_s: float = -math.inf
+) -> LogReader:
+    """Open a detection log as the section ``input`` of a configuration states."""
+    return LogReader(path, cameras, settings.on_bad_row, settings.image_margin_px, from_s, settings.leave_out)
 
 
 def frames_in_order(cameras: Sequence[Camera], simulated: Iterable[SimulatedFrame]) -> list[Frame]:

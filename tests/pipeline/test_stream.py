@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.disparity.events import Event
+from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.io.outputs.saved import decoder, encode
 from stereophd.pipeline.stream import EventStream, open_stream
@@ -101,3 +104,24 @@ def test_a_run_continues_from_a_copy_of_its_state(scenes: dict[str, tuple[Loaded
         rest = list(run_estimator(tracking.estimator, stream(saved.events), times, run=saved))
         assert rows(first) + rows(rest) == rows(whole)
         assert rows(more) == rows(rest)
+
+
+def test_a_log_that_loses_more_than_a_few_rows_is_refused(
+    scenes: dict[str, tuple[LoadedConfig, Path]], tmp_path: Path
+) -> None:
+    """A twentieth at most: here the first 2 and 20 % of the frames have times minutes too late."""
+    loaded, path = scenes["many"]
+    table = pq.read_table(path)
+    loaded = load_config(loaded.path, ["simulate.duration_s=10.0", "input.on_bad_row=drop"])
+    for share in (0.02, 0.2):
+        head = np.arange(table.num_rows) < share * table.num_rows
+        times = pa.array(table["time_s"].to_numpy() + 300.0 * head)
+        column = table.schema.get_field_index("time_s")
+        pq.write_table(table.set_column(column, "time_s", times), tmp_path / "log.parquet")
+        stream = open_stream(loaded.config, loaded.build_cameras(), tmp_path / "log.parquet")
+        if share < 0.05:
+            assert len(list(stream)) > 0
+            assert stream.counts["time_backwards"] == head.sum()
+            continue
+        with pytest.raises(InputError, match=r"expected at most 5 % of the rows to be bad, found .*time_backwards"):
+            list(stream)

@@ -13,24 +13,30 @@ near, fast objects and make far ones fly; the paper's experiments use one, so it
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import BASELINE, VERTICAL
-from stereophd.core.geometry.layout import CX, CY, FX, FY
+from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.numerics.compilation.compiled import compiled
+
+
+class FirstSight(NamedTuple):
+    """Prior of the objects that a camera sees for the first time."""
+
+    space: Array  # (30,): Packed space of the camera
+    # `mean`, `std`: Mean and standard deviation of the disparity, px.
+    mean: float
+    std: float
+    velocity_std: float  # Standard deviation of each component of velocity in the world, length/s
+    region: Array  # (8,) or empty: Where objects can be: depths along a ray are those inside it
 
 
 @compiled
 def initial_moments(
-    points: Array,
-    noises: Array,
-    space: Array,
-    mean: float,
-    std: float,
-    velocity_std: float,
-    size: int,
-    readings: Array | None = None,
+    points: Array, noises: Array, prior: FirstSight, size: int, readings: Array | None = None
 ) -> tuple[Array, Array]:
     """Return the Gaussians of objects of which only one detection each is known.
 
@@ -38,12 +44,8 @@ def initial_moments(
     ----------
     points, noises : arrays (m, 2), (m, 2, 2)
         Undistorted pixels, and their covariances, px^2.
-    space : array (30,)
-        Packed space of the camera that saw them.
-    mean, std : float
-        Prior of the disparity, px.
-    velocity_std : float
-        Standard deviation of each component of velocity in the world, length/s.
+    prior : FirstSight
+        For the camera that saw them.
     size : int
         6, or 3 for static objects.
     readings : array (m, 3), optional
@@ -58,16 +60,18 @@ def initial_moments(
     count = len(points)
     means = np.zeros((count, size))
     covariances = np.zeros((count, size, size))
+    space, velocity_std = prior.space, prior.velocity_std
     focal = space[FY] if space[VERTICAL] == 1.0 else space[FX]
     scale = focal * space[BASELINE]
     # rows of the map from camera velocity to (du / d, dv / d, dd / d^2)
     rows = np.zeros((3, 3))
     rows[0, 0], rows[1, 1], rows[2, 2] = space[FX] / scale, space[FY] / scale, -1.0 / scale
-    # E[d^2], E[d^3], E[d^4] of the prior, by the powers of d that each pair of components carries
-    second = mean**2 + std**2
-    third = mean**3 + 3.0 * mean * std**2
-    fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
     for j in range(count):
+        mean, std = _inside(points[j], prior, scale)
+        # E[d^2], E[d^3], E[d^4] of the prior, by the powers of d that each pair of components carries
+        second = mean**2 + std**2
+        third = mean**3 + 3.0 * mean * std**2
+        fourth = mean**4 + 6.0 * mean**2 * std**2 + 3.0 * std**4
         for a in range(2):
             means[j, a] = points[j, a]
             for b in range(2):
@@ -95,6 +99,45 @@ def initial_moments(
         if readings is not None:
             _seen_from_frame(readings[j], means[j], covariances[j])
     return means, covariances
+
+
+@compiled
+def _inside(point: Array, prior: FirstSight, scale: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the disparity along the ray of a pixel (2,), given the region.
+
+    The prior without a region covers two standard deviations either side. What of that lies inside the region is
+    covered instead, or all that does where the ray is inside it nearer or farther only. A ray outside leaves the prior
+    as it is: what it sees is left out as it moves.
+    """
+    space, region, mean, std = prior.space, prior.region, prior.mean, prior.std
+    if len(region) == 0:
+        return mean, std
+    ray = ((point[0] - space[CX]) / space[FX], (point[1] - space[CY]) / space[FY], 1.0)
+    low, high = max(region[6], 0.0), region[7]
+    for axis in range(3):
+        along = 0.0
+        for k in range(3):
+            along += space[ROTATION + 3 * k + axis] * ray[k]
+        near, far = region[2 * axis] - space[CENTER + axis], region[2 * axis + 1] - space[CENTER + axis]
+        if along == 0.0:
+            if near > 0.0 or far < 0.0:
+                return mean, std
+            continue
+        low = max(low, min(near / along, far / along))
+        high = min(high, max(near / along, far / along))
+    if not high > low:
+        return mean, std
+    most, least = mean + 2.0 * std, max(mean - 2.0 * std, 0.0)
+    nearest, farthest = scale / low if low > 0.0 else np.inf, scale / high
+    if nearest >= most and farthest <= least:
+        return mean, std
+    if farthest < most and nearest > least:
+        most, least = min(most, nearest), max(least, farthest)
+    elif np.isfinite(nearest):
+        most, least = nearest, farthest
+    else:
+        return mean, std
+    return (most + least) / 2.0, max((most - least) / 4.0, 1e-3 * most)
 
 
 @compiled

@@ -16,6 +16,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
@@ -26,7 +27,7 @@ from stereophd.core.multi.crosswise.history import History
 from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
-from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, NewbornPrior
+from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
@@ -241,20 +242,20 @@ class DisparityFilter(ABC):
     def event_arrays(self, event: Event) -> EventArrays:
         """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
         space = self.rig.space(event.camera, event.time_s)
-        means, covariances = birth_moments(event, space, self.settings.birth, self.state_size)
+        means, covariances = birth_moments(event, space, self.settings.birth, self.state_size, self.rig.region)
         return EventArrays(event.points, event.covariances, event.areas, event.readings(space), means, covariances)
 
-    def detections(self, event: Event) -> tuple[Detections, NewbornPrior]:
+    def detections(self, event: Event) -> tuple[Detections, FirstSight]:
         """Return an event's detections, and the prior of the objects that they may have given birth to."""
         space = self.rig.space(event.camera, event.time_s)
         found = Detections(event.points, event.covariances, event.areas, event.readings(space))
         if not self.rig.moving:
             return found, self._newborns[event.camera]
-        return found, newborn_prior(space, self.settings.birth)
+        return found, newborn_prior(space, self.settings.birth, self.rig.region)
 
     @cached_property
-    def _newborns(self) -> list[NewbornPrior]:
-        return [newborn_prior(space, self.settings.birth) for space in self.rig.packed]
+    def _newborns(self) -> list[FirstSight]:
+        return [newborn_prior(space, self.settings.birth, self.rig.region) for space in self.rig.packed]
 
     def event_numbers(self, event: Event, next_label: int, births: float, burst: int = 0) -> EventNumbers:
         """Return the place of an event, its rates, and the first unused label, for compiled code.

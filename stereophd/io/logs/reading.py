@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.numerics.times import TIME_DECIMALS
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.io.documents import check_instant
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.checks import (
@@ -101,6 +101,9 @@ class LogReader:
         True time before which the caller needs no frame: row groups that end before it are not read. (Frames before it
         may still come.)
 
+    leave_out
+        By camera, places (u, v and radius, px) whose detections are left out.
+
     Attributes
     ----------
     counts
@@ -125,6 +128,7 @@ class LogReader:
         on_bad_row: Literal["error", "drop"] = "error",
         image_margin_px: float = 10.0,
         from_s: float = -math.inf,
+        leave_out: Mapping[str, Sequence[tuple[float, float, float]]] | None = None,
     ) -> None:
         self.path = Path(path)
         self._from_s = from_s
@@ -132,6 +136,10 @@ class LogReader:
         self._index = {camera.name: i for i, camera in enumerate(cameras)}
         self._drop = on_bad_row == "drop"
         self._margin = image_margin_px
+        for name in leave_out or {}:
+            if name not in self._index:
+                raise InputError(f"input.leave_out: {unknown_camera(name, list(self._index))}")
+        self._left_out = [np.array((leave_out or {}).get(c.name, ()), dtype=float).reshape(-1, 3) for c in cameras]
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float).reshape(-1, 2)
         self.counts: dict[str, int] = {}
         with open_parquet(self.path, LOG) as parquet:
@@ -278,15 +286,19 @@ class LogReader:
         # A duplicate empty row is gone by now, so an empty frame is exactly one empty row.
         ends = (np.asarray(ends) - rows.empty[starts]).tolist()
         for time, camera, frame, i, j in zip(times, cameras, frames, starts.tolist(), ends, strict=True):
+            kept: slice | Integers = slice(i, j)
+            if len(places := self._left_out[camera]):
+                apart = np.hypot(*(rows.pixels[i:j, None] - places[:, :2]).transpose(2, 0, 1))
+                kept = i + np.flatnonzero((apart > places[:, 2]).all(axis=1))
             yield Frame(
                 time,
                 camera,
                 frame,
-                rows.pixels[i:j],
-                None if rows.sigma is None else rows.sigma[i:j],
-                None if rows.object_id is None else rows.object_id[i:j],
-                None if rows.sizes is None else rows.sizes[i:j],
-                rows.row[i:j],
+                rows.pixels[kept],
+                None if rows.sigma is None else rows.sigma[kept],
+                None if rows.object_id is None else rows.object_id[kept],
+                None if rows.sizes is None else rows.sizes[kept],
+                rows.row[kept],
             )
 
     def _true_times(self, time_s: Array, camera: Integers) -> Array:

@@ -56,7 +56,7 @@ def check_log(
         The configuration has no cameras; the log is not usable, or the known trajectory of a camera does not cover it.
     """
     cameras = loaded.build_cameras() if cameras is None else cameras
-    reader = LogReader(log_path, cameras, "drop", float("inf"))
+    reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=loaded.config.input.leave_out)
     most = MOST_FRAMES if thorough else QUICK_FRAMES
     samples = sample_log(covered(cameras, reader, str(log_path)), cameras, most)
     whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
@@ -68,7 +68,7 @@ def check_log(
 def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:
     """Check a log alone: frames, times, pixels and detectors, but neither poses nor settings (see `check_log`)."""
     cameras = loaded.build_cameras()
-    reader = LogReader(log_path, cameras, "drop", float("inf"))
+    reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=loaded.config.input.leave_out)
     samples = sample_log(reader, cameras, QUICK_FRAMES)
     return _of_files(loaded, samples, sum(len(sample.times) for sample in samples) < QUICK_FRAMES * len(cameras))
 

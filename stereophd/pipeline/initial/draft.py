@@ -18,7 +18,6 @@ from stereophd.config.loading import LoadedConfig, make_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
-from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.geometry.measure import measure
 from stereophd.pipeline.checks.log.findings import check_files
@@ -31,7 +30,7 @@ from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import estimate_acceleration, stretches
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
-from stereophd.pipeline.stream import EventStream, open_stream
+from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.run import with_detectors
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
@@ -66,7 +65,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     """
     bare = loaded_draft(draft, str(log_path))
     cameras = bare.build_cameras()
-    reader = LogReader(log_path, cameras, bare.config.input.on_bad_row, bare.config.input.image_margin_px)
+    reader = open_log(bare.config.input, cameras, log_path)
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
     draft, unknown = _with_known_detectors(draft, samples)
     draft = _with_frame_rates(draft, samples)

@@ -25,10 +25,9 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import StereophdError
-from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.checkpoint import RecordFile, RecordPart, read_records
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
@@ -98,9 +97,7 @@ def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) 
     """Track one piece, and write its records; return their number."""
     tracking = build_tracking(work.loaded, work.threads, work.cameras)
     config = work.loaded.config
-    reader = LogReader(
-        work.log, work.cameras, config.input.on_bad_row, config.input.image_margin_px, from_s=piece.begin_s
-    )
+    reader = open_log(config.input, work.cameras, work.log, piece.begin_s)
     # without what the records of other pieces decide
     tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
     stream = _PieceStream(work.cameras, reader, tick, piece.begin_s, piece.end_s)

@@ -450,3 +450,12 @@ def test_a_few_rows_out_of_order_in_a_log_by_camera(write_rows: Callable[..., Pa
     assert len(list(reader)) == 59
     assert reader.order.by_camera
     assert reader.order.misplaced.tolist() == [40]
+
+
+def test_places_are_left_out_and_their_frames_stay(write_rows: Callable[..., Path]) -> None:
+    rows = [row(k / 10.0, "left", k, u, 5.0) for k in range(3) for u in (7.3, 20.0 + k)]
+    path, cameras = write_rows(rows), [make_camera("left")]
+    frames = list(LogReader(path, cameras, leave_out={"left": [(7.0, 5.0, 1.0), (20.0, 5.0, 0.5)]}))
+    assert [frame.pixels[:, 0].tolist() for frame in frames] == [[], [21.0], [22.0]]
+    with pytest.raises(InputError, match=r"input\.leave_out"):
+        LogReader(path, cameras, leave_out={"lefd": []})

@@ -22,7 +22,7 @@ from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_tracking
+from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_noise, check_tracking
 
 DEPTHS = (3.0, 15.0)
 FRAMES, RATE = 40, 10.0
@@ -246,3 +246,33 @@ def test_a_crowd_that_moves_far_between_frames_is_no_clutter(seed: int, clutter:
     else:
         assert np.median(np.bincount(sample.frame_of[~sample.linked], minlength=60)) >= 1.0
         assert sample.isolated_per_frame == 0.0
+
+
+@pytest.mark.parametrize(("ratio", "status"), [(0.12, "warning"), (0.9, "ok"), (1.3, "ok"), (24.0, "warning")])
+def test_residuals_are_compared_with_the_stated_noise(ratio: float, status: str) -> None:
+    figures = {camera.name: {"residual_ratio": ratio, "residuals": 500} for camera in CAMERAS}
+    found = list(check_noise({"cameras": figures}, tuple(CAMERAS), False))
+    assert {finding.status for finding in found} == {status}
+    assert {finding.status for finding in check_noise({"cameras": figures}, tuple(CAMERAS), True)} == {"not checked"}
+    if status == "warning":
+        assert f"near {ratio * CAMERAS[0].detector.sigma[0]:.2g}" in str(found[0].remedy)
+
+
+def test_detections_that_no_track_explains_are_compared_with_the_stated_clutter() -> None:
+    clutter = CAMERAS[0].detector.clutter_per_frame
+    for unexplained, warns in ((clutter, False), (2.0 + 4.0 * clutter, True)):
+        figures = {"frames": 200, "detections": 1000, "explained_detections": 1000 - 200 * unexplained}
+        summary = {"tracks": [{}], "cameras": {camera.name: figures for camera in CAMERAS}}
+        assert bool(list(check_detections(summary, tuple(CAMERAS)))) == warns
+
+
+def test_a_dead_pixel_is_named_and_a_resting_board_is_not() -> None:
+    rng = np.random.default_rng(0)
+    moving = [rng.uniform(0.0, 300.0, (3, 2)) for _ in range(100)]
+    dead = [Frame(k / 10.0, 0, k, np.concatenate([p, [[40.25, 60.5]]])) for k, p in enumerate(moving)]
+    (finding,) = [one for one in check_files(sample_log(dead, (CAMERAS[0],))) if one.name == "log.places"]
+    assert "(40.2, 60.5) in 100 of 100 frames" in finding.message or "(40.3, 60.5)" in finding.message
+    assert "input.leave_out" in str(finding.remedy)
+    board = rng.uniform(0.0, 300.0, (20, 2)).round() + 0.5
+    resting = [Frame(k / 10.0, 0, k, board + rng.normal(0.0, 0.05, board.shape)) for k in range(100)]
+    assert not [one for one in check_files(sample_log(resting, (CAMERAS[0],))) if one.name == "log.places"]

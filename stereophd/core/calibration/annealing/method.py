@@ -242,21 +242,24 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     for number in range(MOST_ROUNDS):
-        answer = state(task, fit, choices)
+        # residuals of the joint optimum tell the noise, unless errors that detections share were taken out of them
+        early = None if fit.observations.weights is None else state(task, fit, choices)
+        seen = fit if early is None else early.fit
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, np.random.default_rng(NOISE_SEED))
+        estimate = noise_factors(problem_of(task, seen), seen.adjustment, np.random.default_rng(NOISE_SEED))
         if estimate.differs.any() and not last:
             factors = np.where(estimate.differs, estimate.factors, 1.0)
             task, noise = task.with_noise(factors), noise * factors
-            fit = adjusted_anew(task, answer.joint)
+            fit = adjusted_anew(task, fit)
             continue
+        answer = early or state(task, fit, choices)
         enlarged, suspicions = suspected(task, answer)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
         if wrong is None or last:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
-        task, fit = with_freed(task, answer.joint, enlarged, wrong)
+        task, fit = with_freed(task, fit, enlarged, wrong)
     held = [(enlarged, suspicion) for suspicion in suspicions]
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
     return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
@@ -285,9 +288,8 @@ def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion
     parameters = enlarged.freed(suspicion.group.places)
     task = replace(task, parameters=parameters)
     values = np.append(fit.adjustment.values, suspicion.values)
-    held = None if fit.held is None else np.append(fit.held, np.zeros(len(suspicion.values), dtype=np.bool_))
-    begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=held)
-    return task, adjusted_anew(task, replace(begin, held=None))
+    begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
+    return task, adjusted_anew(task, begin)
 
 
 def adjusted_anew(task: Task, fit: Fit) -> Fit:

@@ -5,20 +5,24 @@ What a detection says about a new object, and what the prior adds to it: `stereo
 
 from __future__ import annotations
 
+import numpy as np
+
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.disparity.initial import FirstSight, initial_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
-from stereophd.core.multi.state.inputs import NewbornPrior
 
 
-def newborn_prior(space: Array, prior: BirthPrior) -> NewbornPrior:
+def newborn_prior(space: Array, prior: BirthPrior, region: Array | None) -> FirstSight:
     """Return the prior of the objects that the camera of a packed space (30,) sees for the first time."""
     mean, std = prior.disparity_moments(space)
-    return NewbornPrior(space, float(mean), float(std), float(prior.velocity_std))
+    limits = np.empty(0) if region is None else region
+    return FirstSight(space, float(mean), float(std), float(prior.velocity_std), limits)
 
 
-def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> tuple[Array, Array]:
+def birth_moments(
+    event: Event, space: Array, prior: BirthPrior, size: int, region: Array | None = None
+) -> tuple[Array, Array]:
     """Gaussians of the objects that the detections of an event may have given birth to.
 
     Parameters
@@ -31,13 +35,13 @@ def birth_moments(event: Event, space: Array, prior: BirthPrior, size: int) -> t
         Prior of depth and velocity.
     size : int
         6, or 3 for static objects.
+    region : array (8,), optional
+        Where objects can be (`stereophd.core.disparity.events.Rig.region`): depths along a ray are those inside it.
 
     Returns
     -------
     means, covariances : arrays (m, d), (m, d, d)
         In the camera's disparity space, given the detection.
     """
-    mean, std = prior.disparity_moments(space)
-    return initial_moments(
-        event.points, event.covariances, space, mean, std, prior.velocity_std, size, event.readings(space)
-    )
+    first = newborn_prior(space, prior, region)
+    return initial_moments(event.points, event.covariances, first, size, event.readings(space))

@@ -81,7 +81,8 @@ class CrosswiseTest:
     def prior(self, views: Array) -> NewObjects:
         """Return the prior of new objects in each camera."""
         means, stds = np.array([self.birth.disparity_moments(view) for view in views]).T
-        return NewObjects(means.copy(), stds.copy(), float(self.birth.velocity_std))
+        region = np.empty(0) if self.rig.region is None else self.rig.region
+        return NewObjects(means.copy(), stds.copy(), float(self.birth.velocity_std), region)
 
     def compile(self) -> None:
         """Compile the kernels of the test, with no tracks and with one detection."""

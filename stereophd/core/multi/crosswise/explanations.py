@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.disparity.initial import FirstSight, initial_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
 from stereophd.core.motion.arrays import MotionArrays
@@ -153,10 +153,8 @@ def _begin(
 ) -> None:
     """Begin a track with a detection."""
     point, noise, camera = rows.points[row : row + 1], rows.noises[row : row + 1], rows.cameras[row]
-    born, spread = initial_moments(
-        point, noise, space, prior.means[camera], prior.stds[camera], prior.velocity_std, means.shape[1],
-        _reading(rows.readings, row),
-    )  # fmt: skip
+    first = FirstSight(space, prior.means[camera], prior.stds[camera], prior.velocity_std, prior.region)
+    born, spread = initial_moments(point, noise, first, means.shape[1], _reading(rows.readings, row))
     copy_gaussian(born, spread, 0, means, covariances, track)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
@@ -24,7 +25,7 @@ from stereophd.core.multi.camera_hypotheses.batch_kernels import update_intensit
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.state.estimates import Info
-from stereophd.core.multi.state.inputs import Detections, EventNumbers, NewbornPrior, with_newborns
+from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -76,7 +77,7 @@ def _update(
     mixture: GaussianMixture,
     moved: Moved,
     detected: Detections,
-    prior: NewbornPrior,
+    prior: FirstSight,
     numbers: EventNumbers,
     reduction: PhdReduction,
     with_claims: bool,

@@ -23,6 +23,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.association.exact_association import association_marginals
@@ -43,7 +44,7 @@ from stereophd.core.multi.pmb.hypotheses import (
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.state.estimates import Info
-from stereophd.core.multi.state.inputs import Detections, EventNumbers, NewbornPrior, compiled_settings, with_newborns
+from stereophd.core.multi.state.inputs import Detections, EventNumbers, compiled_settings, with_newborns
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -134,7 +135,7 @@ def _update(
     mixture: GaussianMixture,
     moved: Moved,
     detected: Detections,
-    prior: NewbornPrior,
+    prior: FirstSight,
     numbers: EventNumbers,
     reduction: PmbReduction,
     with_claims: bool,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, TypeVar, get_type_hints
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.initial import initial_moments
+from stereophd.core.disparity.initial import FirstSight, initial_moments
 from stereophd.core.numerics.compilation.compiled import compiled
 
 Kind = TypeVar("Kind")
@@ -18,16 +18,6 @@ class Detections(NamedTuple):
     noises: Array
     areas: Array
     readings: Array | None
-
-
-class NewbornPrior(NamedTuple):
-    """Prior of the objects that a camera sees for the first time."""
-
-    space: Array  # (30,): Packed space of the camera
-    # `mean`, `std`: Mean and standard deviation of the disparity, px.
-    mean: float
-    std: float
-    velocity_std: float  # Standard deviation of each component of velocity, length/s
 
 
 class EventArrays(NamedTuple):
@@ -59,12 +49,10 @@ class EventNumbers(NamedTuple):
 
 
 @compiled
-def with_newborns(detections: Detections, prior: NewbornPrior, size: int) -> EventArrays:
+def with_newborns(detections: Detections, prior: FirstSight, size: int) -> EventArrays:
     """Return detections with the objects of `size` 6 or 3 that they may have given birth to."""
     points, noises, areas, readings = detections
-    means, covariances = initial_moments(
-        points, noises, prior.space, prior.mean, prior.std, prior.velocity_std, size, readings
-    )
+    means, covariances = initial_moments(points, noises, prior, size, readings)
     return EventArrays(points, noises, areas, readings, means, covariances)
 
 

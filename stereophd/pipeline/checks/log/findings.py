@@ -28,6 +28,8 @@ LEAST_CONTINUED = 0.75
 NOISE_FACTOR = 4.0
 # Share of the shorter period that the periods of two cameras must share.
 LEAST_OVERLAP = 0.05
+# Places that are named, and the radius in which their detections may be left out, px.
+MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
 # Field of view of a lens, degrees.
 WIDEST_VIEW_DEG = 150.0
 
@@ -52,6 +54,7 @@ def check_files(samples: list[CameraSample], whole: bool = True) -> Iterator[Fin
             continue
         yield from _frames(sample)
         yield from _pixels(sample)
+        yield from _places(sample)
         yield from _detector(sample)
     yield from _periods([sample for sample in samples if len(sample.times) > 1])
 
@@ -126,6 +129,23 @@ def _pixels(sample: CameraSample) -> Iterator[Finding]:
         )  # fmt: skip
         return
     yield Finding("log.pixels", "ok", f"{camera.name}: the detections fill the image", camera=camera.name)
+
+
+def _places(sample: CameraSample) -> Iterator[Finding]:
+    """Yield a warning about places that detect again and again."""
+    places = sample.lasting_places
+    if not places:
+        return
+    shown = ", ".join(f"({u:.1f}, {v:.1f}) in {frames}" for (u, v), frames in places[:MOST_SHOWN])
+    more = f" and {len(places) - MOST_SHOWN} more" if len(places) > MOST_SHOWN else ""
+    areas = ", ".join(f"[{u:.1f}, {v:.1f}, {PLACE_RADIUS_PX:g}]" for (u, v), _ in places[:MOST_SHOWN])
+    name = sample.camera.name
+    yield Finding(
+        "log.places", "warning",
+        f"{name}: the same places detect again and again: {shown} of {len(sample.times)} frames{more}: dead pixels, "
+        "lamps, or objects at rest", len(places), 0, name,
+        f"leave them out if they are no objects: input.leave_out={{{name}: [{areas}]}}", "lasting_places",
+    )  # fmt: skip
 
 
 def _detector(sample: CameraSample) -> Iterator[Finding]:

@@ -29,6 +29,9 @@ LEAST_SURE = 4.0
 ALL_DISTANCES = 20_000
 # Frames and detections in chains from which it is judged how often a chain goes on.
 LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
+# A place in an image is told apart to this many pixels; it lasts if it detects in so many frames and in this share of
+# them, unless this share of all detections is at such places: then the scene rests.
+PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
 # Frames of the shortest track that counts.
 LEAST_LENGTH = 6
 
@@ -116,6 +119,24 @@ class CameraSample:
         if len(self.times) < LEAST_CONTINUED_FRAMES or asked.sum() < LEAST_CONTINUED:
             return None
         return float((self.links[asked] >= 0).mean())
+
+    @property
+    def lasting_places(self) -> list[tuple[Array, int]]:
+        """Places (2,), px, that detect again and again, and in how many frames: the most frequent first.
+
+        A dead pixel or a lamp is at one place to far less than a pixel, while objects move. Where most detections rest
+        (a board, a scene of marks) there are none.
+        """
+        cells, number = np.unique(np.floor(self.pixels / PLACE_PX), axis=0, return_inverse=True)
+        number = number.ravel()
+        distinct = np.unique(number * len(self.times) + self.frame_of) // max(len(self.times), 1)
+        frames = np.bincount(distinct, minlength=len(cells))
+        least = max(LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE * len(self.times))
+        lasting = np.flatnonzero(frames >= least)
+        if np.isin(number, lasting).sum() > MOST_RESTING * len(self.pixels):
+            return []
+        lasting = lasting[np.argsort(-frames[lasting], kind="stable")]
+        return [(self.pixels[number == k].mean(axis=0), int(frames[k])) for k in lasting.tolist()]
 
     @cached_property
     def noise_px(self) -> float | None:

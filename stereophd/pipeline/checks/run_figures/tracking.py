@@ -15,6 +15,9 @@ from stereophd.wording import percent
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 # Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it.
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
+# Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
+# standard errors, and this share of all detections, which tracks need to begin and to end.
+LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
 # A track is one camera's if this share of its detections is; reported if most estimates belong to such tracks.
 ONE_CAMERA, MOST_ALONE = 0.95, 0.5
 
@@ -75,6 +78,31 @@ def check_tracking(
         )  # fmt: skip
     else:
         yield Finding("tracking.cameras", "ok", text, round(alone, 3))
+
+
+def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) -> Iterator[Finding]:
+    """Yield a warning for every camera of whose detections tracks explain far more or fewer than the others.
+
+    What no track explains counts as clutter: it is compared with the clutter that the detector states.
+    """
+    for camera in cameras:
+        figures, name = summary["cameras"][camera.name], camera.name
+        frames, detections = figures["frames"], figures["detections"]
+        if frames < LEAST_FRAMES or not summary["tracks"]:
+            continue
+        stated = camera.detector.clutter_per_frame
+        unexplained = (detections - figures["explained_detections"]) / frames
+        most = CLUTTER_FACTOR * stated + CLUTTER_ERRORS * float(np.sqrt(max(stated, 1.0 / frames) / frames))
+        most += LEAST_UNEXPLAINED * detections / frames
+        if unexplained > most:
+            yield Finding(
+                "tracking.detections", "warning",
+                f"{name}: tracks leave {unexplained:.2g} detections of a frame unexplained, and clutter_per_frame is "
+                f"{stated:.2g}: objects that this camera sees have no tracks, or it makes more false detections",
+                round(unexplained, 3), stated, name,
+                f"set cameras.{name}.detector.clutter_per_frame near {unexplained:.2g} if they are false; else look at "
+                "the births and at the other cameras", "unexplained_detections",
+            )  # fmt: skip
 
 
 def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_in_log: bool) -> Iterator[Finding]:

@@ -83,3 +83,27 @@ def test_no_detections_no_births() -> None:
     )
     assert means.shape == (0, 6)
     assert covariances.shape == (0, 6, 6)
+
+
+def test_a_region_is_a_prior_of_the_depths_along_a_ray() -> None:
+    """A slab before the camera: the depths are those at which each ray is inside it, two deviations either side."""
+    camera = make_camera()
+    space = make_space(camera, 1.0)
+    event = make_event(camera, 0, 0.0, PIXELS)
+    prior = BirthPrior(per_frame=0.1, depth_range=(1.0, 50.0), velocity_std=1.0)
+    plain, _ = birth_moments(event, space.packed(), prior, 6)
+    open_sides = [-np.inf, np.inf]
+    slab = np.array([*open_sides, *open_sides, 10.0, 10.4, -np.inf, np.inf])
+    forward = camera.pose.rotation.T @ np.array([0.0, 0.0, 1.0])
+    directions = camera.rays(PIXELS) @ camera.pose.rotation
+    depths = ((np.array([[10.0], [10.4]]) - camera.pose.center[2]) / directions[:, 2]).T
+    assert forward[2] > 0.5
+    means, covariances = birth_moments(event, space.packed(), prior, 6, slab)
+    for k, (near, far) in enumerate(np.sort(depths, axis=1)):
+        ends = space.disparity_focal * space.baseline / np.array([near, far])
+        assert means[k, 2] == pytest.approx(ends.mean())
+        assert np.sqrt(covariances[k, 2, 2]) == pytest.approx((ends[0] - ends[1]) / 4.0)
+    # no region, one without limits, and one that no ray meets: the prior as it is
+    for region in (np.array([*open_sides * 4]), np.array([*open_sides, *open_sides, -9.0, -8.0, *open_sides])):
+        same, _ = birth_moments(event, space.packed(), prior, 6, region)
+        np.testing.assert_array_equal(same, plain)

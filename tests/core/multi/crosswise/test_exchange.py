@@ -207,7 +207,7 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     space = DisparitySpace(rig.cameras[0], rig.baseline, rig.rectification)
     means = space.from_world(np.concatenate([places, np.zeros_like(places)], axis=1))
     mixture = make_mixture(np.ones(40), means, reported=np.ones(40, dtype=bool))
-    prior = NewObjects(np.full(2, 7.0), np.full(2, 1e3), 1.5)
+    prior = NewObjects(np.full(2, 7.0), np.full(2, 1e3), 1.5, np.empty(0))
     homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
 
     def pairs(deferred: DeferredPairs, most: int, event: int = 5) -> list[tuple[int, int]]:
@@ -267,7 +267,8 @@ def test_pairs_that_were_in_one_plane_and_that_no_third_camera_tells_apart(
     count = len(cameras)
     found = crosswise_pairs(
         mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), rig.packed,
-        NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5), 8.0, Past(10.0, 0.01), no_deferred_pairs(), 0, 1,
+        NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5, np.empty(0)), 8.0, Past(10.0, 0.01),
+        no_deferred_pairs(), 0, 1,
     )  # fmt: skip
     assert found.tolist() == ([[0, 1]] if expected else [])
 
