@@ -10,10 +10,10 @@ from stereophd.io.interchange.registry import recognise_cameras
 
 
 def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:
-    """Read a camera file (or folder) of another program: name of the format and recording; None if it has no such
-    format.
+    """Read a camera file (or folder) of another program; None where the content is of no foreign format.
 
-    Raises InputError when it is of a foreign format, and cannot be read.
+    Returns the name of the format and the recording. Raises InputError when it is of a foreign format, and cannot be
+    read.
     """
     if not path.exists():
         return None
