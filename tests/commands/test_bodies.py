@@ -17,7 +17,7 @@ from stereophd.errors import InputError
 
 CONFIG = "configs/crowd.yaml"
 SMALL = ["simulate.duration_s=6", "simulate.walkers.count=4"]
-POINTS = ["object={shape: point}", "simulate=null"]
+POINTS = ["object={shape: point}", "simulate=null", "filter.birth.depth_range=[1, 20]"]
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +77,7 @@ def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
         (["detector=estimate"], "detector: expected given .*, found estimate"),
         (["motion.acceleration_std=estimate"], "object.shape: expected point"),
         (["cameras.northeast.readout_s=0.01"], "cameras.northeast.readout_s: expected 0"),
+        (["object={shape: point}"], "filter.birth: expected exactly one of disparity and depth_range, found none"),
         (["object.up=null"], "object: expected width and up, or neither of them"),
         (["object.up=[0, 0, 0]"], "object: up: expected a direction"),
         (["object.width=null", "object.up=null"], "object: expected up where objects stand on the ground"),
@@ -121,7 +122,7 @@ def test_walkers_need_a_ground(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"simulate\.walkers: expected object.ground"):
         simulate(load_config(CONFIG, ["object.ground=null"]), tmp_path / "scene")
     with pytest.raises(InputError, match=r"simulate\.walkers: expected object.shape ellipsoid"):
-        simulate(load_config(CONFIG, ["object={shape: point}"]), tmp_path / "scene")
+        simulate(load_config(CONFIG, ["object={shape: point}", "filter.birth.depth_range=[1, 20]"]), tmp_path / "scene")
 
 
 def test_tracks_are_scored_on_the_ground_and_in_a_region(log: Path, tmp_path: Path) -> None:
