@@ -52,6 +52,7 @@ class FoundCameras:
 
     names: tuple[str, ...]  # of the cameras that were unknown
     rig: RigHypothesis | None
+    others: tuple[RigHypothesis, ...]  # with the next optimum of the pair that is least sure
     reason: str
     has_scale: bool
     intervals: dict[str, float]  # of each camera, s
@@ -74,14 +75,8 @@ class FoundCameras:
             for pair in self.rig.pairs
         ]  # fmt: skip
         out["doubts"] = list(self.rig.doubts)
-        out["start"] = {
-            camera.name: {
-                "center": camera.pose.center.tolist(),
-                "rotation_vector_deg": np.rad2deg(rotation_to_vector(camera.pose.rotation)).tolist(),
-                "focal_px": camera.fx, "clock_offset_s": camera.clock.offset_s, "clock_rate": camera.clock.rate,
-            }
-            for camera in self.rig.cameras
-        }  # fmt: skip
+        out["start"] = _values_of(self.rig)
+        out["other_optima"] = [{"gain": rig.gain, "start": _values_of(rig)} for rig in self.others]
         return out
 
     def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
@@ -118,6 +113,18 @@ class FoundCameras:
             if component == "clock_offset" and not std <= MOST_FRAMES * self.intervals[camera]:
                 out.append(f"the clock of {camera} is known to {std:.2g} s")
         return out
+
+
+def _values_of(rig: RigHypothesis) -> dict[str, Any]:
+    """Return the cameras of a rig for the report."""
+    return {
+        camera.name: {
+            "center": camera.pose.center.tolist(),
+            "rotation_vector_deg": np.rad2deg(rotation_to_vector(camera.pose.rotation)).tolist(),
+            "focal_px": camera.fx, "clock_offset_s": camera.clock.offset_s, "clock_rate": camera.clock.rate,
+        }
+        for camera in rig.cameras
+    }  # fmt: skip
 
 
 def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, FoundCameras | None]:
@@ -157,7 +164,9 @@ def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[Load
         if np.count_nonzero(recording.cameras == number) > 1
     }
     rig = _in_frame(loaded, section, discovery.rigs[0]) if discovery.rigs else None
-    found = FoundCameras(names, rig, discovery.reason, not isinstance(section.scale, NoScale), intervals)
+    found = FoundCameras(
+        names, rig, discovery.rigs[1:], discovery.reason, not isinstance(section.scale, NoScale), intervals
+    )
     if rig is None:
         return _placed(loaded, cameras, section), found
     placed = _placed(loaded, rig.cameras, section, _priors(loaded, section, views, rig, intervals))
