@@ -174,12 +174,12 @@ class BodyFilter:
         joined = self._joined(
             hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights), n_tracks
         )
-        reduced, kept = reduce_hypotheses(joined, len(labels), self.settings, self.shape.direction)
-        more = np.zeros(len(boxes), dtype=np.bool_)
+        reported = np.concatenate([state.reported, np.zeros(len(boxes), dtype=np.bool_)])
+        reduced, kept = reduce_hypotheses(joined, reported, self.settings, self.shape.direction)
         identities = np.concatenate([state.track_ids, np.full(len(boxes), -1)])
         state = replace(
             state, hypotheses=reduced, labels=labels[kept], track_ids=identities[kept],
-            reported=np.concatenate([state.reported, more])[kept], next_label=state.next_label + len(boxes),
+            reported=reported[kept], next_label=state.next_label + len(boxes),
             undetected=undetected,
         )  # fmt: skip
         return state, replace(

@@ -39,7 +39,7 @@ class Hypotheses(NamedTuple):
 
 
 def reduce_hypotheses(
-    hypotheses: Hypotheses, n_tracks: int, settings: PmbSettings, up: Array
+    hypotheses: Hypotheses, reported: Booleans, settings: PmbSettings, up: Array
 ) -> tuple[Hypotheses, Integers]:
     """Drop, merge and bound the hypotheses of tracks, and let the tracks exclude each other.
 
@@ -47,7 +47,8 @@ def reduce_hypotheses(
     ----------
     hypotheses : Hypotheses
         In any order.
-    n_tracks : int
+    reported : array (t,) of bool
+        Whether each track has been reported.
     settings : PmbSettings
     up : array (3,)
         Axis of the bodies.
@@ -59,7 +60,7 @@ def reduce_hypotheses(
     array (t,) of int
         Those tracks.
     """
-    owners, weights = hypotheses.owners, hypotheses.weights
+    owners, weights, n_tracks = hypotheses.owners, hypotheses.weights, len(reported)
     existence = np.bincount(owners, weights, n_tracks).astype(np.float64)
     kept = weights > np.maximum(settings.least_share * existence[owners], 0.0)
     kept &= existence[owners] >= settings.prune_weight
@@ -71,7 +72,9 @@ def reduce_hypotheses(
     totals = np.bincount(hypotheses.owners, hypotheses.weights, n_tracks)
     first = hypotheses.first()
     tracks = hypotheses.owners[first]
-    exclusive = exclusive_existence(existence[tracks], hypotheses.means[first], hypotheses.covariances[first], up)
+    exclusive = exclusive_existence(
+        existence[tracks], hypotheses.means[first], hypotheses.covariances[first], reported[tracks], up
+    )
     existence[tracks] = exclusive
     weights = hypotheses.weights * existence[hypotheses.owners] / np.maximum(totals[hypotheses.owners], 1e-300)
     tracks = tracks[exclusive >= settings.prune_weight]

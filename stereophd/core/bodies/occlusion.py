@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.bodies.boxes import WHOLE_SHARE, share_in_image
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, TOP, WIDTH, U
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
@@ -13,6 +13,8 @@ from stereophd.core.geometry.camera import Camera
 
 # Two bodies do not come closer, across the vertical, than this share of the sum of their half widths.
 CLOSEST = 0.5
+# Nor does one that has not been reported appear this close to one that has: it would have been seen on its way.
+CLOSEST_NEW = 1.0
 # Of the boxes of bodies that are hidden whole, this share ends where the hiding body begins, and in proportion of
 # those that are hidden in part: detectors that were not trained on crowds report what they see. (Faster R-CNN on CMC1:
 # 0.45 of the boxes at hidden shares of 0.3 to 0.6; FairMOT: hardly any.)
@@ -67,7 +69,7 @@ def _overlaps(low: Array, high: Array) -> Array:
     return np.asarray(np.maximum(np.minimum(high[:, None], high) - np.maximum(low[:, None], low), 0.0))
 
 
-def exclusive_existence(existence: Array, states: Array, covariances: Array, up: Array) -> Array:
+def exclusive_existence(existence: Array, states: Array, covariances: Array, reported: Booleans, up: Array) -> Array:
     """Return the probabilities of existence (n,) of bodies of which no two can be in one place.
 
     Of a pair whose axes are closer than `CLOSEST` allows with probability 1 - q, both exist with a probability reduced
@@ -77,6 +79,8 @@ def exclusive_existence(existence: Array, states: Array, covariances: Array, up:
     ----------
     existence : array (n,)
     states, covariances : arrays (n, 8), (n, 8, 8)
+    reported : array (n,) of bool
+        Whether each has been reported.
     up : array (3,)
     """
     if len(existence) < 2:
@@ -86,7 +90,8 @@ def exclusive_existence(existence: Array, states: Array, covariances: Array, up:
     closest = np.exp(states[:, LOG_AXES.stop - 1])
     apart = places[:, None] - places
     distance = np.linalg.norm(apart, axis=2)
-    limit = CLOSEST * (closest[:, None] + closest)
+    share = np.where(reported[:, None] == reported, CLOSEST, CLOSEST_NEW)
+    limit = share * (closest[:, None] + closest)
     # the vertical extents must meet too: bodies may pass above each other
     heights, tall = states[:, POSITION] @ up, np.exp(states[:, LOG_AXES.start])
     meets = np.abs(heights[:, None] - heights) < tall[:, None] + tall
