@@ -1,10 +1,14 @@
 """Noise of the detectors from the rays alone: by how much the rays of one object miss each other.
 
 The signed distances of the detections of two cameras from meeting, in pixels, are those of one object (half-normal,
-with the noise of both cameras) or of two objects (as at other times, when the same rays meet by chance). The likelihood
-of this mixture over the noise of a pair needs neither a track, a depth nor a first guess, and holds from a tenth of a
-pixel to a hundred. At most one detection of the other camera is of the same object, which bounds the share of the first
-kind; without that bound any difference between the two densities would pass for objects of large noise.
+with the noise of both cameras) or of two objects. These are as at other times, when the same rays meet by chance, or as
+neighbours are: a group that stays together (a rigid board, a flock, objects at rest) gives every partner the same
+neighbours all the time. By how much a ray misses two detections of one frame differs by their distance across it,
+whatever the noise, so neighbours are measured and not modelled. The likelihood of this mixture over the noise of a pair
+needs neither a track, a depth nor a first guess, and holds from a tenth of a pixel to a hundred. At most one detection
+of the other camera is of the same object, which bounds the share of the first kind, and neighbours come with a partner,
+which bounds their number: without these bounds any difference between the densities would pass for objects of large
+noise, and large noise for neighbours.
 
 The likelihoods of all pairs are joined in the noise of the cameras. A prior says what detectors are like: log-normal,
 90 % between 0.3 and 10 px, and the cameras of one log resemble each other. A camera with little data takes its value
@@ -21,7 +25,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.pipeline.checks.geometry.measure import pairs_of
-from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, candidates, distances, rays_of
+from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, candidates, distances, rays_of, signed_of_rays
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.pipeline.detectors.statistics import NoisePrior
 
@@ -49,11 +53,9 @@ EVEN_COUNT, EVEN_SHARE = 50, 0.001
 # By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
 # directions. At other times alone the rays of objects that hardly move still meet.
 OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
-# Objects that happen to pass near one another stay so for a while: their distances, over the noise, and their number
-# over that of partners, at most.
-HALO, MOST_HALO = 4.0, 0.5
-# Sizes of clusters of objects over that of the image: they have more chance neighbours than other places have.
-CLUSTERS = (0.15, 0.3)
+# Share of the detections among neighbours that has a partner within the noise, at least. Without that bound large noise
+# would pass for neighbours.
+LEAST_PARTNERS = 0.25
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,10 @@ def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | No
     missed = distances(pair, first, second, known)[0][0]
     elsewhere = replace(pair, pixels_a=_offset(pair.pixels_a, first.camera))
     by_chance = distances(elsewhere, first, second, (None, known[1]))[0][1:]
+    signed = signed_of_rays(first.camera, second.camera, known[0][:, None], known[1][0])
+    signed[~np.isfinite(missed)] = np.nan
+    steps = range(1, signed.shape[1])
+    neighbours = sum((_classes(np.abs(signed[:, k:] - signed[:, :-k])) for k in steps), np.zeros(len(BORDERS) - 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         by_a = distances(pair, first, Reading(with_noise(second.camera, 1e-6)), known)[0][0]
         shares = (missed / by_a) ** 2
@@ -184,8 +190,7 @@ def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | No
     if not usable.any():
         return None
     share_a = float(shares[usable].mean())
-    size = 0.5 * (max(first.camera.width, first.camera.height) + max(second.camera.width, second.camera.height))
-    likelihoods, partners = _mixture(_classes(missed), _classes(by_chance), len(pair.detections), size)
+    likelihoods, partners = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
     return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * _kept(pair, samples[b])]), likelihoods, partners)
 
 
@@ -202,35 +207,32 @@ def _classes(missed: Array) -> Array:
     return np.histogram(missed[np.isfinite(missed)], BORDERS)[0].astype(np.float64)
 
 
-def _mixture(together: Array, apart: Array, count: int, size: float) -> tuple[Array, float]:
+def _mixture(together: Array, neighbours: Array, apart: Array, count: int) -> tuple[Array, float]:
     """Return the log-likelihood (noises,) of the noise of partners among distances, and the number of partners.
 
     Parameters
     ----------
-    together, apart : arrays (classes,)
-        Numbers of distances at the same and at other times.
+    together, neighbours, apart : arrays (classes,)
+        Numbers of distances at the same time, between the detections of a frame, and at other times.
     count : int
         Detections that have at most one partner each.
-    size : float
-        Size of the images, px.
     """
-    own = np.stack([_half_normal(NOISES), _half_normal(HALO * NOISES)])
-    others = np.stack([_background(apart), *_half_normal(np.array(CLUSTERS) * size)])
+    own = _half_normal(NOISES)
+    others = np.stack([_background(neighbours), _background(apart)])
     total = max(float(together.sum()), 1.0)
     most = min(MOST_PARTNERS * count / total, 1.0 - 1e-6)
-    shares = np.full((2, len(NOISES), 1), 0.25 * most)
-    mixed = np.full((len(NOISES), len(others)), (1.0 - 0.5 * most) / len(others))
+    most_neighbours = max(total / count - 1.0, 0.0) / LEAST_PARTNERS
+    shares = np.full(len(NOISES), 0.5 * most)
+    mixed = np.full((len(NOISES), 2), 0.5 * (1.0 - 0.5 * most))
     for _ in range(SHARE_ROUNDS):
-        part = together / ((shares * own).sum(axis=0) + mixed @ others)
-        mixed = mixed * (part @ others.T)
-        shares = shares * (part * own).sum(axis=2, keepdims=True) / total
-        shares[0] = np.minimum(shares[0], most)
-        shares[1] = np.minimum(shares[1], MOST_HALO * shares[0])
-        mixed *= (1.0 - shares.sum(axis=0)) / mixed.sum(axis=1, keepdims=True)
-    likelihoods = (together * np.log((shares * own).sum(axis=0) + mixed @ others)).sum(axis=1)
+        part = together / (shares[:, None] * own + mixed @ others)
+        mixed = mixed * (part @ others.T) / total
+        shares = np.minimum(shares * (part * own).sum(axis=1) / total, most)
+        mixed[:, 0] = np.minimum(mixed[:, 0], most_neighbours * shares)
+        mixed[:, 1] = 1.0 - shares - mixed[:, 0]
+    likelihoods = (together * np.log(shares[:, None] * own + mixed @ others)).sum(axis=1)
     best = int(likelihoods.argmax())
-    partners = float(shares[0, best, 0] * total)
-    return np.logaddexp(likelihoods - likelihoods[best], -MOST_EVIDENCE), partners
+    return np.logaddexp(likelihoods - likelihoods[best], -MOST_EVIDENCE), float(shares[best] * total)
 
 
 def _background(apart: Array) -> Array:

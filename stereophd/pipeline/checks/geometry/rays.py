@@ -152,7 +152,7 @@ def distances(found: Candidates, first: Reading, second: Reading, known: Rays = 
         rays_b = _rays_there(found, second)
     pose_a, pose_b = first.camera.pose, second.camera.pose
     rays_a = rays_a[:, None]
-    distance = np.abs(_signed(first.camera, second.camera, rays_a, rays_b))
+    distance = np.abs(signed_of_rays(first.camera, second.camera, rays_a, rays_b))
     depth_a, depth_b, sines = nearest_depths(
         rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, pose_b.center - pose_a.center
     )
@@ -171,10 +171,10 @@ def _rays_there(found: Candidates, second: Reading) -> Array:
 
 def signed_distances(first: Camera, second: Camera, pixels_a: Array, pixels_b: Array) -> Array:
     """Return the distances (n,) of the rays of pixels (n, 2) and (n, 2) in standard deviations, with their sign."""
-    return _signed(first, second, first.rays(pixels_a), second.rays(pixels_b))
+    return signed_of_rays(first, second, first.rays(pixels_a), second.rays(pixels_b))
 
 
-def _signed(first: Camera, second: Camera, rays_a: Array, rays_b: Array) -> Array:
+def signed_of_rays(first: Camera, second: Camera, rays_a: Array, rays_b: Array) -> Array:
     """Return the distances (...,) of rays (..., 3) in standard deviations, with their sign."""
     pose_a, pose_b = first.pose, second.pose
     essential = essential_matrices(pose_a.rotation, pose_a.center, pose_b.rotation, pose_b.center)
