@@ -82,6 +82,27 @@ def test_noise_of_objects_at_rest(noise: float) -> None:
     assert factors(noise, 60, 0.0)[0] < 2.0
 
 
+@pytest.mark.parametrize("spacing", [0.25, 0.4])
+def test_noise_of_a_rigid_board(spacing: float) -> None:
+    """Its corners keep their neighbours all the time, and these are no partners of large noise.
+
+    The board moves by up to half the distance of its corners between the frames of cameras that are not synchronised.
+    """
+    rng = np.random.default_rng(0)
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0), (1.0, 2.0))
+    grid = np.stack([*np.meshgrid(np.arange(4.0), np.arange(3.0)), np.zeros((3, 4))], axis=-1).reshape(-1, 3)
+    frames = []
+    for k in range(60):
+        for c, camera in enumerate(cameras):
+            time = (k + 0.25 * c) / 6.0
+            turn = rotation_from_vector(np.array([0.3 * np.sin(0.65 * time), 0.4 * np.sin(0.5 * time), 0.1 * time]))
+            board = spacing * grid @ turn.T + [2.0 * np.sin(0.5 * time), np.cos(0.5 * time), 10.0]
+            pixels = camera.project(board)[rng.random(len(board)) < 0.9]
+            frames.append(Frame(time, c, k, pixels + rng.normal(0.0, 0.5, pixels.shape)))
+    sigma = noise_from_rays(sample_log(frames, tuple(cameras))).sigma_px
+    np.testing.assert_array_less(np.abs(np.log(sigma / 0.5)), np.log(2.0))
+
+
 def test_a_camera_without_data_takes_its_noise_from_the_others() -> None:
     samples = samples_of(cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0)), [6.0, 6.0, 6.0], 5, 100, 1.0)
     empty = replace(samples[2], pixels=np.empty((0, 2)), first=np.zeros(len(samples[2].times) + 1, dtype=np.int64))
