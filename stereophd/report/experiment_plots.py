@@ -67,14 +67,7 @@ class _PlainNumbers(LogFormatter):
 
 
 def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
-    """Draw the figure of an experiment.
-
-    Parameters
-    ----------
-    results : Results
-    paths : mapping
-        Name that ends in ``.png`` or ``.svg`` -> where to write.
-    """
+    """Draw the figure of an experiment, once for each name that ends in ``.png`` or ``.svg`` (-> where to write)."""
     with mpl.rc_context(STYLE):
         moved = results.config.scenario.kind == "move"
         figure = draw_moves(results) if moved else _draw(results)

@@ -15,10 +15,7 @@ def can_draw() -> bool:
 def whether_to_draw(wanted: bool | None) -> bool:
     """Return whether to draw plots: as wanted, by default if matplotlib is installed.
 
-    Raises
-    ------
-    InputError
-        Plots are wanted, and matplotlib is not installed.
+    Raises InputError when plots are wanted, and matplotlib is not installed.
     """
     if wanted and not can_draw():
         raise InputError("plots need matplotlib, which is not installed: pip install matplotlib")

@@ -19,15 +19,9 @@ __all__ = ["Pictures", "write_plots"]
 
 
 def write_plots(pictures: Pictures, paths: Mapping[str, Path]) -> None:
-    """Draw all plots.
+    """Draw all plots: ``ospa``, ``cardinality``, ``top``, ``side``, each as ``png`` and ``svg``.
 
-    Parameters
-    ----------
-    pictures : Pictures
-        What is drawn.
-    paths : mapping
-        Where each file goes: name such as ``ospa.svg`` -> path. Names: ``ospa``, ``cardinality``, ``top``,
-        ``side``, each as ``png`` and ``svg``.
+    `paths` says where each goes: name such as ``ospa.svg`` -> path.
     """
     with mpl.rc_context(STYLE):
         figures = {

@@ -40,14 +40,9 @@ def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
-    """Return the tables of a report of `track` or `calibrate`: calibration, cameras, tracks, findings.
+    """Return the tables of a ``report.json`` of `track` or `calibrate`: calibration, cameras, tracks, findings.
 
-    Parameters
-    ----------
-    report : mapping
-        As in ``report.json``.
-    most_tracks : int, optional
-        Only the longest tracks are listed; None: all of them.
+    Of the tracks only the longest are listed; None: all of them.
     """
     unit = report.get("length_unit") or "length"
     tracking = tracking_part(report)

@@ -40,22 +40,9 @@ def calibration_bound(
     truth: TruePositions,
     scale: ScaleMeasurement | None = None,
 ) -> Array:
-    """Return the bound on the covariance (m, m) of the parameter values.
+    """Return the bound on the covariance (m, m) of parameter values whose true values are (m,), with their priors.
 
-    Parameters
-    ----------
-    parameters : ParameterSet
-        With the priors.
-    values : array (m,)
-        True values.
-    reference : int
-        Index of the reference camera.
-    motion : Motion
-        How the objects move.
-    truth : TruePositions
-        Those in view are used.
-    scale : ScaleMeasurement, optional
-        What is known of the scale.
+    Of the true positions those in view are used; `scale` is what is known of the scale.
     """
     objects, cameras, times, positions = truth
     built = parameters.build(values)

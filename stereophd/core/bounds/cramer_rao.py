@@ -90,19 +90,10 @@ def prior_information(space: DisparitySpace, point: Array, disparity_std: float)
 
 
 def localisation_bounds(information: Iterable[Array], prior: Array | None = None) -> Array:
-    """Bounds on the covariance of the position after each of several detections.
+    """Bounds (k, 3, 3) on the covariance of the position after each of several detections.
 
-    Parameters
-    ----------
-    information : iterable of arrays (3, 3)
-        Information about the position in each detection, in order: in the world, or all in one disparity space.
-    prior : array (3, 3), optional
-        Information before the first.
-
-    Returns
-    -------
-    array (k, 3, 3)
-        Infinite where the position is not determined.
+    The information (3, 3) about the position in each is in the world, or all in one disparity space; `prior` is that
+    before the first. Infinite where the position is not determined.
     """
     total = np.zeros((3, 3)) if prior is None else np.array(prior, dtype=float)
     out = []
@@ -141,25 +132,13 @@ def posterior_bounds(first: Array, transitions: Array, noises: Array, informatio
     larger, hence sharper, bound of the two. The reason: far away, the direction of the weakest information turns with
     the bearing, and information averaged over bearings has no such direction.
 
-    Parameters
-    ----------
-    first : array (..., d, d)
-        Information on the state at the first event, its detection included; of several trajectories at once
-        with leading axes.
-    transitions, noises : arrays (k, d, d)
-        F and Q of the steps to the following events; for events at one time the identity and 0.
-    information : array (k, ..., d, d)
-        Information of the detections of these events.
+    `first` (..., d, d) is the information at the first event, its detection included, of several trajectories at once
+    with leading axes. `transitions` and `noises` (k, d, d) are F and Q of the steps to the following events (for events
+    at one time the identity and 0), `information` (k, ..., d, d) is that of their detections. Returns (k + 1, ..., d,
+    d), after each event; infinite while the state is not determined.
 
-    Returns
-    -------
-    array (k + 1, ..., d, d)
-        After each event; infinite while the state is not determined.
-
-    Notes
-    -----
-    Q may be singular. While the information is singular it has no inverse: F is then applied to the
-    information itself, and Q is left out. A bound without process noise is lower, and still a bound.
+    Q may be singular. While the information is singular it has no inverse: F is then applied to the information itself,
+    and Q is left out. A bound without process noise is lower, and still a bound.
     """
     current = np.array(first, dtype=float)
     out = [inverse_information(current)]

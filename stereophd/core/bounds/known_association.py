@@ -84,29 +84,11 @@ def noiseless_paths(
     times_s: Array,
     motion: Motion,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Estimate all objects after each time.
+    """Estimate all n objects after each of the (increasing) times, as if the motion had no noise.
 
-    Parameters
-    ----------
-    detections : AssociatedDetections
-        Detections of n objects.
-    first : sequence of n tuples
-        For each object, its first detection: the disparity space, the time, and the undistorted pixel (2,);
-        None of an object that is never seen.
-    prior : BirthPrior
-        Prior of depth and velocity.
-    times_s : array (t,)
-        Times, increasing.
-    motion : Motion
-        Its noise is taken to be zero.
-
-    Returns
-    -------
-    states : array (t, n, 6)
-        World states at the times; NaN before the first detection.
-    covariances : array (t, n, 6, 6)
-    seen : array (t, n) of bool
-        Whether the object was seen up to that time.
+    `first` has, for each object, its first detection: the disparity space, the time, and the undistorted pixel (2,);
+    None of an object that is never seen. Returns world states (t, n, 6), NaN before the first detection, their
+    covariances (t, n, 6, 6), and whether each object was seen up to that time (t, n).
     """
     count = len(first)
     paths, parameters = _begin(first, prior, motion)

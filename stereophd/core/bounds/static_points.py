@@ -26,16 +26,8 @@ def static_point_information(
 ) -> Array:
     """Return the information (n, 3, 3) of points, in 1 / length^2; the inverse bounds the covariance of estimates.
 
-    Parameters
-    ----------
-    detections : AssociatedDetections
-        Detections of n points.
-    positions : array (n, 3)
-        True positions in the world, length.
-    first : sequence of n DisparitySpace
-        Space of the camera that saw each point first; None of a point that no camera saw, whose information is 0.
-    prior : BirthPrior
-        Prior of the disparity.
+    True positions (n, 3) are in the world. `first` has the space of the camera that saw each point first; None of a
+    point that no camera saw, whose information is 0.
     """
     information = np.zeros((len(positions), 3, 3))
     slopes = detections.whitening @ projective(detections.projection, positions[detections.row])[1]

@@ -161,18 +161,8 @@ def framed_detections(
 ) -> tuple[Array, Array, Array, Array | None, Array | None]:
     """Undistort detections of any frames of a camera, each in the axes of the camera at the time of its frame.
 
-    Parameters
-    ----------
-    camera : Camera
-    times : array (n,)
-        Times of the frames, s.
-    pixels, std : arrays (n, 2)
-        Distorted pixels and their standard deviations, px.
-
-    Returns
-    -------
-    points, covariances, areas, delays, travels
-        As those of an `Event`; a row of NaN points where a detection cannot be used.
+    Times of the frames are (n,), s; distorted pixels and their standard deviations are (n, 2), px. Returns points,
+    covariances, areas, delays and travels as in an `Event`; a row of NaN points where a detection cannot be used.
     """
     points, covariances, areas = undistorted_detections(camera, pixels, std)
     delays = camera.row_delays(pixels[:, 1])
@@ -185,11 +175,7 @@ def framed_detections(
 def undistorted_detections(camera: Camera, pixels: Array, std: Array) -> tuple[Array, Array, Array]:
     """Undistorted pixels (m, 2) of detections, their covariances (m, 2, 2), and areas (m,) as those of an `Event`.
 
-    Parameters
-    ----------
-    camera : Camera
-    pixels, std : arrays (m, 2)
-        Distorted pixels and their standard deviations, px.
+    Distorted pixels and their standard deviations are (m, 2), px.
     """
     if camera.lens.code == 0:
         covariances = np.zeros((len(pixels), 2, 2))

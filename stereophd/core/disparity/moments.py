@@ -61,30 +61,13 @@ def move(
     threads: int = 1,
     region: Array | None = None,
 ) -> Moved:
-    """Carry Gaussians into the disparity space of a camera, over an interval of time.
+    """Carry Gaussians into the packed disparity space (30,) of a camera, over an interval of time.
 
-    Parameters
-    ----------
-    sources : Sources
-    destination : array (30,)
-        Packed space to go to.
-    sets : SampleSets
-        Samples, and with them the method.
-    turn : int
-        Number of the event: picks the set.
-    p_detect : float
-        Probability of detection inside the image, for the shape of the missed part: 0 leaves it as it was.
-    important : array (n,) of bool, optional
-        Components that get more samples when too few are in view: an object at the edge of the field of view would
-        otherwise count as a new one.
-    threads : int
-        Components are shared out over this many threads; the result does not depend on it.
-    region : array (8,), optional
-        Where objects can be: see `stereophd.core.disparity.trips.region_mask`.
-
-    Returns
-    -------
-    Moved
+    The sets name the method and hold its samples; `turn`, the number of the event, picks one. `p_detect` is the
+    probability of detection inside the image, for the shape of the missed part: 0 leaves it as it was. `important` (n,)
+    components get more samples when too few are in view: an object at the edge of the field of view would otherwise
+    count as a new one. Objects can be in the `region` (8,) only (see `stereophd.core.disparity.trips.region_mask`).
+    Components are shared out over the threads; the result does not depend on their number.
     """
     means, covariances, homes, intervals = sources
     samples = sets.turn(turn)

@@ -27,10 +27,7 @@ DepthRange = tuple[PositiveLength, PositiveLength]
 def check_depth(disparity: DisparityPrior | None, depth_range: DepthRange | None) -> None:
     """Refuse a prior of the depth that is given twice, is missing, or has its ends exchanged.
 
-    Raises
-    ------
-    ValueError
-        Unless exactly one of `disparity` and `depth_range` is given, and a range is near < far.
+    Raises ValueError unless exactly one of `disparity` and `depth_range` is given, and a range is near < far.
     """
     if (disparity is None) == (depth_range is None):
         raise ValueError("expected exactly one of disparity and depth_range")

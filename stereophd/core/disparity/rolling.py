@@ -36,18 +36,9 @@ def turned_to_frame(
 ) -> tuple[Array, Array, Array]:
     """Turn detections to the axes that their camera has at the times of their frames.
 
-    Parameters
-    ----------
-    camera : Camera
-    times, delays : arrays (n,)
-        Times of the frames, and of the detections after them, s.
-    points, covariances, areas : arrays (n, 2), (n, 2, 2), (n,)
-        Undistorted pixels as in `stereophd.core.disparity.events.Event`, in the axes of the camera at the rows.
-
-    Returns
-    -------
-    points, covariances, areas : arrays
-        The same in the axes at the frames; a row of NaN points where the camera has turned by a quarter turn or more.
+    Times of the frames, and delays of the detections after them, are (n,), s. Undistorted points (n, 2), covariances
+    (n, 2, 2) and areas (n,) are those of an `Event`, in the axes of the camera at the rows, and are returned in the
+    axes at the frames; a row of NaN points where the camera has turned by a quarter turn or more.
     """
     if camera.pose.path is None and not camera.pose.rotation_rate.any():
         return points, covariances, areas
@@ -68,21 +59,10 @@ def turned_to_frame(
 def readings(delays: Array, travelled: Array | None, points: Array, space: Array) -> Array:
     """When, and from where, the detections of an event were read, for the compiled filters.
 
-    Parameters
-    ----------
-    delays : array (m,)
-        Times of the detections after that of the frame, s.
-    travelled : array (m, 3), optional
-        Displacements of the camera's centre in the world until then; None of a camera that stands still.
-    points : array (m, 2)
-        Undistorted pixels, in the axes of the camera at the frame.
-    space : array (30,)
-        Packed space of the camera at the frame.
-
-    Returns
-    -------
-    array (m, 3)
-        The delays, and the change of the pixel (u, v) with the disparity.
+    Delays (m,) count from the time of the frame, s; `travelled` (m, 3) is the displacement of the camera's centre in
+    the world until then, None of a camera that stands still. Undistorted points (m, 2) are in the axes of the camera at
+    the frame, whose packed space is (30,). Returns (m, 3): delays, and the change of the pixel (u, v) with the
+    disparity.
     """
     out = np.zeros((len(points), READING_COLUMNS))
     out[:, 0] = delays

@@ -26,16 +26,10 @@ PACKED_SIZE = CAMERA_SIZE + 2
 
 @dataclass(frozen=True)
 class DisparitySpace:
-    """Disparity space of one camera.
+    """Disparity space of one camera: the extension of its undistorted image, frozen at one time.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera whose undistorted image the space extends, frozen at one time.
-    baseline : float
-        Distance to the abstract companion, in the unit of length of the world.
-    rectification : {"horizontal", "vertical"}
-        Direction of the baseline in the image.
+    `baseline` is the distance to the abstract companion, in the unit of length of the world; `rectification`
+    (horizontal or vertical) is the direction of the baseline in the image.
     """
 
     camera: Camera

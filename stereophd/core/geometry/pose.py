@@ -19,17 +19,9 @@ ROTATION_ROUNDING = 1e-12
 
 
 def rotation_from_vector(vector: ArrayLike) -> Array:
-    """Return the rotation matrix of an axis times an angle (Rodrigues' formula).
+    """Return the rotation matrix exp([v]_x) of an axis times an angle v (3,), rad, right-handed.
 
-    Parameters
-    ----------
-    vector : (3,) array_like
-        Axis of rotation times the angle in radians, right-handed.
-
-    Returns
-    -------
-    (3, 3) array
-        exp([vector]_x), the convention of OpenCV's ``Rodrigues``.
+    Rodrigues' formula, in the convention of OpenCV's ``Rodrigues``.
     """
     v = np.asarray(vector, dtype=np.float64)
     angle = float(np.linalg.norm(v))
@@ -44,22 +36,11 @@ def rotation_from_vector(vector: ArrayLike) -> Array:
 
 
 def rotation_to_vector(rotation: ArrayLike) -> Array:
-    """Return the axis times the angle of a rotation matrix, the inverse of `rotation_from_vector`.
+    """Return the axis times the angle (3,) of a rotation matrix, the inverse of `rotation_from_vector`.
 
-    Parameters
-    ----------
-    rotation : (3, 3) array_like
-        A rotation matrix.
-
-    Returns
-    -------
-    (3,) array
-        Axis times angle in radians, angle in [0, pi]; at pi the sign of the axis is arbitrary.
-
-    Notes
-    -----
-    Goes through the unit quaternion with the largest component first, which loses no digits at any
-    angle: S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1 (3), 1978.
+    The angle is in [0, pi]; at pi the sign of the axis is arbitrary. Goes through the unit quaternion with the largest
+    component first, which loses no digits at any angle: S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance
+    and Control 1 (3), 1978.
     """
     r = np.asarray(rotation, dtype=np.float64)
     # 4 q q^T for the quaternion q = (w, x, y, z), as a function of the matrix.

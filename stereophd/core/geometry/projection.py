@@ -13,23 +13,10 @@ from stereophd.core.arrays import Array
 
 
 def pinhole(points: Array, focal: Array) -> tuple[Array, Array]:
-    """Project points in a camera's axes onto the plane at depth 1, with the derivative of their pixels.
+    """Project points (n, 3) in a camera's axes onto the plane at depth 1, with the derivative of their pixels.
 
-    Defined behind the camera too; infinite or NaN at depth 0.
-
-    Parameters
-    ----------
-    points : array (n, 3)
-        In the camera's axes, up to scale: the derivative is that at the scale given.
-    focal : array (2,)
-        fx and fy, px.
-
-    Returns
-    -------
-    slopes : array (n, 2)
-        x / z and y / z.
-    by_point : array (n, 2, 3)
-        Derivative of the undistorted pixel, px per unit of the points.
+    Returns the slopes (n, 2), x / z and y / z, and the derivative (n, 2, 3) of the undistorted pixel with focal lengths
+    (2,), px per unit of the points, at the scale given. Defined behind the camera too; infinite or NaN at depth 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / points[:, 2]
@@ -41,22 +28,11 @@ def pinhole(points: Array, focal: Array) -> tuple[Array, Array]:
 
 
 def projective(matrix: Array, points: Array) -> tuple[Array, Array]:
-    """Map points by a projective matrix, with the derivative.
+    """Map points (n, 3) by a projective matrix, with the derivative (n, k, 3) of the images (n, k).
 
-    With the rows P and p of the matrix the image is ``y = P (x, 1) / s``, ``s = p (x, 1)``, and its derivative
-    ``(P - y p) / s``.
-
-    Parameters
-    ----------
-    matrix : array (k + 1, 4), or one for each point (n, k + 1, 4)
-        From homogeneous points to homogeneous images: a camera's projection, or a map between spaces.
-    points : array (n, 3)
-
-    Returns
-    -------
-    images : array (n, k)
-        Infinite or NaN where s is 0.
-    derivative : array (n, k, 3)
+    The matrix (k + 1, 4), or one for each point, leads from homogeneous points to homogeneous images: a camera's
+    projection, or a map between spaces. With its rows P and p the image is ``y = P (x, 1) / s``, ``s = p (x, 1)``, and
+    its derivative ``(P - y p) / s``. Images are infinite or NaN where s is 0.
     """
     if matrix.ndim == 2:
         homogeneous = points @ matrix[:, :3].T + matrix[:, 3]

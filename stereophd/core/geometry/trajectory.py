@@ -43,18 +43,11 @@ class Motions(NamedTuple):
 
 @dataclass(frozen=True, init=False, eq=False)
 class BodyTrajectory:
-    """The poses of a body in the world.
+    """The poses of a body in the world, at least two rows of `COLUMNS` (n, 8).
 
-    Parameters
-    ----------
-    poses : array_like (n, 8)
-        At least two rows of `COLUMNS`: time, s, increasing; origin of the body in the world, length; unit quaternion
-        that turns the body's axes into the world's (TUM's convention).
-
-    Raises
-    ------
-    ValueError
-        A value is not finite, times do not increase, or a quaternion is not of norm 1. Rows are counted from 0.
+    A row has the time, s, increasing; the origin of the body in the world, length; and the unit quaternion that turns
+    the body's axes into the world's (TUM's convention). Raises ValueError if a value is not finite, times do not
+    increase, or a quaternion is not of norm 1; rows are counted from 0.
     """
 
     poses: Array
@@ -122,13 +115,8 @@ class BodyTrajectory:
 class MountedPath:
     """A camera that a body with a known trajectory carries.
 
-    Parameters
-    ----------
-    trajectory : BodyTrajectory
-    rotation : (3, 3) array_like
-        From the body's axes to the camera's (hand-eye).
-    center : (3,) array_like
-        Optical centre in the body's axes, length.
+    `rotation` (3, 3) leads from the body's axes to the camera's (hand-eye); `center` (3,) is the optical centre in the
+    body's axes, length.
     """
 
     trajectory: BodyTrajectory

@@ -36,10 +36,7 @@ class PoseErrors:
 def pose_errors(estimated: Sequence[Pose], true: Sequence[Pose], reference: int) -> PoseErrors:
     """Compare the poses of cameras, pair by pair, relative to the camera of index `reference`.
 
-    Raises
-    ------
-    ValueError
-        The numbers of poses differ, or there are fewer than two.
+    Raises ValueError when the numbers of poses differ, or there are fewer than two.
     """
     if len(estimated) != len(true) or len(true) < 2:
         raise ValueError(f"expected two or more poses and as many true ones, found {len(estimated)} and {len(true)}")

@@ -96,31 +96,14 @@ class ScanScores:
 def score_scans(
     estimates: PointSets, truth: PointSets, order: float, cutoff: float, *, mahalanobis: bool = False
 ) -> ScanScores:
-    """Score the estimates of each scan against its true points.
+    """Score the estimates of each scan against its true points, by OSPA and GOSPA of this order and cutoff.
 
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans in the same order.
-    order, cutoff : float
-        Order and cutoff of OSPA and GOSPA; the cutoff in the unit of the base distance.
-    mahalanobis : bool
-        Base distance from the covariance of each estimate instead of the Euclidean one.
-
-    Returns
-    -------
-    ScanScores
-
-    Raises
-    ------
-    ValueError
-        The scans differ in number, parameters are out of range, or (Mahalanobis) a covariance is missing or
-        not positive definite.
-
-    Notes
-    -----
-    Scans with equal numbers of estimates and true points are one batch: the work per scan is constant for a
+    The base distance is Euclidean or taken from the covariance of each estimate (Mahalanobis); the cutoff is in its
+    unit. Scans with equal numbers of estimates and true points are one batch: the work per scan is constant for a
     bounded number of objects.
+
+    Raises ValueError when the scans differ in number, parameters are out of range, or a covariance that is needed is
+    missing or not positive definite.
     """
     if estimates.scans != truth.scans:
         raise ValueError(f"expected as many scans of truth as of estimates, {estimates.scans}")
@@ -144,17 +127,9 @@ def score_scans(
 
 
 def batches_of_one_size(n_estimates: Integers, n_truth: Integers) -> Iterator[tuple[Integers, int, int]]:
-    """Group scans by their numbers of estimates and true points.
+    """Group scans by their numbers (k,) of estimates and true points; yield scans (b,) and their two numbers.
 
-    Parameters
-    ----------
-    n_estimates, n_truth : (k,) arrays
-        Numbers of both in each scan.
-
-    Yields
-    ------
-    tuple
-        Scans (b,), and the numbers m and n that they all have; at most `BATCH_ENTRIES` distances at a time.
+    A group has at most `BATCH_ENTRIES` distances.
     """
     if len(n_truth) == 0:
         return

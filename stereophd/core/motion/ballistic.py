@@ -18,21 +18,11 @@ from stereophd.core.settings import PositiveLength, Vector3, parameter, settings
 
 @dataclass(frozen=True)
 class Ballistic(ConstantVelocity):
-    """`ConstantVelocity` under a constant known acceleration.
+    """`ConstantVelocity` under a constant known acceleration: gravity (3,), axes of the world, length/s^2.
 
-    Interpolation between two states needs no term for it: a cubic through two states of a parabola is the parabola.
-
-    Parameters
-    ----------
-    acceleration_std, max_speed
-        The same as in `ConstantVelocity`; the noise covers other accelerations, such as drag.
-    gravity : (3,) array_like
-        In the axes of the world, length/s^2.
-
-    Raises
-    ------
-    ValueError
-        If gravity is not three finite numbers; otherwise as `ConstantVelocity`.
+    Interpolation between two states needs no term for it: a cubic through two states of a parabola is the parabola. The
+    noise covers other accelerations, such as drag. Raises ValueError if gravity is not three finite numbers; otherwise
+    as `ConstantVelocity`.
     """
 
     gravity: ArrayLike = (0.0, 0.0, 0.0)

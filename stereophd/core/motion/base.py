@@ -147,12 +147,8 @@ class Motion(ABC):
     def between(self, elapsed: Array, interval: Array) -> tuple[Array, Array]:
         """Return the mean position between two states, given both: weights (n, 4) and offsets (n, 3).
 
-        The weights are those of position and velocity before and after.
-
-        Parameters
-        ----------
-        elapsed, interval : arrays (n,)
-            Time after the first state, and between the two, s.
+        The weights are those of position and velocity before and after; the time after the first state and that between
+        the two are (n,), s.
         """
         position, cross, _ = self.noise(elapsed)
         first = self.flow(elapsed)
@@ -201,13 +197,7 @@ class Motion(ABC):
 
 
 def accelerations(values: ArrayLike) -> tuple[float, float, float]:
-    """Return one acceleration or three as three numbers.
-
-    Raises
-    ------
-    ValueError
-        If they are not finite numbers >= 0.
-    """
+    """Return one acceleration or three as three numbers; ValueError if they are not finite numbers >= 0."""
     found = np.asarray(values, dtype=np.float64)
     if found.shape not in ((), (3,)) or not ((found >= 0.0) & np.isfinite(found)).all():
         raise ValueError(f"motion: expected three accelerations >= 0, found {values!r}")

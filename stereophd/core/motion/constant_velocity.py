@@ -46,19 +46,10 @@ _kept_constants = lru_cache(maxsize=64)(_constants)
 class ConstantVelocity(Motion):
     """Constant velocity disturbed by white acceleration, independent on each axis of the world.
 
-    Parameters
-    ----------
-    acceleration_std : float or (3,) array_like
-        Standard deviation of the mean acceleration over 1 s, length/s^2: the spectral density of the
-        acceleration is ``acceleration_std**2`` times 1 s.
-    max_speed : float or None
-        Physical limit on the speed, length/s, for those who draw samples; `transition` is linear and
-        ignores it.
-
-    Raises
-    ------
-    ValueError
-        If acceleration_std is not finite numbers >= 0, or max_speed is not positive.
+    `acceleration_std`, one or three, is the standard deviation of the mean acceleration over 1 s, length/s^2: the
+    spectral density of the acceleration is ``acceleration_std**2`` times 1 s. `max_speed` is a physical limit on the
+    speed, length/s, for those who draw samples; `transition` is linear and ignores it. Raises ValueError if
+    acceleration_std is not finite numbers >= 0, or max_speed is not positive.
     """
 
     acceleration_std: ArrayLike = 0.0

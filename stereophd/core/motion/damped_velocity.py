@@ -32,19 +32,9 @@ SERIES = np.array([(-1.0) ** n * (2.0 - 2.0 ** (n - 1)) / math.factorial(n) for 
 class DampedVelocity(Motion):
     """Velocity that decays with a time constant, disturbed by white acceleration on each axis of the world.
 
-    Parameters
-    ----------
-    acceleration_std : float or (3,) array_like
-        Standard deviation of the mean acceleration over 1 s, length/s^2, as of `ConstantVelocity`.
-    time_constant_s : float
-        Time after which 1/e of the velocity remains, s.
-    max_speed : float or None
-        Physical limit on the speed, length/s, for those who draw samples.
-
-    Raises
-    ------
-    ValueError
-        If acceleration_std is not finite numbers >= 0, or another value is not positive.
+    `acceleration_std` and `max_speed` are those of `ConstantVelocity`; `time_constant_s` is the time after which 1/e of
+    the velocity remains. Raises ValueError if acceleration_std is not finite numbers >= 0, or another value is not
+    positive.
     """
 
     acceleration_std: ArrayLike

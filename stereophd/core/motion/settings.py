@@ -35,10 +35,7 @@ def acceleration_parameter() -> Any:
 def stated(acceleration_std: Acceleration) -> Length | PerAxis:
     """Return the acceleration of a model whose objects move.
 
-    Raises
-    ------
-    InputError
-        None is stated, or it is still to be estimated.
+    Raises InputError if none is stated, or it is still to be estimated.
     """
     if acceleration_std == ESTIMATE:
         raise InputError(

@@ -17,12 +17,7 @@ def covariance_factor(covariance: Array) -> Array:
 
     Where one direction is known many orders of magnitude better than others (a prior or a known length with next to no
     spread), its variance is lost in the rounding of the others. The covariance then gets a small part of its own
-    variances added.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        It is far from a covariance.
+    variances added. Raises numpy.linalg.LinAlgError when it is far from a covariance.
     """
     variances = np.diag(np.diagonal(covariance))
     for share in (0.0, *SHARES):

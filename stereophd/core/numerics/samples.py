@@ -95,29 +95,13 @@ def draw_sample_sets(
     seed: np.random.SeedSequence,
     max_nonlinearity: float = MAX_NONLINEARITY,
 ) -> SampleSets:
-    """Draw the sample sets of a run.
+    """Draw the sample sets of a run: `samples` of `rows` dimensions each, a power of two for ``qmc``.
 
-    ``particle`` uses independent pseudo-random draws, as the paper does (IV-B a). Every other method
-    uses scrambled Sobol points, mirrored (so that all odd moments vanish) and whitened, so that the
-    mean is 0 and the covariance is the identity to rounding: a linear map then carries a Gaussian
-    over exactly, and sampling adds noise only where the map is not linear.
-
-    Parameters
-    ----------
-    method : str
-        See `SampleSets`.
-    samples : int
-        Samples per set; a power of two for ``qmc``.
-    rows : int
-        Dimensions of a sample.
-    seed : SeedSequence
-        Source of the scrambling or of the draws.
-    max_nonlinearity : float
-        For ``adaptive``.
-
-    Returns
-    -------
-    SampleSets
+    ``particle`` uses independent pseudo-random draws, as the paper does (IV-B a). Every other method uses scrambled
+    Sobol points, mirrored (so that all odd moments vanish) and whitened, so that the mean is 0 and the covariance is
+    the identity to rounding: a linear map then carries a Gaussian over exactly, and sampling adds noise only where the
+    map is not linear. The seed is that of the scrambling or of the draws; `max_nonlinearity` is for ``adaptive``. For
+    the methods see `SampleSets`.
     """
     rngs = [np.random.default_rng(child) for child in seed.spawn(SETS_IN_TURN)]
     large = max(RESERVE_SAMPLES, samples)

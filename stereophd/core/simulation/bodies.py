@@ -34,31 +34,16 @@ class BodyPoses:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body and its path.
+    """A rigid body and its path."""
 
-    Parameters
-    ----------
-    points : (n, 3)
-        Its points, in its own axes, length.
-    center : (3,)
-        World frame, where the origin of its axes is on average.
-    rotation : (3, 3)
-        From its axes to the world, on average.
-    start_s : float
-        True time from which the phases count.
-    amplitudes : (h, 6)
-        Amplitudes of the harmonics: of the centre, length, and of the rotation vector in the axes of the world, rad.
-    frequencies, phases : (h, 6)
-        Frequencies and phases of the harmonics, rad/s and rad.
-    """
-
-    points: Array
-    center: Array
-    rotation: Array
-    start_s: float
+    points: Array  # (n, 3): its points, in its own axes, length
+    center: Array  # (3,): world frame, where the origin of its axes is on average
+    rotation: Array  # (3, 3): from its axes to the world, on average
+    start_s: float  # true time from which the phases count
+    # (h, 6): of the harmonics of the centre, length, and of the rotation vector in the axes of the world, rad
     amplitudes: Array
-    frequencies: Array
-    phases: Array
+    frequencies: Array  # (h, 6): rad/s
+    phases: Array  # (h, 6): rad
     # Poses of the last call of `poses`: all points of a body are asked for the same times, one after the other.
     _latest: list[BodyPoses] = field(default_factory=list, init=False, repr=False, compare=False)
 
@@ -74,15 +59,9 @@ class Body:
     ) -> Body:
         """Draw the path of a body.
 
-        Parameters
-        ----------
-        points, center, rotation, start_s
-            The same as in `Body`.
-        std : (6,)
-            Standard deviations, over time, of the centre, length, and of the rotation vector, rad.
-        period_s : (float, float)
-            Shortest and longest period of a harmonic, s; the logarithm of the period is uniform.
-        generator : numpy.random.Generator
+        `std` (6,) are standard deviations over time: of the centre, length, and of the rotation vector, rad. `period_s`
+        is the shortest and the longest period of a harmonic, s; the logarithm of the period is uniform. The rest is as
+        in `Body`.
         """
         shape = (HARMONICS, 6)
         shortest, longest = np.log(period_s).tolist()
@@ -126,23 +105,12 @@ def _angular_velocities(vectors: Array, rates: Array) -> Array:
 
 @dataclass(frozen=True)
 class BodyPoint:
-    """One point of a body, as an object of a scene.
+    """One point of a body, as an object of a scene."""
 
-    Parameters
-    ----------
-    object_id : int
-        Its label in the truth.
-    body : Body
-    point : int
-        Which of its points.
-    birth_s, death_s : float
-        It exists at true times ``birth_s <= t <= death_s``.
-    """
-
-    object_id: int
+    object_id: int  # its label in the truth
     body: Body
-    point: int
-    birth_s: float
+    point: int  # which of the body's points
+    birth_s: float  # exists at true times ``birth_s <= t <= death_s``
     death_s: float = np.inf
 
     def path(self, _motion: Motion) -> BodyPoint:

@@ -33,24 +33,10 @@ class SizedObjects:
 def draw_boxes(
     camera: Camera, states: Array, labels: Integers, objects: SizedObjects, generator: np.random.Generator
 ) -> tuple[Array, Array, Integers]:
-    """Draw the detections of one frame: the true ones and the false ones.
+    """Draw the detections of one frame: the true ones of the objects that exist (states (n, 6)), and the false ones.
 
-    Parameters
-    ----------
-    camera : Camera
-        At the time of the frame.
-    states : array (n, 6)
-        Of the objects that exist.
-    labels : array (n,) of int
-    objects : SizedObjects
-    generator : numpy.random.Generator
-
-    Returns
-    -------
-    pixels, sizes : arrays (m, 2)
-        Middles, widths and heights, distorted px, cut at the borders of the image.
-    array (m,) of int
-        Labels, -1 for a false box.
+    Returns middles and sizes (m, 2), width and height, in distorted px, cut at the borders of the image, and labels
+    (m,), -1 for a false box. The camera is that at the time of the frame.
     """
     bodies = np.empty((len(states), STATE_SIZE))
     bodies[:, : VELOCITY.stop], bodies[:, LOG_AXES] = states, objects.log_axes[labels]

@@ -26,25 +26,13 @@ READOUT_TOLERANCE_S = 1e-12
 
 @dataclass(frozen=True)
 class Scene:
-    """Cameras and objects of one run.
-
-    Parameters
-    ----------
-    cameras : tuple of Camera
-    grid : TimeGrid
-        Its schedules are those of `cameras`, in order.
-    objects : tuple of SceneObject
-    motion : Motion
-        Motion of those objects that a motion model moves.
-    sized : SizedObjects, optional
-        Shape and sizes of objects that detectors report as boxes.
-    """
+    """Cameras and objects of one run."""
 
     cameras: tuple[Camera, ...]
-    grid: TimeGrid
+    grid: TimeGrid  # its schedules are those of `cameras`, in order
     objects: tuple[SceneObject, ...]
-    motion: Motion
-    sized: SizedObjects | None = None
+    motion: Motion  # of those objects that a motion model moves
+    sized: SizedObjects | None = None  # shape and sizes of objects that detectors report as boxes
 
     def windows(self) -> Iterator[StateWindow]:
         """Yield the states of the objects, window by window, in order of true time."""
@@ -53,43 +41,21 @@ class Scene:
 
 @dataclass(frozen=True)
 class SimulatedFrame:
-    """One frame of one camera.
+    """One frame of one camera."""
 
-    Parameters
-    ----------
-    log_time_s : float
-        Its time on the camera's own clock.
-    camera : int
-        Index of the camera.
-    frame : int
-        Frame number, from 0.
-    pixels : (m, 2)
-        Detections in distorted pixels, in random order; none is a frame too.
-    object_id : (m,)
-        Label of the object of each detection, `CLUTTER_ID` for clutter.
-    sizes : (m, 2), optional
-        Width and height of the boxes, px.
-    """
-
-    log_time_s: float
-    camera: int
-    frame: int
-    pixels: Array
-    object_id: NDArray[np.int64]
-    sizes: Array | None = None
+    log_time_s: float  # on the camera's own clock
+    camera: int  # index of the camera
+    frame: int  # number, from 0
+    pixels: Array  # (m, 2): detections in distorted pixels, in random order; none is a frame too
+    object_id: NDArray[np.int64]  # (m,): label of the object of each detection, `CLUTTER_ID` for clutter
+    sizes: Array | None = None  # (m, 2): width and height of the boxes, px
 
 
 def simulate_frames(scene: Scene, seed: np.random.SeedSequence) -> Iterator[SimulatedFrame]:
     """Yield the frames of all cameras in order of log time, ties in camera order.
 
-    Each camera makes its own frames from its own random numbers and its own pass over the objects'
+    Each camera makes its own frames from its own random numbers (a child of `seed`) and its own pass over the objects'
     paths: clocks may be hours apart without more than a window of each camera in memory.
-
-    Parameters
-    ----------
-    scene : Scene
-    seed : numpy.random.SeedSequence
-        One child for each camera.
     """
     make = _camera_frames if scene.sized is None else _camera_boxes
     streams = [make(scene, index, child) for index, child in enumerate(seed.spawn(len(scene.cameras)))]

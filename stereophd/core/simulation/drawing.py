@@ -24,31 +24,16 @@ COARSE_INSTANTS = 9
 
 @dataclass(frozen=True)
 class Drawing:
-    """How objects are drawn.
+    """How objects are drawn."""
 
-    Parameters
-    ----------
-    count : int
-        Objects alive at the start.
-    low, high : (3,)
-        Corners of the box in which positions at birth are uniform, world frame.
-    velocity_std : float
-        Standard deviation of each component of velocity, length/s.
-    stay_in_view : "all", "any" or "none"
-        In view of which cameras an object must be at every instant of its life.
-    births_per_s : float
-        Rate of further objects (a Poisson process).
-    mean_lifetime_s : float or None
-        Exponential lifetime; None: to the end of the run.
-    """
-
-    count: int
-    low: Array
+    count: int  # objects alive at the start
+    low: Array  # `low`, `high`: (3,): corners of the box in which positions at birth are uniform, world frame
     high: Array
-    velocity_std: float
+    velocity_std: float  # of each component, length/s
+    # in view of which cameras an object must be at every instant of its life
     stay_in_view: Literal["all", "any", "none"] = "all"
-    births_per_s: float = 0.0
-    mean_lifetime_s: float | None = None
+    births_per_s: float = 0.0  # rate of further objects (a Poisson process)
+    mean_lifetime_s: float | None = None  # of an exponential lifetime; None: to the end of the run
 
 
 def in_view_at(camera: Camera, points: Array, times_s: Array) -> Booleans:
@@ -69,20 +54,11 @@ def draw_objects(
     seed: np.random.SeedSequence,
     first_id: int = 0,
 ) -> tuple[MovingObject, ...]:
-    """Draw the objects of a scene; those that would leave the view are drawn again.
+    """Draw the objects of a scene, labelled from `first_id` on, in order of birth.
 
-    Birth and lifetime are drawn once, position, velocity and process noise until they fit: lifetimes
-    keep their distribution.
-
-    Returns
-    -------
-    tuple of MovingObject
-        Labelled from `first_id` on, in order of birth.
-
-    Raises
-    ------
-    InputError
-        If no object stays in view in ``MAX_BATCHES * CANDIDATES_PER_BATCH`` draws.
+    Those that would leave the view are drawn again: birth and lifetime are drawn once, position, velocity and process
+    noise until they fit, so that lifetimes keep their distribution. Raises InputError if no object stays in view in
+    ``MAX_BATCHES * CANDIDATES_PER_BATCH`` draws.
     """
     count_seed, object_seed = seed.spawn(2)
     generator = np.random.default_rng(count_seed)

@@ -17,26 +17,14 @@ from stereophd.core.simulation.walk import walk
 
 @dataclass(frozen=True)
 class MovingObject:
-    """One object of a scene.
+    """One object of a scene."""
 
-    Parameters
-    ----------
-    object_id : int
-        Its label in the truth.
-    birth_s, death_s : float
-        It exists at true times ``birth_s <= t <= death_s``.
-    position, velocity : (3,)
-        State at ``birth_s``, world frame, length and length/s.
-    noise_seed : int
-        Seed of its process noise: its path is computed anew at each use, and is always the same.
-    """
-
-    object_id: int
-    birth_s: float
+    object_id: int  # its label in the truth
+    birth_s: float  # exists at true times ``birth_s <= t <= death_s``
     death_s: float
-    position: Array
+    position: Array  # `position`, `velocity`: (3,): state at ``birth_s``, world frame, length and length/s
     velocity: Array
-    noise_seed: int
+    noise_seed: int  # of its process noise: its path is computed anew at each use, and is always the same
 
     def path(self, motion: Motion) -> Path:
         """Return its path by a motion model."""
@@ -77,12 +65,7 @@ class SceneObject(Protocol):
 class Path:
     """The states of one object at ascending instants, computed window by window.
 
-    Parameters
-    ----------
-    moving_object : MovingObject
-        Whose path; it starts at the birth, and must be asked forwards in time.
-    motion : Motion
-        Its limit of speed does not apply.
+    It starts at the birth of the object and must be asked forwards in time; the motion's limit of speed does not apply.
     """
 
     def __init__(self, moving_object: MovingObject, motion: Motion) -> None:
@@ -115,37 +98,17 @@ class Path:
 
 @dataclass(frozen=True)
 class StateWindow:
-    """States of the objects that live in a window of time.
+    """States of the objects that live in a window of time."""
 
-    Parameters
-    ----------
-    lower_s, upper_s : float
-        The window, true time, upper end excluded.
-    times_s : (n,)
-        Its distinct instants, ascending.
-    object_id : (m,)
-        Objects that live at any of them.
-    states : (m, n, 6)
-        Position and velocity, world frame; NaN before birth and after death.
-    """
-
-    lower_s: float
+    lower_s: float  # the window, true time, upper end excluded
     upper_s: float
-    times_s: Array
-    object_id: NDArray[np.int64]
-    states: Array
+    times_s: Array  # (n,): its distinct instants, ascending
+    object_id: NDArray[np.int64]  # (m,): objects that live at any of them
+    states: Array  # (m, n, 6): position and velocity, world frame; NaN before birth and after death
 
 
 def state_windows(objects: Sequence[SceneObject], grid: TimeGrid, motion: Motion) -> Iterator[StateWindow]:
-    """Yield the states of all objects, window by window, in memory that does not grow with the run.
-
-    Parameters
-    ----------
-    objects : sequence of SceneObject
-    grid : TimeGrid
-        Instants of the run.
-    motion : Motion
-    """
+    """Yield the states of all objects at the instants of a run, in windows: memory does not grow with the run."""
     waiting = sorted(objects, key=lambda item: (item.birth_s, item.object_id), reverse=True)
     living: dict[int, tuple[SceneObject, SomePath]] = {}
     for lower_s, upper_s in grid.windows():

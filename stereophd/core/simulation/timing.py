@@ -16,23 +16,14 @@ INSTANTS_PER_WINDOW = 4096
 
 @dataclass(frozen=True)
 class Schedule:
-    """Instants ``start_s + phase_s + k / rate_hz``, k = 0, 1, ..., that lie in ``[start_s, end_s)``.
+    """Instants ``start_s + phase_s + k / rate_hz``, k = 0, 1, ..., that lie in ``[start_s, end_s)``."""
 
-    Parameters
-    ----------
-    rate_hz : float
-        Frames per second, positive.
-    start_s, end_s : float
-        The run, true time, rounded to the nanosecond as all instants are; an instant before the
-        start (negative phase) is left out.
-    phase_s : float
-        Time of the instant k = 0 after the start.
-    """
-
-    rate_hz: float
+    rate_hz: float  # frames per second, positive
+    # `start_s`, `end_s`: the run, true time, rounded to the nanosecond as all instants are; an instant before the start
+    # (negative phase) is left out
     start_s: float
     end_s: float
-    phase_s: float = 0.0
+    phase_s: float = 0.0  # time of the instant k = 0 after the start
 
     def __post_init__(self) -> None:
         # Rounded as the instants are: else the first one could lie before the start.
@@ -67,18 +58,10 @@ class Schedule:
 
 @dataclass(frozen=True)
 class TimeGrid:
-    """All instants of a run: the frames of every camera, and the instants of the truth.
+    """All instants of a run: the frames of every camera, and the instants of the truth."""
 
-    Parameters
-    ----------
-    frames : sequence of Schedule
-        One per camera.
-    truth : Schedule or None
-        When the truth is written; None: at every distinct frame time.
-    """
-
-    frames: tuple[Schedule, ...]
-    truth: Schedule | None = None
+    frames: tuple[Schedule, ...]  # one per camera
+    truth: Schedule | None = None  # when the truth is written; None: at every distinct frame time
 
     @property
     def start_s(self) -> float:

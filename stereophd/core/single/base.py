@@ -85,10 +85,7 @@ class SingleEstimator(ABC, Generic[State]):
 def only_detection(event: Event) -> int | None:
     """Return 0, the index of the event's detection, or None if it has none.
 
-    Raises
-    ------
-    ValueError
-        If the event has several: an estimator of one object cannot choose.
+    Raises ValueError if the event has several: an estimator of one object cannot choose.
     """
     if len(event.points) > 1:
         raise ValueError(f"expected at most one detection an event, found {len(event.points)} at {event.time_s:g} s")
@@ -98,10 +95,7 @@ def only_detection(event: Event) -> int | None:
 def detection_time(event: Event) -> float:
     """Time of the event's only detection, s: a rolling shutter reads its row later than the first.
 
-    Raises
-    ------
-    ValueError
-        The camera moves while its shutter reads: points of such events refer to the pose of the frame.
+    Raises ValueError if the camera moves while its shutter reads: points of such events refer to the pose of the frame.
     """
     if event.travels is not None:
         raise ValueError("expected a camera at rest where a rolling shutter sees a single object, found a moving one")

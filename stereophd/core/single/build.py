@@ -31,23 +31,9 @@ def build_estimator(
 ) -> AnyEstimator:
     """Return the estimator that the settings describe.
 
-    Parameters
-    ----------
-    settings : EstimatorSettings
-    rig : Rig
-        The cameras.
-    motion : Motion
-    prior : InitialPrior
-    rng : Generator
-        Source of all randomness of the estimator. Low-discrepancy points do not depend on it (they are a rule, not
-        draws); pseudo-random samples and particles are drawn from it.
-    sets : SampleSets, optional
-        Samples of the moves between disparity spaces, in place of those that the settings name.
-
-    Raises
-    ------
-    ValueError
-        If the estimator cannot work with these cameras (Algorithm 1 with cameras that are not rectified).
+    All its randomness comes from `rng`: pseudo-random samples and particles, not low-discrepancy points (they are a
+    rule, not draws). `sets` replaces the samples of moves between disparity spaces that the settings name. Raises
+    ValueError if the estimator cannot work with these cameras (Algorithm 1 with cameras that are not rectified).
     """
     if isinstance(settings, DisparitySettings):
         if sets is None:

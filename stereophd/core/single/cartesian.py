@@ -126,14 +126,8 @@ def _pixels(camera: Array, states: Array) -> Array:
 def _regression(function: Callable[[Array], Array], mean: Array, covariance: Array) -> tuple[Array, Array, Array]:
     """Statistical linear regression of a function of a Gaussian, at the sigma points of the unscented transform.
 
-    Returns
-    -------
-    predicted : array (2,)
-        Mean of the function.
-    matrix : array (2, d)
-        Matrix of the linear function that fits best: a Kalman update with it is the unscented filter's.
-    spread : array (2, 2)
-        Covariance of the difference from the linear function.
+    Returns the mean of the function (2,), the matrix (2, d) of the linear function that fits best (a Kalman update with
+    it is the unscented filter's), and the covariance (2, 2) of the difference from that function.
     """
     positive = covariance.copy()
     condition(positive, np.empty_like(positive))

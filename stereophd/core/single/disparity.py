@@ -120,11 +120,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
     Cameras are rectified if they have the same orientation and their centres lie in a plane perpendicular to the
     optical axis. The map between their disparity spaces, projective in general, is then affine, and the detections of
     all cameras are linear in the same state (eq. 4). Intrinsic parameters may differ. A static object needs no samples.
-
-    Raises
-    ------
-    ValueError
-        If the cameras are not rectified, or move.
+    Raises ValueError if the cameras are not rectified, or move.
     """
 
     # `rig`, `motion`, `prior`, `sets`: The same as in `DisparityEstimator`.
@@ -206,10 +202,7 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
 def rectified_maps(rig: Rig) -> tuple[Array, Array]:
     """Affine maps (c, 3, 3), (c, 3) from the first camera's disparity space to each camera's.
 
-    Raises
-    ------
-    ValueError
-        If the cameras are not rectified, or move.
+    Raises ValueError if the cameras are not rectified, or move.
     """
     if rig.moving:
         raise ValueError("rectified: expected cameras that do not move")

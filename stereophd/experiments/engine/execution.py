@@ -58,27 +58,12 @@ def execute(
     progress: Progress | None,
     see: See,
 ) -> None:
-    """Do the wanted runs that the store does not hold, and store them.
+    """Do the wanted runs (numbers of runs of every part) that the store does not hold, and store them.
 
-    Parameters
-    ----------
-    wanted : sequence of tuple
-        Every part, and the numbers of its runs.
-    store : PartStore
-    jobs : int
-        Processes on this machine; 1: this one.
-    dask : str, optional
-        Address of a Dask scheduler.
-    progress : callable, optional
-    see : callable
-        Called with what each run gave, finished earlier or now; an error that it raises ends the experiment.
-
-    Raises
-    ------
-    InputError
-        A run reports that the configuration is at fault, or workers have another version of the package.
-    StereophdError
-        A run failed `ATTEMPTS` times, or workers die without finishing a run.
+    They run on `jobs` processes of this machine, or on the Dask scheduler at an address. `see` is called with what each
+    run gave, finished earlier or now; an error that it raises ends the experiment. Raises InputError when a run reports
+    that the configuration is at fault, or workers have another version of the package; StereophdError when a run failed
+    `ATTEMPTS` times, or workers die without finishing a run.
     """
     done = set()
     for result in store.read():

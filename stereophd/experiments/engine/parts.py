@@ -74,15 +74,7 @@ class FinishedRun:
 
 
 class PartStore:
-    """The finished runs of one experiment.
-
-    Parameters
-    ----------
-    out : Path
-        Output folder.
-    loaded : LoadedConfig
-        The experiment.
-    """
+    """The finished runs of one experiment, in its output folder."""
 
     def __init__(self, out: Path, loaded: LoadedConfig) -> None:
         self.unfinished = UnfinishedRun(out, experiment_hash(loaded))
@@ -99,13 +91,7 @@ class PartStore:
         self.unfinished.write(name, FinishedChunk(method, case, runs))
 
     def read(self) -> list[RunResult]:
-        """Return all finished runs.
-
-        Raises
-        ------
-        InputError
-            A file is damaged.
-        """
+        """Return all finished runs, or raise InputError when a file is damaged."""
         chunks = [self.unfinished.read(name, FinishedChunk) for name in self.unfinished.names()]
         return [
             RunResult(chunk.method, chunk.case, one.run, one.seed if one.series else 0, one.series, one.cpu_s)

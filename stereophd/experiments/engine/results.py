@@ -145,27 +145,10 @@ def read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) ->
 
 
 def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: bool, files: Sequence[str]) -> bool:
-    """Check the output folder, and remove what is in the way, where that is allowed.
+    """Return whether the results are there already; otherwise remove what is in the way, where that is allowed.
 
-    Parameters
-    ----------
-    store : PartStore
-        Finished runs in the output folder.
-    loaded : LoadedConfig
-    resume, force : bool
-        The same as in `stereophd.commands.experiment.experiment`.
-    files : sequence of str
-        Files that an experiment writes.
-
-    Returns
-    -------
-    bool
-        Whether the results are there already.
-
-    Raises
-    ------
-    InputError
-        The folder holds results or runs, and neither `resume` nor `force` allows continuing.
+    `files` are the names that an experiment writes. Raises InputError when the folder holds results or runs, and
+    neither `resume` nor `force` (as in `stereophd.commands.experiment.experiment`) allows continuing.
     """
     out = store.unfinished.out
     output_folder(out, True, [*files, *UNFINISHED_FILES])

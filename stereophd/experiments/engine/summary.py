@@ -44,20 +44,10 @@ class Summary:
 
 
 def with_windows(series: Sequence[Series], windows: Windows, squares: bool = True) -> list[Series]:
-    """Return series of one run, and their means over windows of time.
+    """Return series of one run, and their means over windows of time (name -> first and last time, s).
 
-    Parameters
-    ----------
-    series : sequence of Series
-    windows : mapping
-        Name -> first and last time, s.
-    squares : bool
-        Whether an error gives its root mean square over the window too (not for the bound of a mean).
-
-    Returns
-    -------
-    list of Series
-        For the window W: ``X_W``, and for errors ``X_error_W`` and ``X_rmse_W``.
+    A window W adds ``X_W``, and for errors ``X_error_W`` and, with `squares` (not for the bound of a mean),
+    ``X_rmse_W``.
     """
     out = list(series)
     for name, (first, last) in windows.items():
@@ -81,15 +71,7 @@ def is_rms(quantity: str) -> bool:
 
 
 def summarise(runs: Sequence[Sequence[Series]], bounds: Iterable[Series]) -> list[Summary]:
-    """Return the summaries of one method in one case.
-
-    Parameters
-    ----------
-    runs : sequence of sequences of Series
-        Series of every run.
-    bounds : iterable of Series
-        Bounds of the case.
-    """
+    """Return the summaries of one method in one case, from the series of every run and the bounds of the case."""
     quantities: dict[tuple[str, str, bool], list[Series]] = {}
     for run in runs:
         for one in run:
@@ -150,15 +132,9 @@ def _summary(quantity: str, unit: str, times_s: Array | None, values: Array, bou
 
 
 class QuantityCheck:
-    """Raises an error for a quantity that does not exist as soon as every method has one run in every case, not after
-    all runs.
+    """Raises an error for a quantity that does not exist as soon as every method has one run in every case.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        The experiment.
-    cells : iterable of tuple
-        Names of method and case of everything that is run.
+    So the error does not wait for all runs. `cells` are the names of method and case of everything that is run.
     """
 
     def __init__(self, loaded: LoadedConfig, cells: Iterable[tuple[str, str]]) -> None:
@@ -175,10 +151,7 @@ class QuantityCheck:
     def see(self, method: str, case: str, series: Sequence[Series]) -> None:
         """Take note of what one run gave.
 
-        Raises
-        ------
-        InputError
-            This was the last first run, and no run gave a quantity of the table or the figure.
+        Raises InputError when this was the last first run, and no run gave a quantity of the table or the figure.
         """
         if (method, case) not in self._left:
             return

@@ -49,13 +49,7 @@ def columns_of_summary(experiment: str, method: str, case: str, summary: Summary
 
 
 def read_summaries(path: Path) -> Iterator[tuple[str, str, Summary]]:
-    """Yield method, case and summary of every quantity of a ``summary.parquet``.
-
-    Raises
-    ------
-    InputError
-        As `stereophd.io.tables.reading.read_table`.
-    """
+    """Yield method, case and summary of every quantity of a ``summary.parquet``; errors as of `read_table`."""
     texts = ("method", "case", "quantity", "unit")
     numbers = ("time_s", *STATISTICS)
     required = {**dict.fromkeys(texts, STRING), "runs": INTEGER}

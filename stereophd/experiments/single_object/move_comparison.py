@@ -64,17 +64,8 @@ def gaussian_of_object(
 ) -> tuple[Array, Array]:
     """Gaussian (6,), (6, 6) of an object at a disparity point (u, v, d) that moves with a velocity in the world.
 
-    Parameters
-    ----------
-    space : DisparitySpace
-    point, stds : arrays (3,)
-        Mean and standard deviations of u, v and d, px.
-    velocity : array (3,)
-        Mean velocity in the world, length/s.
-    velocity_std : float
-        Standard deviation of each of its components.
-    rng : Generator
-        Source of the sample by whose moments the velocity in disparity space is found.
+    `point` and `stds` (3,) are mean and standard deviations of u, v and d, px; `velocity` (3,) and `velocity_std` those
+    of the velocity, length/s. `rng` draws the sample whose moments give the velocity in disparity space.
     """
     points = point + rng.standard_normal((CLOUD, 3)) * stds
     velocities = velocity + rng.standard_normal((CLOUD, 3)) * velocity_std
@@ -85,10 +76,7 @@ def gaussian_of_object(
 def _draw(rng: np.random.Generator, mean: Array, covariance: Array, count: int) -> Array:
     """Draw from a Gaussian; its covariance may be singular.
 
-    Raises
-    ------
-    LinAlgError
-        Rounding has made a variance negative: the numbers are too far apart.
+    Raises LinAlgError when rounding has made a variance negative: the numbers are too far apart.
     """
     try:
         return rng.multivariate_normal(mean, covariance, count, check_valid="raise")
@@ -99,10 +87,7 @@ def _draw(rng: np.random.Generator, mean: Array, covariance: Array, count: int) 
 def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1_000_000) -> MoveMoments:
     """Moments of the part in view of a very large pseudo-random sample carried over by the textbook.
 
-    Raises
-    ------
-    OutOfViewError
-        Almost nothing of it is in view.
+    Raises OutOfViewError when almost nothing of it is in view.
     """
     count = np.zeros(2)
     sums, squares = np.zeros(6), np.zeros((6, 6))

@@ -64,12 +64,8 @@ def localisation_run(
 ) -> LocalisationRun:
     """Draw one observation for each entry of the sequence, estimate, and compare after each.
 
-    The estimator, and not the drawing, works within `clock`.
-
-    Raises
-    ------
-    ValueError
-        If the object is not in view of a camera that should observe it.
+    The estimator, and not the drawing, works within `clock`. Raises ValueError if the object is not in view of a camera
+    that should observe it.
     """
     frames = []
     for number, camera in enumerate(scenario.sequence):
@@ -155,23 +151,13 @@ def tracking_bound(
     trajectories: int = 100,
     kind: Literal["conditional", "posterior"] = "conditional",
 ) -> Array:
-    """Bound (t, 6, 6) on the covariance of the state at each distinct time.
+    """Bound (t, 6, 6) on the covariance of the state at each distinct time, over trajectories drawn from `rng`.
 
-    Parameters
-    ----------
-    scenario : TrackingProblem
-    rng : Generator
-        Source of the trajectories; detections are not drawn.
-    trajectories : int
-        To average over.
-    kind : {"conditional", "posterior"}
-        Average of the bounds along each trajectory; or the bound of the average information (Tichavsky,
-        Muravchik and Nehorai 1998), which is lower. See `stereophd.core.bounds.cramer_rao.posterior_bounds`.
-
-    Notes
-    -----
-    The information of a detection is multiplied by its probability, which makes the bound lower than the
-    exact one where detections are missed. The prior is that of the estimators.
+    It is the average of the bounds along each trajectory (conditional); or the bound of the average information
+    (posterior: Tichavsky, Muravchik and Nehorai 1998), which is lower. See
+    `stereophd.core.bounds.cramer_rao.posterior_bounds`. The information of a detection is multiplied by its
+    probability, which makes the bound lower than the exact one where detections are missed. The prior is that of the
+    estimators.
     """
     states = np.array([draw_trajectory(scenario, rng) for _ in range(trajectories)])
     information = np.zeros((len(scenario.times), trajectories, 6, 6))

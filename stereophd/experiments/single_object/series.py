@@ -23,13 +23,7 @@ OBSERVATION_BYTES = 5e3
 
 
 def single_config(loaded: LoadedConfig) -> SingleSettings:
-    """Return the section ``filter``, which must be of kind single.
-
-    Raises
-    ------
-    InputError
-        It is not.
-    """
+    """Return the section ``filter``, or raise InputError if it is not of kind single."""
     settings = loaded.config.filter
     if not isinstance(settings, SingleSettings):
         found = "none" if settings is None else settings.kind
@@ -46,17 +40,10 @@ def rig_of(loaded: LoadedConfig) -> Rig:
 def series_of_errors(
     name: str, unit: str, times_s: Array, errors: Array, covariances: Array, consistent: Array
 ) -> list[Series]:
-    """Return the length of errors (k, d) over time, and the NEES of errors about the mean.
+    """Return the length of errors (k, d) of the reported estimate over time (k,), and the NEES about the mean.
 
-    Parameters
-    ----------
-    name, unit : str
-        ``position`` and its unit.
-    times_s : array (k,)
-    errors : array (k, d)
-        Errors of the estimate that is reported.
-    covariances, consistent : arrays (k, d, d), (k, d)
-        Covariance that the estimator states, and the errors of the mean that it is about.
+    `covariances` (k, d, d) are those that the estimator states, `consistent` (k, d) the errors of the mean that they
+    are about. `name` is ``position``, say.
     """
     lengths = np.linalg.norm(errors, axis=1)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # particles that (almost) sit in one place

@@ -55,30 +55,12 @@ def write_native_log(
     folder: Path,
     metadata: Mapping[Any, Any],
 ) -> dict[str, CameraSummary]:
-    """Write the detections of a recording as a native log.
+    """Write the detections of a recording, whose pieces are consumed, as a native log.
 
-    Parameters
-    ----------
-    recording
-        With pieces; they are consumed.
-    options
-        Rates, offsets and recorded frames of the cameras; whether missing frames are filled in.
-    path
-        The log.
-    folder
-        For temporary files; they are removed.
-    metadata
-        Key-value metadata of the log.
-
-    Returns
-    -------
-    dict
-        By camera, in order of their names (or of the recording's cameras).
-
-    Raises
-    ------
-    InputError
-        No detections; a camera with neither times nor a rate; frame numbers that cannot be.
+    The options have rates, offsets and recorded frames of the cameras, and say whether missing frames are filled in.
+    `folder` is for temporary files, which are removed. Returns a summary by camera, in order of their names (or of the
+    recording's cameras). Raises InputError for no detections, a camera with neither times nor a rate, or frame numbers
+    that cannot be.
     """
     spools = spool_pieces(recording, folder)
     try:

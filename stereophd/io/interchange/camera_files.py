@@ -10,24 +10,10 @@ from stereophd.io.interchange.registry import recognise_cameras
 
 
 def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:
-    """Read a camera file of another program.
+    """Read a camera file (or folder) of another program; None where the content is of no foreign format.
 
-    Parameters
-    ----------
-    path
-        The file (or folder).
-    options
-        What the user states about it.
-
-    Returns
-    -------
-    tuple or None
-        Name of the format and the recording; None where the content is of no foreign format.
-
-    Raises
-    ------
-    InputError
-        It is of a foreign format, and cannot be read.
+    Returns the name of the format and the recording. Raises InputError when it is of a foreign format, and cannot be
+    read.
     """
     if not path.exists():
         return None

@@ -44,10 +44,7 @@ class Parts:
 def take_apart(name: str, config: CameraConfig) -> Parts:
     """Return the parts of a native camera.
 
-    Raises
-    ------
-    InputError
-        The camera moves or has a rolling shutter: no foreign format holds that.
+    Raises InputError when it moves or has a rolling shutter: no foreign format holds that.
     """
     camera = config.build(name)
     if not camera.pose.is_static:
@@ -62,25 +59,11 @@ def take_apart(name: str, config: CameraConfig) -> Parts:
 
 
 def put_together(name: str, parts: Parts, options: ImportOptions, where: str, **more: Any) -> CameraConfig:
-    """Return a native camera.
+    """Return a native camera of its parts; missing coefficients count as zero.
 
-    Parameters
-    ----------
-    name
-        For messages.
-    parts
-        Its parts; missing coefficients count as zero.
-    options
-        Detector, and whether the pixels are undistorted already.
-    where
-        File, for messages.
-    more
-        Other keys of the camera, such as ``clock`` and ``frame_rate_hz``.
-
-    Raises
-    ------
-    InputError
-        A value that is not possible, or a lens model that the native cameras do not have.
+    The options state the detector, and whether the pixels are undistorted already; `more` has other keys of the camera,
+    such as ``clock`` and ``frame_rate_hz``. Raises InputError, naming the camera and the file `where`, for a value that
+    is not possible, or a lens model that the native cameras do not have.
     """
     rotation = checked_rotation(parts.rotation, f"{where}: {name}")
     numbers = (*parts.matrix[:2].ravel(), *parts.coefficients, *parts.center)
@@ -104,10 +87,7 @@ def put_together(name: str, parts: Parts, options: ImportOptions, where: str, **
 def distortion(coefficients: ArrayLike, fisheye: bool, where: str) -> dict[str, Any]:
     """Return the native lens of OpenCV's coefficients.
 
-    Raises
-    ------
-    InputError
-        There are more coefficients than the native models have, and they are not zero.
+    Raises InputError when there are more coefficients than the native models have, and they are not zero.
     """
     values = np.asarray(coefficients, dtype=np.float64).ravel()
     order: Sequence[str] = FISHEYE_ORDER if fisheye else OPENCV_ORDER
@@ -124,13 +104,7 @@ def distortion(coefficients: ArrayLike, fisheye: bool, where: str) -> dict[str, 
 
 
 def checked_rotation(matrix: ArrayLike, where: str) -> Array:
-    """Return a rotation matrix: the one given, or the nearest where it was rounded.
-
-    Raises
-    ------
-    InputError
-        It is no rotation.
-    """
+    """Return a rotation matrix: the one given, or the nearest where it was rounded; InputError if it is none."""
     rotation = np.asarray(matrix, dtype=np.float64)
     if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
         raise InputError(f"{where}: rotation: expected 3 x 3 finite numbers, found shape {rotation.shape}")
@@ -148,13 +122,7 @@ def checked_rotation(matrix: ArrayLike, where: str) -> Array:
 
 
 def image_size(name: str, stated: tuple[int, int] | None, options: ImportOptions, where: str) -> tuple[int, int]:
-    """Return the image size of a camera: the user's, else the source's.
-
-    Raises
-    ------
-    InputError
-        Neither states it.
-    """
+    """Return the image size of a camera: the user's, else the source's; InputError if neither states it."""
     size = options.image_sizes.get(name) or stated
     if size is None:
         raise InputError(

@@ -40,21 +40,10 @@ def with_source_names(options: ImportOptions) -> tuple[ImportOptions, list[str]]
 
 
 def refuse_unread(options: Options, read: set[str], what: str) -> None:
-    """Refuse options that differ from their defaults and that nothing has read.
+    """Refuse, by an InputError that names the first, options that differ from their defaults and that nothing has read.
 
-    Parameters
-    ----------
-    options
-        As the user stated them.
-    read
-        Names of those that were read, from `consulted`.
-    what
-        What was read or written, such as "a source of format mot".
-
-    Raises
-    ------
-    InputError
-        Names the first of them.
+    `read` has the names of those that were read, from `consulted`; `what` was read or written: "a source of format
+    mot".
     """
     for name in options.plain():
         if name not in read:
@@ -64,23 +53,10 @@ def refuse_unread(options: Options, read: set[str], what: str) -> None:
 def refuse_other_cameras(
     options: ImportOptions, cameras: Sequence[str], in_source: Sequence[str], sources: Sequence[Path]
 ) -> None:
-    """Refuse statements about cameras that a source does not have.
+    """Refuse, by an InputError that names the first, statements about cameras that a source does not have.
 
-    Parameters
-    ----------
-    options
-        As the user stated them.
-    cameras
-        Native names of the cameras of the source.
-    in_source
-        Their names in the source, from `with_source_names`.
-    sources
-        Files that the user stated.
-
-    Raises
-    ------
-    InputError
-        Names the first of them, and the cameras.
+    `cameras` are the native names of those it has, `in_source` their names in the source, from `with_source_names`;
+    `sources` are the files that the user stated.
     """
     known, files = list(dict.fromkeys(cameras)), str(sources[0])
     if len(sources) > 1:

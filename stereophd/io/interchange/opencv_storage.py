@@ -19,10 +19,7 @@ _DIRECTIVE = re.compile(r"\A\ufeff?%YAML[: ]1\.\d\s*")
 def read_document(path: Path) -> dict[str, Any]:
     """Return what a YAML, XML, JSON or NPZ file holds; matrices as arrays.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is none of these.
+    Raises InputError when the file cannot be read, or is none of these.
     """
     content = read_bytes(path)
     if content[:2] == b"PK":

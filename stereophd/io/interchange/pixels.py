@@ -18,23 +18,11 @@ def native_pixels(
     origin: str = "center",
     rows_from: str = "top",
 ) -> Array:
-    """Return native pixels: (0, 0) is the centre of the top-left pixel, rows count from the top.
+    """Return native pixels (n, 2): (0, 0) is the centre of the top-left pixel, rows count from the top.
 
-    Parameters
-    ----------
-    pixels
-        Pixels (n, 2) of the source.
-    camera
-        Native name; where rows count from the bottom its image height must be known.
-    options, recording
-        The conventions that the user states, and the cameras that the source has.
-    origin, rows_from
-        The conventions of the format where the user states none: keys of `ORIGINS`, ``top`` or ``bottom``.
-
-    Raises
-    ------
-    InputError
-        Rows count from the bottom, and the height is not known.
+    The conventions are those that the user states in the options, else those of the format: `origin` is a key of
+    `ORIGINS`, `rows_from` is ``top`` or ``bottom``. Raises InputError when rows count from the bottom, and the image
+    height of the camera (its native name) is not known.
     """
     shift = ORIGINS[options.pixel_origin or origin]
     if (options.rows_from or rows_from) == "top":

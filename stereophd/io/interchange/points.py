@@ -11,18 +11,8 @@ from stereophd.io.interchange.base import Piece
 def point_rows(camera: str, frames: Array, points: Array, scores: Array | None, least: float | None) -> Piece:
     """Return the detections of a camera; a frame without any is one row of NaN.
 
-    Parameters
-    ----------
-    camera
-        Native name.
-    frames
-        Frame numbers (n,).
-    points
-        Native pixels (n, points, 2), NaN where a point is not seen. The number of a point is its ``object_id``.
-    scores
-        Scores (n, points), or None.
-    least
-        Points of a smaller score are not seen.
+    Frame numbers are (n,), native pixels (n, points, 2), NaN where a point is not seen, scores (n, points). The number
+    of a point is its ``object_id``. Points of a smaller score than `least` are not seen.
     """
     is_seen = np.isfinite(points[:, :, 0]) & np.isfinite(points[:, :, 1])
     if scores is not None and least is not None:

@@ -39,10 +39,7 @@ class Decomposed:
 def decompose(projection: Array, where: str) -> Decomposed:
     """Take a projection matrix (3, 4) apart, with positive focal lengths and a proper rotation.
 
-    Raises
-    ------
-    InputError
-        The matrix has no centre of projection.
+    Raises InputError when the matrix has no centre of projection.
     """
     from scipy.linalg import rq
 
@@ -57,15 +54,10 @@ def decompose(projection: Array, where: str) -> Decomposed:
 
 
 def is_left_handed(cameras: Sequence[Decomposed], points: Array | None) -> bool:
-    """Whether the world of some cameras is left-handed: the scene lies behind most of them.
+    """Whether the world of some cameras (with proper rotations) is left-handed: the scene lies behind most of them.
 
-    Parameters
-    ----------
-    cameras
-        With proper rotations.
-    points
-        World points (n, 3) that the cameras see; None: the point nearest to all optical axes is used, or the origin if
-        they are parallel.
+    The scene are the world points (n, 3) that they see; without them it is the point nearest to all optical axes, or
+    the origin if they are parallel.
     """
     if points is None or not len(points):
         points = _scene(cameras)

@@ -38,26 +38,10 @@ MAX_SHOWN = 200
 
 
 def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
-    """Read files of a foreign format.
+    """Read files or folders of a foreign format; the pieces of the recording are read as they are consumed.
 
-    Parameters
-    ----------
-    form
-        Name of the format.
-    sources
-        Files or folders that exist.
-    options
-        Statements of the user about them.
-
-    Returns
-    -------
-    ForeignRecording
-        Its pieces are read as they are consumed.
-
-    Raises
-    ------
-    InputError
-        No such format, one for export only, or files that are not of it (also while the pieces are consumed).
+    Raises InputError for no such format, one for export only, or files that are not of it (also while the pieces are
+    consumed).
     """
     read = find(form, readable=True).read
     if read is None:

@@ -19,16 +19,7 @@ def names() -> list[str]:
 def find(name: str, readable: bool = False) -> Format:
     """Return a format by its name.
 
-    Parameters
-    ----------
-    name : str
-    readable : bool
-        Whether the formats that an error lists are those that can be read.
-
-    Raises
-    ------
-    InputError
-        There is no format of this name.
+    Raises InputError when there is none; it lists all formats, or only those that can be read.
     """
     known = names()
     if name not in known:

@@ -27,10 +27,7 @@ TAIL_BYTES = 1 << 16
 def first_lines(path: Path, count: int) -> list[str]:
     """Return the first lines of a text file, without the ends of lines.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no text.
+    Raises InputError when the file cannot be read, or is no text.
     """
     try:
         with open(path, encoding="utf-8-sig") as stream:
@@ -62,27 +59,11 @@ def read_batches(
     names: list[str] | None = None,
     skip: int = 0,
 ) -> Iterator[pa.RecordBatch]:
-    """Yield columns of a table in pieces.
+    """Yield the columns of `kinds` (column -> type) of a table in pieces.
 
-    Parameters
-    ----------
-    source
-        The file.
-    separator
-        One character between columns.
-    kinds
-        Column -> type; only these are read.
-    where
-        The file, for messages.
-    names
-        Names of all columns where the file has no header.
-    skip
-        Lines before the header (or the first row).
-
-    Raises
-    ------
-    InputError
-        A row with too many or too few columns, or a value of another type.
+    `separator` is one character between columns; `names` are those of all columns where the file has no header; `skip`
+    lines stand before the header (or the first row). Raises InputError, naming the file `where`, for a row with too
+    many or too few columns, or a value of another type.
     """
     import pyarrow as pa
     import pyarrow.csv

@@ -17,13 +17,7 @@ from stereophd.io.interchange.cameras import Parts, image_size, put_together
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or is not TOML.
-    """
+    """Return the content of a TOML file; InputError if it cannot be read, or is not TOML."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -35,10 +29,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def toml_camera(name: str, values: Mapping[str, Any], options: ImportOptions, where: str) -> CameraConfig:
     """Return a native camera of a table with ``matrix``, ``distortions``, ``rotation``, ``translation`` and ``size``.
 
-    Raises
-    ------
-    InputError
-        A key is missing or has another shape.
+    Raises InputError when a key is missing or has another shape.
     """
     missing = [key for key in ("matrix", "distortions", "rotation", "translation") if key not in values]
     if missing:

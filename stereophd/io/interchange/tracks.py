@@ -39,10 +39,7 @@ def optional_columns(path: Path) -> list[str]:
 def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
     """Yield the rows of ``tracks.parquet`` in pieces: arrays by column, texts as lists, the covariance (n, 36).
 
-    Raises
-    ------
-    InputError
-        Not a table of tracks, or the chosen identities are not in it.
+    Raises InputError when it is not a table of tracks, or the chosen identities are not in it.
     """
     kinds = {name: TRACKS.field(name).type for name in COLUMNS}
     wanted = None if options.tracks is None else np.asarray(list(options.tracks), dtype=np.int64)
@@ -88,10 +85,7 @@ def _wanted_status(parquet: ParquetFile, columns: list[str], tentative: bool) ->
 def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Array, Array]]:
     """Return each track's times (n,) and states (n, 6), by identity; at each time its last row.
 
-    Raises
-    ------
-    InputError
-        As `batches`, or there is no track.
+    Errors are those of `batches`, and an InputError when there is no track.
     """
     times: dict[int, list[Array]] = {}
     states: dict[int, list[Array]] = {}
@@ -114,21 +108,10 @@ def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Array, A
 
 
 def on_grid(path: Path, options: ExportOptions) -> tuple[float, Array, dict[int, Array]]:
-    """Return tracks at a fixed rate, as motion-capture formats need them.
+    """Return tracks at a fixed rate, Hz, as motion-capture formats need them: the rate, times (n,), s, and positions.
 
-    Returns
-    -------
-    rate : float
-        Frames per second.
-    times : (n,) array
-        Times of the frames, s.
-    positions : dict
-        Identity -> positions (n, 3), NaN where the track does not exist.
-
-    Raises
-    ------
-    InputError
-        The reported times have no fixed rate, and the options state none.
+    Positions (n, 3), by identity, are NaN where the track does not exist. Raises InputError when the reported times
+    have no fixed rate, and the options state none.
     """
     tracks = trajectories(path, options)
     every = np.unique(np.concatenate([time for time, _ in tracks.values()]))

@@ -49,16 +49,7 @@ class OrderState:
 def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: float) -> Iterator[Fault]:
     """Yield the faults that a row has by itself.
 
-    Parameters
-    ----------
-    piece
-        The rows as read.
-    cameras
-        Their names.
-    sizes
-        Width and height of each camera's image, (cameras, 2).
-    margin
-        How far outside the image a detection may be, px.
+    `sizes` (cameras, 2) are width and height of each camera's image; a detection may be `margin` px outside of it.
     """
     rows = piece.rows
     u, v = rows.pixels[:, 0], rows.pixels[:, 1]

@@ -35,12 +35,8 @@ def order_of(path: Path) -> LogOrder:
     """Return how the rows of a log lie in time.
 
     The few are wrong, not the many: rows are misplaced if the longest sequence of rows in order of time leaves them
-    out. Rows without a finite time or a camera are ignored here.
-
-    Raises
-    ------
-    InputError
-        The file is damaged, or a value does not fit the type of its column.
+    out. Rows without a finite time or a camera are ignored here. Raises InputError when the file is damaged, or a value
+    does not fit the type of its column.
     """
     if _is_ordered(path):
         return _ordered(False)

@@ -83,42 +83,22 @@ class Frame:
 class LogReader:
     """Iterate over the frames of a detection log in the order of true time, ties in camera order.
 
-    All rows of one (time, camera, frame) are one `Frame`, wherever they lie among the rows of that time. Rows
-    in blocks of one camera each are merged, if each block is in order of time. A frame whose rows are all bad
-    is dropped: it carries no information about the scene.
+    All rows of one (time, camera, frame) are one `Frame`, wherever they lie among the rows of that time. Rows in blocks
+    of one camera each are merged, if each block is in order of time. A frame whose rows are all bad is dropped: it
+    carries no information about the scene.
 
-    Parameters
-    ----------
-    path
-        The log.
-    cameras
-        The cameras in the configuration's order; their names, image sizes and clocks are used.
-    on_bad_row
-        ``error``: the first bad row raises; ``drop``: bad rows are dropped and counted.
-    image_margin_px
-        A detection further than this outside the image is a bad row.
-    from_s
-        True time before which the caller needs no frame: row groups that end before it are not read. (Frames before it
-        may still come.)
+    Of the cameras, in the configuration's order, names, image sizes and clocks are used. The first bad row raises
+    (`on_bad_row` ``error``), or bad rows are dropped and counted (``drop``); a detection further than `image_margin_px`
+    outside the image is one. The caller needs no frame before the true time `from_s`: row groups that end before it are
+    not read (frames before it may still come). `leave_out` has, by camera, places (u, v and radius, px) whose
+    detections are left out.
 
-    leave_out
-        By camera, places (u, v and radius, px) whose detections are left out.
+    `counts` of the last (or running) iteration has ``rows``, ``frames``, ``empty_frames``, ``detections``, one for each
+    kind of bad row (`stereophd.io.logs.checks.KINDS`), and ``cameras_without_frames``. `num_rows` is the number of rows
+    of the file; `has_boxes` says whether it has the columns ``width_px, height_px``.
 
-    Attributes
-    ----------
-    counts
-        Counts of the last (or running) iteration: ``rows``, ``frames``, ``empty_frames``, ``detections``, one
-        for each kind of bad row (`stereophd.io.logs.checks.KINDS`), and ``cameras_without_frames``.
-    num_rows
-        Rows of the file.
-    has_boxes
-        Whether it has the columns ``width_px, height_px``.
-
-    Raises
-    ------
-    InputError
-        At construction: no such file, not Parquet, truncated, no rows, a column missing or of a wrong
-        type. While iterating: damaged data; a bad row under ``error``; no usable row at all.
+    Raises InputError at construction: no such file, not Parquet, truncated, no rows, a column missing or of a wrong
+    type; and while iterating: damaged data, a bad row under ``error``, no usable row at all.
     """
 
     def __init__(

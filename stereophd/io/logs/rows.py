@@ -73,21 +73,9 @@ class Decoded:
 def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: Path | str = "log") -> Decoded:
     """Turn a piece of a log into arrays.
 
-    Parameters
-    ----------
-    batch
-        Rows with the columns `REQUIRED`, and those of `OPTIONAL` that the log has.
-    start
-        Index of the first row in the file.
-    cameras
-        Name -> index.
-    path
-        The log, for messages.
-
-    Raises
-    ------
-    InputError
-        The name of a camera is not text, or a value does not fit the type of its column.
+    The rows, `start` being the index of the first in the file, have the columns `REQUIRED`, and those of `OPTIONAL`
+    that the log has; `cameras` gives the index of each name. Raises InputError when the name of a camera is not text,
+    or a value does not fit the type of its column.
     """
     kinds = {**REQUIRED, **OPTIONAL}
     column = {name: cast_column(batch.column(name), name, kinds[name], path, start) for name in batch.schema.names}

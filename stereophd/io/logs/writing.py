@@ -18,16 +18,9 @@ from stereophd.io.tables.writing import TableWriter
 class LogWriter:
     """Write a detection log frame by frame, in the order of its times.
 
-    Parameters
-    ----------
-    path
-        The file; usually a temporary one of `stereophd.io.outputs.atomic.OutputFolder`.
-    metadata
-        Key-value metadata, as `stereophd.io.outputs.provenance.to_metadata` returns them.
-    object_id
-        Whether the log has the column ``object_id``.
-    boxes
-        Whether it has the columns ``width_px, height_px``.
+    The file is usually a temporary one of `stereophd.io.outputs.atomic.OutputFolder`; the metadata are those of
+    `stereophd.io.outputs.provenance.to_metadata`. The log may have the columns ``object_id`` and ``width_px,
+    height_px`` (`boxes`).
     """
 
     def __init__(
@@ -50,20 +43,10 @@ class LogWriter:
         object_id: Integers | None = None,
         sizes: Array | None = None,
     ) -> None:
-        """Write one frame.
+        """Write one frame, at the time of the camera's own clock, s.
 
-        Parameters
-        ----------
-        time_s
-            Time on the camera's own clock, s.
-        camera, frame
-            Name of the camera and number of the frame.
-        pixels
-            Detections (m, 2), distorted px; with m = 0 the frame becomes one row of nulls.
-        object_id
-            True objects (m,), -1 clutter; required with ``object_id=True``.
-        sizes
-            Width and height (m, 2) of the boxes, px; required with ``boxes=True``.
+        Detections (m, 2) are in distorted px; with m = 0 the frame becomes one row of nulls. True objects (m,), -1
+        clutter, are required with ``object_id=True``; width and height (m, 2) of the boxes, px, with ``boxes=True``.
         """
         columns: dict[str, Any] = {"time_s": time_s, "camera": camera, "frame": frame}
         if len(pixels):

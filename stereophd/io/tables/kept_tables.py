@@ -21,21 +21,10 @@ _OPTIONS = pa.ipc.IpcWriteOptions(compression="lz4")
 
 
 class KeptTable(TableWriter):
-    """A `TableWriter` that keeps its rows.
+    """A `TableWriter` that keeps its rows in `kept`, too.
 
-    Parameters
-    ----------
-    path, schema, metadata, row_group_rows
-        As in `TableWriter`.
-    kept
-        Where the rows go, too.
-    earlier
-        Rows that `kept` holds already, as it holds them: they are written first.
-
-    Raises
-    ------
-    InputError
-        The file cannot be made, or the earlier rows are damaged.
+    The earlier rows are those that `kept` holds already, as it holds them: they are written first. Raises InputError
+    when the file cannot be made, or the earlier rows are damaged.
     """
 
     def __init__(

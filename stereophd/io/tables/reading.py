@@ -20,19 +20,9 @@ DAMAGED = (pa.ArrowException, OSError, UnicodeDecodeError)
 
 
 def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
-    """Open a Parquet file.
+    """Open a Parquet file, which should be `what` (``detection log``, say).
 
-    Parameters
-    ----------
-    path
-        The file.
-    what
-        What it should be, for the message (``detection log``).
-
-    Raises
-    ------
-    InputError
-        It is not there, not readable, empty, not Parquet, or cut off.
+    Raises InputError when it is not there, not readable, empty, not Parquet, or cut off.
     """
     file = Path(path)
     try:
@@ -77,17 +67,7 @@ def damaged_is_input_error(path: Path | str) -> Iterator[None]:
 def check_texts(column: pa.Array | pa.ChunkedArray, name: str, path: Path | str, start: int = 0) -> None:
     """Check that all texts of a column are UTF-8, as Parquet requires and other programs may not know.
 
-    Parameters
-    ----------
-    column
-        Strings.
-    name, path, start
-        The column, the file, and the index of the first row in it, for the message.
-
-    Raises
-    ------
-    InputError
-        A text is not UTF-8.
+    Raises InputError with the column, the file, and the row, `start` being the index of the first row in the file.
     """
     for chunk in column.chunks if isinstance(column, pa.ChunkedArray) else [column]:
         try:
@@ -104,19 +84,9 @@ def check_texts(column: pa.Array | pa.ChunkedArray, name: str, path: Path | str,
 def cast_column(
     column: pa.Array | pa.ChunkedArray, name: str, kind: pa.DataType, path: Path | str, start: int = 0
 ) -> pa.Array | pa.ChunkedArray:
-    """Return a column as another type, without loss.
+    """Return a column, of a type that `check_columns` accepts for `kind`, as that type, without loss.
 
-    Parameters
-    ----------
-    column
-        Values of a type that `check_columns` accepts for `kind`.
-    name, path, start
-        The column, the file, and the index of the first row in it, for the message.
-
-    Raises
-    ------
-    InputError
-        A value does not fit the type.
+    Raises InputError where a value does not fit; `start` is the index of the column's first row in the file.
     """
     try:
         return column.cast(kind)
@@ -189,10 +159,7 @@ def check_columns(
 ) -> list[str]:
     """Check the columns of a table, and return the names of those of `optional` that are there.
 
-    Raises
-    ------
-    InputError
-        A required column is missing, or a column has another type.
+    Raises InputError when a required column is missing, or a column has another type.
     """
     missing = [name for name in required if name not in schema.names]
     if missing:
@@ -219,28 +186,12 @@ def read_table(
     optional: Mapping[str, pa.DataType | str] | None = None,
     what: str = "table",
 ) -> pa.Table:
-    """Read columns of a Parquet table, checked and in the expected types.
+    """Read columns (name -> type, or its name such as ``"float64"``) of a Parquet table, checked and in these types.
 
-    Parameters
-    ----------
-    path
-        The file.
-    required, optional
-        Name -> type (`pyarrow.DataType` or its name, such as ``"float64"``). Narrower numbers are
-        widened, any kind of text becomes a string. Other columns are not read.
-    what
-        What the table should be, for the messages.
-
-    Returns
-    -------
-    pyarrow.Table
-        The required columns in their order, then the optional ones that are there; the file's
-        key-value metadata are its ``schema.metadata``.
-
-    Raises
-    ------
-    InputError
-        Not there, not Parquet, damaged, a column missing, of another type, or (required) with nulls.
+    Narrower numbers are widened, any kind of text becomes a string, and other columns are not read. Returns the
+    required columns in their order, then the optional ones that are there; the file's key-value metadata are its
+    ``schema.metadata``. Raises InputError when the table is not there, not Parquet, or damaged, or a column is missing,
+    of another type, or (required) with nulls.
     """
     optional = optional or {}
     with open_parquet(path, what) as parquet:

@@ -22,18 +22,9 @@ TUM_ORDER = [0, 1, 2, 3, 7, 4, 5, 6]
 def read_trajectory(path: Path | str, unit: str | None = None) -> BodyTrajectory:
     """Read a trajectory: a Parquet table, or text in TUM's form.
 
-    Parameters
-    ----------
-    path : path
-        A table with the columns ``time_s, x, y, z, qw, qx, qy, qz``; or text with ``timestamp tx ty tz qx qy qz qw`` in
-        each line, ``#`` before comments.
-    unit : str, optional
-        Unit of length that is expected; a table may state its own.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, a column is missing, or a pose is not valid; the message names its row.
+    The table has the columns ``time_s, x, y, z, qw, qx, qy, qz`` and may state its own unit of length, which must be
+    the one given; the text has ``timestamp tx ty tz qx qy qz qw`` in each line, ``#`` before comments. Raises
+    InputError when the file cannot be read, a column is missing, or a pose is not valid; the message names its row.
     """
     file = Path(path)
     try:
@@ -93,13 +84,7 @@ def pack_poses(trajectory: BodyTrajectory) -> str:
 
 
 def unpack_poses(text: str) -> BodyTrajectory:
-    """Return the trajectory of `pack_poses`.
-
-    Raises
-    ------
-    ValueError
-        The text is damaged, or too long.
-    """
+    """Return the trajectory of `pack_poses`; ValueError if the text is damaged, or too long."""
     unpacker = zlib.decompressobj()
     most = MOST_POSES * len(COLUMNS) * 8
     try:

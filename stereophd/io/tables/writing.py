@@ -86,23 +86,11 @@ def _has_rows(value: Any) -> bool:
 
 
 class TableWriter:
-    """Write a Parquet table piece by piece, in row groups of a fixed number of rows.
+    """Write a Parquet table piece by piece, in row groups of a fixed number of rows (held in memory until written).
 
-    Parameters
-    ----------
-    path
-        The file; usually a temporary one of `stereophd.io.outputs.atomic.OutputFolder`.
-    schema
-        Columns; see `DETECTIONS`, `TRUTH`, `TRACKS`, `SCANS`.
-    metadata
-        Key-value metadata, as `stereophd.io.outputs.provenance.to_metadata` returns them.
-    row_group_rows
-        Rows held in memory before they are written; `ROW_GROUP_ROWS` by default.
-
-    Raises
-    ------
-    InputError
-        The file cannot be made; while writing, `OSError` with the file's name.
+    The file is usually a temporary one of `stereophd.io.outputs.atomic.OutputFolder`; for columns see `DETECTIONS`,
+    `TRUTH`, `TRACKS`, `SCANS`; the metadata are key-value pairs of `stereophd.io.outputs.provenance.to_metadata`.
+    Raises InputError when the file cannot be made; while writing, `OSError` with the file's name.
     """
 
     def __init__(
@@ -128,19 +116,11 @@ class TableWriter:
         )
 
     def append(self, columns: Mapping[str, Any]) -> None:
-        """Add rows.
+        """Add rows: of every column of the schema an array or list of n values, or one value for all n rows.
 
-        Parameters
-        ----------
-        columns
-            Every column of the schema: an array or list of n values, or one value for all n rows. A
-            null is None in a list, a masked element of a NumPy masked array, or None for all rows. A
-            covariance is (n, 6, 6) or (n, 36). At least one column must be an array.
-
-        Raises
-        ------
-        ValueError
-            Missing or unknown columns, or arrays of different lengths.
+        A null is None in a list, a masked element of a NumPy masked array, or None for all rows. A covariance is (n, 6,
+        6) or (n, 36). At least one column must be an array. Raises ValueError for missing or unknown columns, or arrays
+        of different lengths.
         """
         if set(columns) != set(self.schema.names):
             raise ValueError(f"expected the columns {self.schema.names}, found {sorted(columns)}")

@@ -19,10 +19,7 @@ _WILD = frozenset("*?[")
 def expand(paths: Sequence[Path | str]) -> list[Path]:
     """Return files, with patterns replaced by the files that fit them, in the order of their names.
 
-    Raises
-    ------
-    InputError
-        No file fits a pattern.
+    Raises InputError when no file fits a pattern.
     """
     found: list[Path] = []
     for path in map(Path, paths):
@@ -37,15 +34,10 @@ def expand(paths: Sequence[Path | str]) -> list[Path]:
 
 
 def folder_names(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each file: its own without the ending, or its folder's where the own name states only the kind
-    of file.
+    """Return a name for each file: its own without the ending, or its folder's where its own states only the kind.
 
     Files that would have one name get the names of the folders above them in front, as many as they need to differ.
-
-    Raises
-    ------
-    InputError
-        A file is given twice.
+    Raises InputError when a file is given twice.
     """
     places = [Path(os.path.abspath(path)) for path in paths]
     for place, count in Counter(places).items():
@@ -76,24 +68,11 @@ def _parts(place: Path) -> list[str]:
 
 
 def pairs_by_name(left: Path, right: Path, left_name: str, right_name: str) -> Mapping[str, tuple[Path, Path]]:
-    """Match the files of two folders by their names.
+    """Match the files of two folders by their names; return NAME -> file of each folder.
 
-    Parameters
-    ----------
-    left, right : Path
-        Folders that hold ``NAME/FILE`` or ``NAME.parquet``, FILE being `left_name` or `right_name`.
-    left_name, right_name : str
-        Such as ``tracks.parquet`` and ``truth.parquet``.
-
-    Returns
-    -------
-    mapping
-        NAME -> file of each folder; every name of `left`, in order. The file of `right` may be missing there.
-
-    Raises
-    ------
-    InputError
-        A folder is none, or `left` holds no such file.
+    The folders hold ``NAME/FILE`` or ``NAME.parquet``, FILE being `left_name` (such as ``tracks.parquet``) or
+    `right_name`. Every name of `left` is there, in order; the file of `right` may be missing. Raises InputError when a
+    folder is none, or `left` holds no such file.
     """
     for folder in (left, right):
         if not folder.is_dir():

@@ -50,10 +50,7 @@ class Item:
 def log_items(logs: Sequence[Path | str]) -> list[Item]:
     """Return an item for each log, of which some may be patterns.
 
-    Raises
-    ------
-    InputError
-        No file fits a pattern, or one is given twice.
+    Raises InputError when no file fits a pattern, or one is given twice.
     """
     paths = expand(logs)
     places = [(Path(os.path.abspath(path)),) for path in paths]
@@ -98,32 +95,13 @@ def run_batch(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Do all items of a batch.
+    """Do all items of a batch, into ``NAME/`` for each item and ``summary.parquet``.
 
-    Parameters
-    ----------
-    batch : Batch
-    out_dir : path
-        Output folder: ``NAME/`` for each item, and ``summary.parquet``.
-    jobs : int
-        Processes on this machine; 1: this one.
-    dask : str, optional
-        Address of a Dask scheduler whose workers do the work instead; they see the files under the same paths.
-    force, resume : bool
-        Whether the outputs of an earlier run may be replaced, and whether finished ones may stay; what they mean for
-        an item is its `work`'s matter.
-    progress : callable, optional
-        Called with the items done and their number.
-
-    Returns
-    -------
-    dict
-        ``logs``: the rows of the summary; ``done`` and ``failed``: their numbers; ``exit_code``.
-
-    Raises
-    ------
-    InputError
-        The output folder cannot be used, no scheduler answers, or workers have another version of the package.
+    They run on `jobs` processes of this machine, or on the workers of the Dask scheduler at an address, which see the
+    files under the same paths. `force` and `resume` say whether the outputs of an earlier run may be replaced, and
+    whether finished ones may stay; what they mean for an item is its `work`'s matter. Returns ``logs``, the rows of the
+    summary, the numbers ``done`` and ``failed``, and ``exit_code``. Raises InputError when the output folder cannot be
+    used, no scheduler answers, or workers have another version of the package.
     """
     if jobs < 1:
         raise InputError(f"`jobs`: expected at least 1, found {jobs}")

@@ -51,13 +51,7 @@ def spread_figures(spread: PoseSpread) -> dict[str, Any]:
 def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int) -> Array:
     """Bound on the covariance (m, m) of a calibration of the first simulated run of a configuration.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With ``simulate`` and ``calibration``.
-    truth : ParameterSet
-        With the true cameras: their values are zero.
-    reference : int
+    It has ``simulate`` and ``calibration``; `truth` has the true cameras: their values are zero.
     """
     settings = loaded.config.simulate
     if settings is None:

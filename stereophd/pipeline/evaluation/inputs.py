@@ -55,11 +55,8 @@ class Tracks:
 def read_tracks(path: Path) -> Tracks:
     """Read ``tracks.parquet`` and, where it is there, ``scans.parquet`` beside it.
 
-    Raises
-    ------
-    InputError
-        A file is not what it should be: columns, types, values that are not finite, times out of order, an
-        event in two pieces, or tracks of events that the scans do not have.
+    Raises InputError when a file is not what it should be: columns, types, values that are not finite, times out of
+    order, an event in two pieces, or tracks of events that the scans do not have.
     """
     table = read_table(
         path,
@@ -97,11 +94,8 @@ def read_tracks(path: Path) -> Tracks:
 def read_truth(path: Path) -> tuple[Truth, str | None]:
     """Read ``truth.parquet``: the true objects, and the unit of length that the file names.
 
-    Raises
-    ------
-    InputError
-        Not a table of truth, no rows, values that are not finite, an object twice at one time, or only some
-        of vx, vy, vz.
+    Raises InputError when it is not a table of truth, has no rows, values that are not finite, an object twice at one
+    time, or only some of vx, vy, vz.
     """
     table = read_table(
         path,
@@ -131,17 +125,9 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
 def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
     """Read from a detection log when each camera detected something.
 
-    Parameters
-    ----------
-    path : Path
-        The log. Its rows need not be in order: bad rows are the tracker's business.
-    cameras : sequence of Camera or None
-        Their clocks turn times of the log into true times; None: the log is on true time.
-
-    Raises
-    ------
-    InputError
-        Not a detection log, times that are not finite, or a camera that is not among the cameras.
+    The rows need not be in order: bad rows are the tracker's business. The clocks of the cameras turn times of the log
+    into true times; without cameras the log is on true time. Raises InputError when it is not a detection log, times
+    are not finite, or a camera is not among the cameras.
     """
     table = read_table(
         path,

@@ -19,13 +19,7 @@ SEEN = "objects that are seen"
 
 
 def normal_of(flag: str, words: Sequence[str]) -> tuple[float, float, float] | None:
-    """Return the normal X,Y,Z of an option.
-
-    Raises
-    ------
-    InputError
-        There are several words, or not three numbers.
-    """
+    """Return the normal X,Y,Z of an option; InputError if there are several words, or not three numbers."""
     if not words:
         return None
     try:
@@ -38,10 +32,7 @@ def normal_of(flag: str, words: Sequence[str]) -> tuple[float, float, float] | N
 def limits_by_axis(flag: str, words: Sequence[str]) -> dict[str, tuple[float, float]] | None:
     """Return {axis: (from, to)} of the words AXIS=FROM:TO of an option.
 
-    Raises
-    ------
-    InputError
-        A word has another form, or an axis is there twice.
+    Raises InputError when a word has another form, or an axis is there twice.
     """
     limits: dict[str, tuple[float, float]] = {}
     for word in words:

@@ -25,10 +25,7 @@ def registration_of(
 ) -> Registration | None:
     """Return the motion and the map of time from tracks to truth that the options state; None without one.
 
-    Raises
-    ------
-    InputError
-        Too few estimates have a true object at their time.
+    Raises InputError when too few estimates have a true object at their time.
     """
     freedom = Freedom(options.align != "none", options.align == "similarity", options.align_clock)
     if not len(freedom.columns):

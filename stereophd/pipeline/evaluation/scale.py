@@ -24,23 +24,9 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def default_cutoff(base: str, unit: str | None, record: Mapping[str, Any] | None, tracks_path: Path) -> float:
-    """Return the cutoff of an evaluation that states none.
+    """Return the cutoff of an evaluation that states none, from its base distance and the provenance of the tracks.
 
-    Parameters
-    ----------
-    base : str
-        Base distance.
-    unit : str or None
-        Unit of length of the files.
-    record : mapping or None
-        Provenance of the tracks.
-    tracks_path : Path
-        For the message.
-
-    Raises
-    ------
-    InputError
-        Nothing gives the scale of the scene.
+    Raises InputError when nothing gives the scale of the scene.
     """
     if base != "euclidean":
         return PAPER_CUTOFF
@@ -82,16 +68,9 @@ def warn_of_another_scene(inputs: Mapping[str, Path], tracks: Tracks, truth: Tru
 
 
 def warn_of_wrong_matches(tracks_path: Path, beside: int, matched: int, distance: float) -> None:
-    """Warn where matches were kept although their tracks follow other objects.
+    """Warn where matches were kept although their tracks follow other objects: `beside` of the `matched` ones.
 
-    Parameters
-    ----------
-    tracks_path : Path
-        For the message.
-    beside, matched : int
-        Number of matches whose track follows another object, and of all.
-    distance : float
-        Distance below which tracks and objects may be matched.
+    Tracks and objects nearer than the distance may be matched.
     """
     if beside > MOST_BESIDE * matched:
         LOGGER.warning(

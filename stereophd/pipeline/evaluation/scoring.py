@@ -46,21 +46,9 @@ def score_tracks(
 ) -> Scored:
     """Bring tracks and truth to the same scans, and score them.
 
-    Parameters
-    ----------
-    tracks, truth : Tracks, Truth
-    sightings : Sightings, optional
-        Detections of the log, where only objects that cameras saw lately are scored.
-    options : ScoreOptions
-    max_gap_s : float
-        Longest interval of the truth that is interpolated over, s.
-    tracks_path : Path
-        For messages.
-
-    Raises
-    ------
-    InputError
-        Nothing can be scored, or a covariance is not positive definite where the base needs it.
+    The sightings are needed where only objects that cameras saw lately are scored. Intervals of the truth longer than
+    `max_gap_s` are not interpolated over. Raises InputError when nothing can be scored, or a covariance is not positive
+    definite where the base needs it.
     """
     found = registration_of(tracks, truth, options, max_gap_s, tracks_path)
     if found is not None:

@@ -110,10 +110,7 @@ class _CameraState:
 def summarise_log(path: Path) -> dict[str, Any]:
     """Return what a log holds: rows, columns, period, overlap of the cameras, and a row of counts for each camera.
 
-    Raises
-    ------
-    InputError
-        Not a log, or damaged.
+    Raises InputError when it is not a log, or damaged.
     """
     with open_parquet(path, LOG) as parquet:
         schema = parquet.schema_arrow

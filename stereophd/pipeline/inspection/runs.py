@@ -94,26 +94,14 @@ class _Found:
 def read_runs(
     folders: Sequence[Path | str], logs: Sequence[Path | str] = (), truths: Sequence[Path | str] = ()
 ) -> tuple[Run, ...]:
-    """Read output folders, and find out which evaluation, log and truth belong to which run.
+    """Read output folders, in their order, and find out which evaluation, log and truth belong to which run.
 
-    Parameters
-    ----------
-    folders : sequence of path
-        Output folders of `track`, `calibrate`, `evaluate` or `simulate` (whose log and truth are used), in any order.
-    logs, truths : sequences of path
-        Detection logs and truths that lie elsewhere.
+    The folders are those of `track`, `calibrate`, `evaluate` or `simulate` (whose log and truth are used), in any
+    order; `logs` and `truths` lie elsewhere. An evaluation belongs to the run whose tracks it scored, and a log to the
+    runs made from it. A truth belongs to the runs whose evaluation used it. If there is none, it belongs to the runs
+    made from a log of its folder. A truth named in `truths` belongs to the runs without another.
 
-    Returns
-    -------
-    tuple of Run
-        In the order of the folders. An evaluation belongs to the run whose tracks it scored, and a log to the runs made
-        from it. A truth belongs to the runs whose evaluation used it. If there is none, it belongs to the runs made
-        from a log of its folder. A truth named in `truths` belongs to the runs without another.
-
-    Raises
-    ------
-    InputError
-        A folder holds nothing to report on, a file is damaged, or a log belongs to no run.
+    Raises InputError when a folder holds nothing to report on, a file is damaged, or a log belongs to no run.
     """
     found = _Found()
     for folder in folders:

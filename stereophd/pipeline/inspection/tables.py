@@ -61,12 +61,8 @@ def summarise_table(path: Path) -> dict[str, Any]:
 def summarise_objects(path: Path, identity: str) -> dict[str, Any]:
     """Return a summary of tracks (``identity`` track_id) or truth (object_id), with a row for each object.
 
-    Tentative estimates are counted, but not part of the summary.
-
-    Raises
-    ------
-    InputError
-        Damaged, or nulls where there must be values.
+    Tentative estimates are counted, but not part of the summary. Raises InputError when the file is damaged, or has
+    nulls where there must be values.
     """
     optional = {"existence": FLOAT, "status": STRING}
     required = {"time_s": FLOAT, identity: INTEGER, "x": FLOAT, "y": FLOAT, "z": FLOAT}

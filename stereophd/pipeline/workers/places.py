@@ -59,13 +59,7 @@ class ThisProcess:
 
 
 class Cores:
-    """Processes of this machine.
-
-    Parameters
-    ----------
-    count : int
-        Their number.
-    """
+    """A number of processes of this machine."""
 
     remote = True
 
@@ -81,17 +75,9 @@ class Cores:
 
 
 class DaskWorkers:
-    """Workers of a Dask cluster.
+    """Workers of a Dask cluster, by the address of its scheduler, such as ``tcp://host:8786``.
 
-    Parameters
-    ----------
-    address : str
-        Address of its scheduler, such as ``tcp://host:8786``.
-
-    Raises
-    ------
-    InputError
-        Dask is not installed, or no scheduler answers there.
+    Raises InputError when Dask is not installed, or no scheduler answers there.
     """
 
     remote = True
@@ -132,19 +118,9 @@ class DaskWorkers:
 
 @contextmanager
 def open_workers(jobs: int, dask: str | None) -> Iterator[Workers]:
-    """Open the workers that the options state, and close them at the end.
+    """Open the workers that the options state, and close them at the end: processes of this machine, or Dask's.
 
-    Parameters
-    ----------
-    jobs : int
-        Processes of this machine; 1: this one.
-    dask : str, optional
-        Address of a Dask scheduler whose workers do the work instead.
-
-    Raises
-    ------
-    InputError
-        As `DaskWorkers`.
+    Errors are those of `DaskWorkers`.
     """
     if dask is None:
         yield ThisProcess() if jobs == 1 else Cores(jobs)
@@ -159,20 +135,10 @@ def open_workers(jobs: int, dask: str | None) -> Iterator[Workers]:
 def complete(
     workers: Workers, function: Callable[[Argument], Result], arguments: Sequence[Argument]
 ) -> Iterator[tuple[int, Result | None]]:
-    """Call a function for each argument, again where a worker dies.
+    """Call a function of a module (or `functools.partial` of one) for each argument, again where a worker dies.
 
-    Parameters
-    ----------
-    workers : Workers
-    function : callable
-        A function of a module, or `functools.partial` of one.
-    arguments : sequence
-
-    Yields
-    ------
-    tuple
-        Number of an argument and its result, in any order. The result is None where the worker died in each of several
-        attempts, the last of which had nothing else to do.
+    Yields the number of an argument and its result, in any order. The result is None where the worker died in each of
+    several attempts, the last of which had nothing else to do.
     """
     left = dict(enumerate(arguments))
     fruitless = 0

@@ -24,31 +24,11 @@ Result = TypeVar("Result")
 def on_processes(
     function: Callable[[Argument], Result], arguments: Iterable[Argument], jobs: int, ordered: bool = True
 ) -> Generator[Result]:
-    """Call a function for each argument, on several processes.
+    """Call a function of a module for each argument, on several processes (-1: as many as cores); yield the results.
 
-    No more calls are begun ahead than there are processes: what is not needed any more, when the iterator is closed, is
-    not begun.
-
-    Parameters
-    ----------
-    function
-        A function of a module (it is sent to the processes by name).
-    arguments
-        One for each call.
-    jobs
-        Number of processes; -1: as many as there are cores.
-    ordered
-        Whether the results come in the order of the arguments, or as they are ready.
-
-    Yields
-    ------
-    Result
-        The result of each call.
-
-    Raises
-    ------
-    concurrent.futures.process.BrokenProcessPool
-        A process died.
+    They come in the order of the arguments, or as they are ready. No more calls are begun ahead than there are
+    processes: what is not needed any more, when the iterator is closed, is not begun. Raises BrokenProcessPool when a
+    process died.
     """
     from joblib import cpu_count, effective_n_jobs
 

@@ -40,10 +40,7 @@ HEADER = 8
 class WorkerProcess:
     """A worker, for the process that starts it.
 
-    Parameters
-    ----------
-    threads : int
-        Threads of its libraries, where the environment does not state them.
+    Its libraries use this number of threads, where the environment does not state it.
     """
 
     def __init__(self, threads: int) -> None:
@@ -60,13 +57,7 @@ class WorkerProcess:
         self._calls, self._results = self._process.stdin, self._process.stdout
 
     def call(self, function: Callable[[Any], Any], argument: Any) -> Any:
-        """Return the result of a call of a function of a module.
-
-        Raises
-        ------
-        concurrent.futures.process.BrokenProcessPool
-            The worker died.
-        """
+        """Return the result of a call of a function of a module; BrokenProcessPool if the worker died."""
         from concurrent.futures.process import BrokenProcessPool
 
         call = pickle.dumps((function, argument), pickle.HIGHEST_PROTOCOL)

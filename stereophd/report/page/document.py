@@ -22,18 +22,7 @@ TRACKS_LISTED = 200
 
 
 def page(runs: Sequence[Run], title: str = "stereophd report") -> str:
-    """Return the HTML of a page about some runs.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-    title : str
-
-    Raises
-    ------
-    InputError
-        plotly is not installed.
-    """
+    """Return the HTML of a page about some runs, or raise InputError when plotly is not installed."""
     if find_spec("plotly") is None:
         raise InputError("the page needs plotly, which is not installed: pip install plotly")
     from plotly.offline import get_plotlyjs

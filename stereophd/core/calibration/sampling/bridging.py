@@ -221,17 +221,8 @@ def run(
 ) -> BridgeResult:
     """Sample the last density of the path.
 
-    Parameters
-    ----------
-    sampler : BridgeSampler
-    resume : tuple, optional
-        State and history that `after_step` was given: the run continues there, to the same result.
-    after_step : callable, optional
-        For progress and checkpoints; an exception that it raises ends the run.
-
-    Returns
-    -------
-    BridgeResult
+    `resume` has the state and the history that `after_step` was given: the run continues there, to the same result.
+    `after_step` serves progress and checkpoints; an exception that it raises ends the run.
     """
     state = sampler.init() if resume is None else resume[0]
     history: list[BridgeInfo] = [] if resume is None else list(resume[1])

@@ -123,22 +123,10 @@ def extent(centers: Array, reference: int) -> Array:
 
 
 def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
-    """Bring the cameras of hypotheses to one scale, about the reference camera.
+    """Bring the cameras of hypotheses, packed spaces (k, c, 30), to the scale of nominal ones (c, 30).
 
-    The scale is the root of the sum of squared distances to the reference; with two cameras, their distance.
-
-    Parameters
-    ----------
-    spaces : array (k, c, 30)
-        Packed disparity spaces.
-    nominal : array (c, 30)
-        Cameras whose scale the others get.
-    reference : int
-        Number of the camera that stays where it is.
-
-    Returns
-    -------
-    array (k, c, 30)
+    The reference camera stays where it is. The scale is the root of the sum of squared distances to it; with two
+    cameras, their distance.
     """
     centers = spaces[:, :, CENTER : CENTER + 3]
     whole, found = extent(nominal[:, CENTER : CENTER + 3], reference), extent(centers, reference)

@@ -157,28 +157,11 @@ def run(
     after_event: AfterEvent | None = None,
     motion_std: Array | None = None,
 ) -> SequentialResult:
-    """Calibrate by one pass over a log.
+    """Calibrate by one pass over a log, whose events are in order of time.
 
-    Parameters
-    ----------
-    parameters : ParameterSet
-        Unknowns and their priors.
-    events : sequence of Event
-        The log, in order of time.
-    batch : FilterBatch
-        Conditional filters.
-    settings : SequentialSettings
-    seed : SeedSequence
-    resume : tuple, optional
-        State and history that `after_event` was given: the run continues there, to the same result.
-    after_event : callable, optional
-        For progress and checkpoints; an exception that it raises ends the run.
-    motion_std : array (m,), optional
-        Standard deviation of the random walk of each parameter over one second, in its unit.
-
-    Returns
-    -------
-    SequentialResult
+    `resume` has the state and the history that `after_event` was given: the run continues there, to the same result.
+    `after_event` serves progress and checkpoints; an exception that it raises ends the run. `motion_std` (m,) is the
+    standard deviation of the random walk of each parameter over one second, in its unit.
     """
     state = init(parameters, batch, settings, seed) if resume is None else resume[0]
     history = [] if resume is None else list(resume[1])

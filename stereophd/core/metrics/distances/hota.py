@@ -36,14 +36,9 @@ class Hota:
 
 
 def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
-    """Return HOTA.
+    """Return HOTA from all pairs of the same scans nearer than the cutoff.
 
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans. An estimate without an identity is a track of its own.
-    near : NearPairs
-        All pairs nearer than the cutoff.
+    An estimate without an identity is a track of its own.
     """
     pairs = couples(estimates, truth, near)
     object_scans, track_scans = np.bincount(pairs.object_of), np.bincount(pairs.track_of)

@@ -68,17 +68,8 @@ def check_parameters(order: float, cutoff: float) -> None:
 def match(distances: Array, order: float, cutoff: float) -> Matching:
     """Assign estimates to true points at the least sum of ``min(distance, cutoff)**order``.
 
-    Parameters
-    ----------
-    distances : (k, m, n) array
-        Base distances of k scans.
-    order, cutoff : float
-        Order p and cutoff c of the metric.
-
-    Returns
-    -------
-    Matching
-        Pairs further apart than the cutoff are kept; their distance identifies them.
+    The distances are (k, m, n), of k scans. Pairs further apart than the cutoff are kept; their distance identifies
+    them.
     """
     check_parameters(order, cutoff)
     truth = optimal_assignment(np.minimum(distances / cutoff, 1.0) ** order)
@@ -144,30 +135,12 @@ def _as_points(points: ArrayLike) -> Array:
 
 
 def ospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None) -> Ospa:
-    """Return the OSPA distance between two sets of points, and its parts.
+    """Return the OSPA distance between two sets of points, and its parts, as zero-dimensional arrays.
 
-    Parameters
-    ----------
-    x : (m, d) array
-        Estimates; may be empty.
-    y : (n, d) array
-        Truth; may be empty.
-    order : float
-        Order p >= 1: how much outliers weigh.
-    cutoff : float
-        Cutoff c > 0: the cost of a missed or false object, in the unit of the distances.
-    distances : (m, n) array, optional
-        Base distances, when they are not Euclidean (Mahalanobis, or between whole tracks).
-
-    Returns
-    -------
-    Ospa
-        Zero-dimensional arrays; all zero when both sets are empty.
-
-    Raises
-    ------
-    ValueError
-        Order or cutoff out of range, wrong shape, or a distance that is not finite.
+    Estimates `x` are (m, d), the truth `y` is (n, d); either may be empty, and all parts are zero when both are. The
+    order p >= 1 says how much outliers weigh; the cutoff c > 0 is the cost of a missed or false object, in the unit of
+    the distances. Base distances (m, n) are given when they are not Euclidean (Mahalanobis, or between whole tracks).
+    Raises ValueError for an order or cutoff out of range, a wrong shape, or a distance that is not finite.
     """
     matching, n_truth = _match_two_sets(x, y, order, cutoff, distances)
     result = ospa_of_matching(matching, n_truth, order, cutoff)

@@ -77,35 +77,15 @@ class _Chunk:
 def ospa2_of_windows(
     estimates: PointSets, truth: PointSets, window: int, order: float, cutoff: float, *, mahalanobis: bool = False
 ) -> Ospa:
-    """Return OSPA(2) over the window of scans that ends at each scan.
+    """Return OSPA(2), arrays (k,), over the window of scans that ends at each scan.
 
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans in the same order. Points with one label are one track. An estimate without an identity
-        (negative label) is a track of one scan, and so is one whose label is there already in its scan.
-    window : int
-        Number of scans in a window, at least 1; the first windows are shorter.
-    order, cutoff : float
-        Order of OSPA between the sets of tracks; cutoff in the unit of the base distance. Over time the base
-        distance is a plain mean.
-    mahalanobis : bool
-        Distance at a scan from the covariance of each estimate instead of the Euclidean one.
+    Points with one label are one track. An estimate without an identity (negative label) is a track of one scan, and so
+    is one whose label is there already in its scan. A window has at least 1 scan; the first ones are shorter. Over time
+    the base distance, Euclidean or from the covariance of each estimate (Mahalanobis), is a plain mean; the cutoff and
+    the result are in its unit. The work per scan depends on the tracks and objects in its window only.
 
-    Returns
-    -------
-    Ospa
-        Arrays (k,) over scans; in the unit of the distance, between 0 and the cutoff.
-
-    Raises
-    ------
-    ValueError
-        The scans differ in number, parameters are out of range, or (Mahalanobis) a covariance is missing or
-        not positive definite.
-
-    Notes
-    -----
-    The work per scan depends on the tracks and objects in its window only.
+    Raises ValueError when the scans differ in number, parameters are out of range, or a covariance that is needed is
+    missing or not positive definite.
     """
     check_parameters(order, cutoff)
     if window < 1:

@@ -45,23 +45,10 @@ class TrajectoryGospa:
 def trajectory_gospa(
     estimates: PointSets, truth: PointSets, near: NearPairs, order: float, cutoff: float, switch_cost: float
 ) -> TrajectoryGospa:
-    """Return the trajectory GOSPA distance of tracks and objects over all scans.
+    """Return the trajectory GOSPA distance of tracks and objects over all scans, which are in order of time.
 
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans, in order of time; estimates with identities.
-    near : NearPairs
-        All pairs nearer than the cutoff.
-    order, cutoff : float
-        Order p and cutoff c of the distance.
-    switch_cost : float
-        Cost of a switch, in the unit of the distance.
-
-    Raises
-    ------
-    InputError
-        The linear program would be too large.
+    Estimates have identities; `near` holds all pairs nearer than the cutoff. A switch costs `switch_cost`, in the unit
+    of the distance. Raises InputError when the linear program would be too large.
     """
     scans, half = estimates.scans, cutoff**order / 2.0
     both = couples(estimates, truth, near)

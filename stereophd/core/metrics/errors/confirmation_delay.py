@@ -44,16 +44,7 @@ class Waits:
 
 
 def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports) -> Waits:
-    """Return how long the objects of scored scans waited.
-
-    Parameters
-    ----------
-    time_s : (k,) array
-        Time of each scan.
-    estimates, truth, scores
-        The scored scans and their pairs. Estimates whose status is unknown count as confirmed.
-    reports : FirstReports
-    """
+    """Return how long the objects of the scored scans at times (k,) waited; an unknown status counts as confirmed."""
     labels, target = np.unique(truth.label, return_inverse=True)
     if len(labels) == 0:
         return Waits(np.zeros(0), np.zeros(0), 0)

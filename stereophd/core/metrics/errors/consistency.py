@@ -25,18 +25,9 @@ CHANCE = 2.0
 def whitened(errors: Array, covariance: Array) -> Array:
     """Return ``L^-1 e`` of each error, with ``P = L L^T``: of identity covariance for a consistent filter.
 
-    Parameters
-    ----------
-    errors : (n, d) array
-        Estimate minus truth.
-    covariance : (n, d, d) array
-        Covariance that the filter states.
-
-    Returns
-    -------
-    (n, d) array
-        Without unit; rows of NaN where the covariance is not positive definite. The sum of squares of a row is
-        the normalised estimation error squared (NEES) ``e^T P^-1 e``, d on average for a consistent filter.
+    Errors (n, d) are estimate minus truth, the covariance P (n, d, d) is the filter's. Rows are NaN where it is not
+    positive definite. The sum of squares of a row is the normalised estimation error squared (NEES) ``e^T P^-1 e``, d
+    on average for a consistent filter.
     """
     good = is_positive_definite(covariance)
     result = np.full(errors.shape, np.nan)
@@ -50,7 +41,10 @@ def nees(errors: Array, covariance: Array) -> Array:
 
 
 def independent_count(errors: Array, group: Integers) -> float:
-    """Return the number of independent errors that would determine the mean NEES as well as these do.
+    """Return the number of independent errors, at most n, that would determine the mean NEES as well as these do.
+
+    `errors` (n, d) are whitened (see `whitened`), finite, and of each object in order of time. `group` (n,) is the
+    object of each; errors of different objects are taken as independent.
 
     Errors w of one object at successive times are alike. For two Gaussian errors with the (d, d) covariance R, the
     covariance of their NEES is ``2 |R|^2`` (Frobenius norm). The mean of n has the variance ``2 sum_ij |R_ij|^2 /
@@ -58,22 +52,9 @@ def independent_count(errors: Array, group: Integers) -> float:
 
         m = d n^2 / sum_ij |R_ij|^2.
 
-    R is taken to depend on the number of steps between the two alone, and is estimated over all objects. The sum
-    ends where the errors are no longer alike: where the trace of R is not positive (cf. the initial positive
-    sequence of C. J. Geyer, "Practical Markov chain Monte Carlo", 1992), or |R|^2 what chance makes of
-    independent errors.
-
-    Parameters
-    ----------
-    errors : (n, d) array
-        Whitened errors (see `whitened`), finite; of each object in order of time.
-    group : (n,) array
-        Object of each error. Errors of different objects are taken as independent.
-
-    Returns
-    -------
-    float
-        At most n.
+    R is taken to depend on the number of steps between the two alone, and is estimated over all objects. The sum ends
+    where the errors are no longer alike: where the trace of R is not positive (cf. the initial positive sequence of C.
+    J. Geyer, "Practical Markov chain Monte Carlo", 1992), or |R|^2 what chance makes of independent errors.
     """
     order = np.argsort(group, kind="stable")
     w, group = errors[order], group[order]
@@ -107,21 +88,9 @@ def _lags(count: int) -> list[int]:
 
 
 def nees_interval(count: float, dimension: int, probability: float = 0.95) -> tuple[float, float]:
-    """Return the interval that holds the mean NEES of a consistent filter with this probability.
+    """Return the ends of the two-sided interval that holds the mean NEES of a consistent filter with this probability.
 
-    Parameters
-    ----------
-    count : float
-        Number of independent errors averaged (`independent_count`).
-    dimension : int
-        Dimension of the errors.
-    probability : float
-        Two-sided probability.
-
-    Returns
-    -------
-    tuple of float
-        Low and high end; NaN when count is zero.
+    `count` independent errors are averaged (`independent_count`); both ends are NaN when it is zero.
     """
     if count == 0:
         return float("nan"), float("nan")

@@ -10,17 +10,9 @@ from stereophd.core.arrays import Array, Integers
 
 
 def root_mean_square(errors: Array) -> float:
-    """Return the root of the mean squared length of error vectors.
+    """Return the root of the mean squared length of errors (n, d); NaN without a finite row.
 
-    Parameters
-    ----------
-    errors : (n, d) array
-        Estimate minus truth; rows that are not finite (an unknown velocity, say) are left out.
-
-    Returns
-    -------
-    float
-        In the unit of the errors; NaN without a finite row.
+    Rows that are not finite (an unknown velocity, say) are left out.
     """
     squared = np.einsum("nd,nd->n", errors, errors)
     squared = squared[np.isfinite(squared)]
@@ -28,22 +20,7 @@ def root_mean_square(errors: Array) -> float:
 
 
 def root_mean_square_per_group(errors: Array, group: Integers, groups: int) -> Array:
-    """Return `root_mean_square` for each group of rows.
-
-    Parameters
-    ----------
-    errors : (n, d) array
-        Estimate minus truth.
-    group : (n,) array
-        Group of each row, in [0, groups).
-    groups : int
-        Number of groups.
-
-    Returns
-    -------
-    (groups,) array
-        NaN for a group without a finite row.
-    """
+    """Return `root_mean_square` (groups,) of the rows of each group; `group` (n,) is in [0, groups)."""
     squared = np.einsum("nd,nd->n", errors, errors)
     return np.asarray(np.sqrt(mean_per_group(squared, group, groups)))
 
@@ -83,18 +60,7 @@ class CardinalityError:
 
 
 def cardinality_error(n_estimates: Integers, n_truth: Integers) -> CardinalityError:
-    """Return the error of the number of objects over scans.
-
-    Parameters
-    ----------
-    n_estimates, n_truth : (k,) arrays
-        Number of estimates and of true objects in each scan.
-
-    Returns
-    -------
-    CardinalityError
-        Bias is positive when there are too many estimates.
-    """
+    """Return the error of the numbers of objects (k,) over scans; the bias of too many estimates is positive."""
     if len(n_truth) == 0:
         return CardinalityError(float("nan"), float("nan"))
     error = n_estimates.astype(np.float64) - n_truth

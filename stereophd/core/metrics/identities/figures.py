@@ -24,19 +24,10 @@ def has_identities(estimates: PointSets) -> bool:
 def identity_figures(
     estimates: PointSets, truth: PointSets, scores: ScanScores, switched: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Return the tables ``purity`` and ``completeness`` of the report, with their means.
+    """Return the tables ``purity`` and ``completeness`` of the report, with their means, as a JSON-able dict.
 
-    Parameters
-    ----------
-    estimates, truth, scores
-        The scored scans.
-    switched : (q,) bool array
-        Whether the object of a matched pair has changed its track.
-
-    Returns
-    -------
-    dict
-        JSON-able; NaN where there is nothing to average, None where the estimates carry no identities.
+    `switched` (q,) marks the matched pairs whose object has changed its track. Values are NaN where there is nothing to
+    average, None where the estimates carry no identities.
     """
     pair_track, pair_object = estimates.label[scores.pair_estimate], truth.label[scores.pair_truth]
     tracks = tabulate_tracks(estimates.label, pair_track, pair_object)
@@ -58,21 +49,11 @@ def identity_figures(
 def clear_mot_figures(
     estimates: PointSets, truth: PointSets, scores: ScanScores, switched: NDArray[np.bool_], distance: Array
 ) -> dict[str, Any]:
-    """Return the figures of CLEAR MOT (Bernardin and Stiefelhagen, 2008).
+    """Return the figures of CLEAR MOT (Bernardin and Stiefelhagen, 2008) from the distance (q,) of each matched pair.
 
-    Parameters
-    ----------
-    estimates, truth, scores, switched
-        As for `identity_figures`.
-    distance : (q,) array
-        Distance of each matched pair.
-
-    Returns
-    -------
-    dict
-        ``mota``: 1 less the share of misses, false estimates and switches in all true points; ``motp``: mean distance
-        of the matched pairs; how many objects are matched in at least `MOSTLY` of their scans, and in less than the
-        rest. NaN without true points, None without identities.
+    ``mota``: 1 less the share of misses, false estimates and switches in all true points; ``motp``: mean distance of
+    the matched pairs; how many objects are matched in at least `MOSTLY` of their scans, and in less than the rest. NaN
+    without true points, None without identities. The other arguments are those of `identity_figures`.
     """
     matched, points = len(scores.pair_scan), len(truth.label)
     if not has_identities(estimates):

@@ -27,14 +27,9 @@ class IdentityScore:
 
 
 def identity_score(estimates: PointSets, truth: PointSets, near: NearPairs) -> IdentityScore:
-    """Return IDF1 with ID precision and ID recall.
+    """Return IDF1 with ID precision and ID recall, from all pairs of the same scans nearer than the cutoff.
 
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans. An estimate without an identity is a track of its own.
-    near : NearPairs
-        All pairs nearer than the cutoff.
+    An estimate without an identity is a track of its own.
     """
     right = _most_common_scans(couples(estimates, truth, near))
     n_truth, n_estimates = len(truth.label), len(estimates.label)

@@ -14,45 +14,16 @@ from stereophd.core.arrays import Array, Integers
 
 
 def euclidean_distances(x: Array, y: Array) -> Array:
-    """Return the Euclidean distances between the points of two sets.
-
-    Parameters
-    ----------
-    x : (..., m, d) array
-        Estimates, one unit and frame.
-    y : (..., n, d) array
-        Truth, the same unit and frame.
-
-    Returns
-    -------
-    (..., m, n) array
-        Distances in the unit of the points.
-    """
+    """Return the distances (..., m, n) of estimates (..., m, d) from the truth (..., n, d), in the unit of both."""
     difference = x[..., :, None, :] - y[..., None, :, :]
     return np.asarray(np.sqrt(np.einsum("...d,...d->...", difference, difference)))
 
 
 def mahalanobis_distances(x: Array, y: Array, covariance: Array) -> Array:
-    """Return ``sqrt((x - y)^T P^-1 (x - y))`` with P the covariance of the estimate (paper VIII-C).
+    """Return ``sqrt((x - y)^T P^-1 (x - y))``, (..., m, n), with P the covariance of the estimate (paper VIII-C).
 
-    Parameters
-    ----------
-    x : (..., m, d) array
-        Estimates.
-    y : (..., n, d) array
-        Truth.
-    covariance : (..., m, d, d) array
-        Covariance of each estimate, positive definite.
-
-    Returns
-    -------
-    (..., m, n) array
-        Distances without unit.
-
-    Raises
-    ------
-    ValueError
-        A covariance is not positive definite.
+    Estimates `x` are (..., m, d), the truth `y` is (..., n, d), the covariances are (..., m, d, d). Raises ValueError
+    when one of them is not positive definite.
     """
     if not is_positive_definite(covariance).all():
         raise np.linalg.LinAlgError("expected positive definite covariances")
@@ -86,27 +57,12 @@ def _have_factors(matrices: Array) -> NDArray[np.bool_]:
 
 
 def optimal_assignment(costs: Array) -> Integers:
-    """Assign the rows of each cost matrix to distinct columns at the least total cost.
+    """Assign the rows of each finite cost matrix (k, m, n) to distinct columns (k, m) at the least total cost.
 
-    Parameters
-    ----------
-    costs : (k, m, n) array
-        Finite costs of k problems of one size.
+    Rows left over when m > n get -1. Raises ValueError when a cost is not finite.
 
-    Returns
-    -------
-    (k, m) array
-        The column of each row; -1 for the rows left over when m > n.
-
-    Raises
-    ------
-    ValueError
-        A cost is not finite.
-
-    Notes
-    -----
-    Where the least entries of the rows lie in distinct columns they are the optimum: their sum is a lower
-    bound of every assignment. Only the other problems are solved (Jonker-Volgenant, as in SciPy).
+    Where the least entries of the rows lie in distinct columns they are the optimum: their sum is a lower bound of
+    every assignment. Only the other problems are solved (Jonker-Volgenant, as in SciPy).
     """
     if not np.isfinite(costs).all():
         raise ValueError("expected finite costs of assignment")

@@ -83,14 +83,8 @@ def match_within(
 ) -> tuple[ScanScores, NearPairs]:
     """Return the scores with the pairs of CLEAR MOT nearer than a distance, and all pairs nearer than it.
 
-    Parameters
-    ----------
-    estimates, truth, scores, order
-        As for `follow`.
-    cutoff, distance : float
-        Cutoff of the scores, and the distance, in the unit of the base distance.
-    mahalanobis : bool
-        Base distance from the covariance of each estimate instead of the Euclidean one.
+    The cutoff of the scores and the distance are in the unit of the base distance, which is Euclidean or taken from the
+    covariance of each estimate; the rest is as for `follow`.
     """
     near = near_pairs(estimates, truth, distance, mahalanobis=mahalanobis)
     if distance == cutoff:
@@ -111,14 +105,7 @@ def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, m
     """Return the number of matches whose track is more than `BESIDE` times nearer to another object than to its own.
 
     They count where that is so in most matches of the same object and track: errors of the track cause it now and then.
-
-    Parameters
-    ----------
-    estimates, truth : PointSets
-    scores : ScanScores
-        With the pairs of `match_within`.
-    matchable : NearPairs
-        All pairs that may be matched.
+    The scores have the pairs of `match_within`; `matchable` holds all pairs that may be matched.
     """
     if not len(scores.pair_scan):
         return 0
@@ -137,26 +124,11 @@ def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, m
 def follow(estimates: PointSets, truth: PointSets, scores: ScanScores, near: NearPairs, order: float) -> ScanScores:
     """Return the scores with the pairs of CLEAR MOT in place of those of the optimal assignments.
 
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans, in order of time.
-    scores : ScanScores
-        Scores that `stereophd.core.metrics.scans.score_scans` returns.
-    near : NearPairs
-        All pairs nearer than the distance of the scores.
-    order : float
-        Order p of the cost of the points that keep no assignment.
-
-    Returns
-    -------
-    ScanScores
-        With other `pair_scan`, `pair_estimate`, `pair_truth` and `n_matched`; the distances stay.
-
-    Notes
-    -----
-    The loop over single scans begins only at the first scan at which the optimal assignment breaks a pair that could be
-    kept, and ends where both assignments remember the same tracks again.
+    The scans are in order of time; `near` holds all pairs nearer than the distance of the scores (of `score_scans`),
+    and `order` is the order p of the cost of the points that keep no assignment. `pair_scan`, `pair_estimate`,
+    `pair_truth` and `n_matched` change, the distances stay. The loop over single scans begins only at the first scan at
+    which the optimal assignment breaks a pair that could be kept, and ends where both assignments remember the same
+    tracks again.
     """
     run = _number(estimates, truth, scores, near, order)
     suspects = _suspects(run)

@@ -63,18 +63,9 @@ class ObjectTable:
 
 
 def tabulate_tracks(label: Integers, pair_track: Integers, pair_object: Integers) -> TrackTable:
-    """Return what each track did.
+    """Return what each track did, from the labels (n,) of estimates and the tracks and objects (q,) of matched pairs.
 
-    Parameters
-    ----------
-    label : (n,) array
-        Track of each estimate. Unlabelled ones (negative) are left out.
-    pair_track, pair_object : (q,) arrays
-        Track and true object of each matched pair.
-
-    Returns
-    -------
-    TrackTable
+    Unlabelled estimates (negative) are left out.
     """
     tracks, n_estimates = np.unique(label[label > UNLABELLED], return_counts=True)
     labelled = pair_track > UNLABELLED
@@ -85,19 +76,9 @@ def tabulate_tracks(label: Integers, pair_track: Integers, pair_object: Integers
 
 
 def tabulate_objects(object_id: Integers, pair_track: Integers, pair_object: Integers) -> ObjectTable:
-    """Return how each true object was followed.
+    """Return how each true object was followed, from the objects (n,) of true points and those (q,) of matched pairs.
 
-    Parameters
-    ----------
-    object_id : (n,) array
-        Object of each true point.
-    pair_track, pair_object : (q,) arrays
-        Track and true object of each matched pair, at most one pair for an object and scan. Unlabelled tracks
-        (negative) count for `ObjectTable.n_matched` only.
-
-    Returns
-    -------
-    ObjectTable
+    At most one pair for an object and scan. Unlabelled tracks (negative) count for `ObjectTable.n_matched` only.
     """
     objects, n_scans = np.unique(object_id, return_counts=True)
     owner = np.searchsorted(objects, pair_object)
@@ -123,17 +104,8 @@ def _dominant(owner: Integers, partner: Integers, owners: int) -> tuple[Integers
 def identity_switches(scan: Integers, object_id: Integers, track_id: Integers) -> NDArray[np.bool_]:
     """Mark the matched pairs at which a true object is matched to another track than the time before.
 
-    Parameters
-    ----------
-    scan, object_id, track_id : (n,) arrays
-        Scan (in time order), true object and track of each matched pair. Pairs whose track is unlabelled
-        (negative) neither are nor cause a switch.
-
-    Returns
-    -------
-    (n,) array of bool
-        True at the later pair of each change. Scans at which the object is not matched in between do not
-        matter.
+    Scan (in time order), object and track are those of each matched pair (n,). Pairs whose track is unlabelled
+    (negative) neither are nor cause a switch, and scans at which the object is not matched in between do not matter.
     """
     switched = np.zeros(len(scan), dtype=bool)
     labelled = np.flatnonzero(track_id > UNLABELLED)

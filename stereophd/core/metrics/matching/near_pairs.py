@@ -77,22 +77,10 @@ def _numbered_tracks(label: Integers) -> tuple[Integers, int]:
 
 
 def most_gain(pairs: NearPairs, gain: Array) -> Integers:
-    """Choose pairs that share no point, of the greatest total gain (not negative) in each scan.
+    """Choose pairs that share no point, of the greatest total gain (q,), not negative, in each scan; return their rows.
 
-    Parameters
-    ----------
-    pairs : NearPairs
-    gain : (q,) array
-
-    Returns
-    -------
-    (r,) array
-        Rows of `pairs`, in rising order.
-
-    Notes
-    -----
-    Where the best partners of the estimates of a scan differ they are the optimum: their sum bounds every choice. Only
-    the other scans are solved.
+    Rows are in rising order. Where the best partners of the estimates of a scan differ they are the optimum: their sum
+    bounds every choice. Only the other scans are solved.
     """
     if len(gain) == 0:
         return np.zeros(0, dtype=np.int64)

@@ -74,20 +74,10 @@ def last_event_of_each_time(time_s: Array) -> Integers:
 
 
 def add_truth_times(events: Events, truth_time_s: Array) -> Events:
-    """Add an event without estimates at each time of the truth that has none, if the grids agree.
+    """Add an event without estimates at each time of the truth (n,), in any order, that has none, if the grids agree.
 
-    Parameters
-    ----------
-    events : Events
-        Events known from the reported estimates only: those that reported nothing are missing.
-    truth_time_s : (n,) array
-        Times of the truth, in any order.
-
-    Returns
-    -------
-    Events
-        Completed when every event lies on a time of the truth, unchanged otherwise: then nothing shows
-        when the other events were.
+    The events are known from the reported estimates only: those that reported nothing are missing. They are completed
+    when every one lies on a time of the truth, and unchanged otherwise: then nothing shows when the others were.
     """
     grid = np.unique(truth_time_s)
     grid = grid[np.append(True, np.diff(grid) > SAME_TIME_S)] if len(grid) else grid
@@ -126,22 +116,11 @@ def in_window(time_s: Array, from_s: float | None, to_s: float | None) -> Boolea
 
 
 def align_truth(truth: Truth, time_s: Array, max_gap_s: float) -> AlignedTruth:
-    """Interpolate the true objects linearly at the times of events.
+    """Interpolate the true objects linearly at the times (k,) of events, which never decrease.
 
-    Parameters
-    ----------
-    truth : Truth
-        True objects. An object exists from its first to its last row.
-    time_s : (k,) array
-        Times of the events, never decreasing.
-    max_gap_s : float
-        Longest interval between two rows of an object that is interpolated over.
-
-    Returns
-    -------
-    AlignedTruth
-        Velocities are those of the truth, interpolated, or else fitted to its positions (`fitted_velocities`); NaN
-        where there is none.
+    An object exists from its first to its last row; intervals between rows longer than `max_gap_s` are not interpolated
+    over. Velocities are those of the truth, interpolated, or else fitted to its positions (`fitted_velocities`); NaN
+    where there is none.
     """
     starts = truth.object_start
     first, end = starts[:-1], starts[1:]

@@ -28,22 +28,9 @@ def leave_out_outside(
     """Leave out what is outside a region: objects with the estimates assigned to them, and estimates near no other.
 
     An estimate outside that is nearer than the cutoff to an object inside stays: it may be the estimate of that object.
-
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans.
-    region : mapping
-        Least and greatest value of some axes (`AXES`).
-    order, cutoff : float
-        As for `stereophd.core.metrics.scans.score_scans`.
-
-    Returns
-    -------
-    estimates, truth : PointSets
-        The remaining points of each scan.
-    emptied : (k,) bool array
-        Scans that lost points and have none left.
+    The region has the least and greatest value of some axes (`AXES`); order and cutoff are those of `score_scans`.
+    Returns the remaining estimates and true points of each scan, and the scans (k,) that lost points and have none
+    left.
     """
     had = estimates.counts + truth.counts > 0
     estimates, truth, _ = leave_out_unseen(

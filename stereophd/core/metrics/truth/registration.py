@@ -81,24 +81,11 @@ class Registration:
 
 
 def register(time_s: Array, positions: Array, truth: Truth, max_gap_s: float, freedom: Freedom) -> Registration:
-    """Find the motion and the map of time that bring estimates nearest to the truth.
+    """Find the motion and the map of time that bring estimates nearest to the truth, within what `freedom` allows.
 
-    Parameters
-    ----------
-    time_s : (n,) array
-        Time of each estimate, s, never decreasing.
-    positions : (n, 3) array
-        Length.
-    truth : Truth
-    max_gap_s : float
-        Longest interval of the truth that is interpolated over.
-    freedom : Freedom
-        What may be changed.
-
-    Raises
-    ------
-    ValueError
-        Fewer than six estimates have a true object at their time, or the clocks cannot be reconciled.
+    Estimates at times (n,), s, never decreasing, have positions (n, 3); intervals of the truth longer than `max_gap_s`
+    are not interpolated over. Raises ValueError when fewer than six estimates have a true object at their time, or the
+    clocks cannot be reconciled.
     """
     chosen = np.unique(np.linspace(0, len(time_s) - 1, min(len(time_s), MOST_ESTIMATES)).astype(np.int64))
     time_s, positions = time_s[chosen], positions[chosen]

@@ -23,21 +23,9 @@ class Sightings:
 
 
 def cameras_that_saw(sightings: Sightings, time_s: Array, object_id: Integers, within_s: float) -> Integers:
-    """Count the distinct cameras that detected each object in the seconds up to a time.
+    """Count the distinct cameras that detected each object in the closed interval ``[time_s - within_s, time_s]``.
 
-    Parameters
-    ----------
-    sightings : Sightings
-        The detections.
-    time_s, object_id : (n,) arrays
-        Times and objects asked about.
-    within_s : float
-        Length of the closed interval ``[time_s - within_s, time_s]``.
-
-    Returns
-    -------
-    (n,) array
-        Number of cameras.
+    The times and objects asked about are (n,), and so is the result.
     """
     count = np.zeros(len(time_s), dtype=np.int64)
     for camera in np.unique(sightings.camera):
@@ -73,24 +61,11 @@ def _latest_before(detected_at: Array, detected: Integers, time_s: Array, object
 def leave_out_unseen(
     estimates: PointSets, truth: PointSets, seen: Booleans, order: float, cutoff: float, *, mahalanobis: bool
 ) -> tuple[PointSets, PointSets, Booleans]:
-    """Leave out the unseen true points and the estimates assigned to them.
+    """Leave out the true points that are not `seen` (n,) and the estimates assigned to them.
 
-    Parameters
-    ----------
-    estimates, truth : PointSets
-        The same scans.
-    seen : (n,) bool array
-        Which true points are scored.
-    order, cutoff, mahalanobis
-        As for `stereophd.core.metrics.scans.score_scans`: an estimate belongs to an unseen object when the optimal
-        assignment of all points pairs them nearer than the cutoff.
-
-    Returns
-    -------
-    estimates, truth : PointSets
-        The remaining points of each scan.
-    emptied : (k,) bool array
-        Scans that lost points and have none left.
+    An estimate belongs to an unseen object when the optimal assignment of all points (order, cutoff and distance as for
+    `score_scans`) pairs them nearer than the cutoff. Returns the remaining estimates and true points of each scan, and
+    the scans (k,) that lost points and have none left.
     """
     scores = score_scans(estimates, truth, order, cutoff, mahalanobis=mahalanobis)
     keep = np.ones(len(estimates.label), dtype=bool)

@@ -40,13 +40,7 @@ def can_make(folder: Path) -> bool:
 
 
 def make_folder(folder: Path) -> bool:
-    """Make a folder for this user alone, if it is not there; return whether it is trusted then.
-
-    Raises
-    ------
-    OSError
-        It cannot be made.
-    """
+    """Make a folder for this user alone, if it is not there; return whether it is trusted then, or raise OSError."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=FOLDER_MODE, exist_ok=True)
     return is_trusted(folder)
