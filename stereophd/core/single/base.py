@@ -69,9 +69,20 @@ class SingleEstimator(ABC, Generic[State]):
     def init(self) -> State:
         """Return the state before the first detection."""
 
-    @abstractmethod
     def step(self, state: State, event: Event) -> tuple[State, SingleInfo]:
-        """Return the state after an event, which has at most one detection."""
+        """Return the state after an event, which has at most one detection; without one it stays where it is."""
+        log_likelihood, detected = 0.0, state
+        if only_detection(event) is not None:
+            time_s = detection_time(event)
+            detected, log_likelihood = self._detected(state, event, self.rig.space(event.camera, time_s), time_s)
+        return replace(detected, time_s=event.time_s, n_events=state.n_events + 1), SingleInfo(log_likelihood)
+
+    @abstractmethod
+    def _detected(self, state: State, event: Event, space: Array, time_s: float) -> tuple[State, float]:
+        """Return the state given the event's detection at a time, and the logarithm of the detection's density.
+
+        `space` (30,) is the packed space of the camera then; `step` sets the fields that count events.
+        """
 
     @abstractmethod
     def estimate(self, state: State) -> SingleEstimate | None:

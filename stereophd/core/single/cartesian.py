@@ -19,14 +19,7 @@ from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.linear_algebra import condition
 from stereophd.core.numerics.samples import cubature_points
-from stereophd.core.single.base import (
-    SingleEstimate,
-    SingleEstimator,
-    SingleInfo,
-    detection_time,
-    first_density,
-    only_detection,
-)
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
 from stereophd.core.single.settings import CartesianSettings
@@ -48,17 +41,14 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
         """Return the state before the first detection."""
         return unseen_state()
 
-    def step(self, state: GaussianState, event: Event) -> tuple[GaussianState, SingleInfo]:
+    def _detected(
+        self, state: GaussianState, event: Event, camera: Array, time_s: float
+    ) -> tuple[GaussianState, float]:
         """Predict, and update by the rule of the settings."""
-        seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
-        if only_detection(event) is None:
-            return seen, SingleInfo(0.0)
-        time_s = detection_time(event)
-        camera = self.rig.space(event.camera, time_s)
-        now = replace(seen, camera=event.camera, home_s=time_s)
+        now = replace(state, camera=event.camera, home_s=time_s)
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
-            return replace(now, mean=mean, covariance=covariance), SingleInfo(first_density(self.rig, event))
+            return replace(now, mean=mean, covariance=covariance), first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
         point, noise = event.points[0], event.covariances[0]
         if self.settings.rule == "extended":
@@ -69,10 +59,9 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
             pixel, matrix, spread = _regression(lambda states: _pixels(camera, states), mean, covariance)
             noise = noise + spread
         if not np.isfinite(matrix).all():
-            return seen, SingleInfo(0.0)
+            return state, 0.0
         mean, covariance, log_density = linear_update(mean, covariance, matrix, pixel, point, noise)
-        info = SingleInfo(log_density + float(np.log(event.areas[0])))
-        return replace(now, mean=mean, covariance=covariance), info
+        return replace(now, mean=mean, covariance=covariance), log_density + float(np.log(event.areas[0]))
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
         """Gaussian in the world of a first detection and the prior."""

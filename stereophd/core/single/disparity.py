@@ -10,7 +10,7 @@ object, so that samples out of the camera's view are left out of the Gaussian (V
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,14 +23,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets
-from stereophd.core.single.base import (
-    SingleEstimate,
-    SingleEstimator,
-    SingleInfo,
-    detection_time,
-    first_density,
-    only_detection,
-)
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, state_in_world, unseen_state
 
 IMPORTANT = np.array([True])
@@ -61,17 +54,11 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
         """Return the state before the first detection."""
         return unseen_state()
 
-    def step(self, state: GaussianState, event: Event) -> tuple[GaussianState, SingleInfo]:
+    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
         """Carry the state into the event's disparity space and update it (Algorithm 2).
 
-        An event without a detection leaves it where it is. A detection that no sample of the state can
-        have made starts it anew.
+        A detection that no sample of the state can have made starts it anew.
         """
-        if only_detection(event) is None:
-            after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
-            return after, SingleInfo(0.0)
-        time_s = detection_time(event)
-        space = self.rig.space(event.camera, time_s)
         moved = None if state.camera == UNSEEN else self._moved(state, space, event.camera, time_s)
         if moved is None:
             means, covariances = self.prior.moments(event.points, event.covariances, space, self.state_size)
@@ -81,8 +68,7 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
                 moved[0], moved[1], OBSERVATION[self.state_size], moved[0][:2], event.points[0], event.covariances[0]
             )
             log_likelihood = log_density + math.log(event.areas[0])
-        updated = GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, event.camera)
-        return updated, SingleInfo(log_likelihood)
+        return replace(state, home_s=time_s, mean=mean, covariance=covariance, camera=event.camera), log_likelihood
 
     def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
         """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
@@ -113,7 +99,7 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
         return world_estimate(state, self._home(state), self.motion, self.sets)
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class RectifiedEstimator(SingleEstimator[GaussianState]):
     """Algorithm 1: cameras that are rectified with one another share the disparity space of the first.
 
@@ -130,41 +116,28 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
     sets: SampleSets
     # `matrices`, `offsets`: arrays (c, 3, 3), (c, 3): From the first camera's disparity space to each camera's: ``y_i
     # = matrix y + offset``.
-    matrices: Array
-    offsets: Array
+    matrices: Array = field(init=False)
+    offsets: Array = field(init=False)
 
-    def __init__(self, rig: Rig, motion: Motion, prior: InitialPrior, sets: SampleSets) -> None:
-        matrices, offsets = rectified_maps(rig)
-        for name, value in (
-            ("rig", rig),
-            ("motion", motion),
-            ("prior", prior),
-            ("sets", sets),
-            ("matrices", matrices),
-            ("offsets", offsets),
-        ):
-            object.__setattr__(self, name, value)
+    def __post_init__(self) -> None:
+        for name, maps in zip(("matrices", "offsets"), rectified_maps(self.rig), strict=True):
+            object.__setattr__(self, name, maps)
 
     def init(self) -> GaussianState:
         """Return the state before the first detection."""
         return unseen_state()
 
-    def step(self, state: GaussianState, event: Event) -> tuple[GaussianState, SingleInfo]:
+    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
         """Predict the state in the shared space, and update it (Algorithm 1)."""
-        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
-        if only_detection(event) is None:
-            return after, SingleInfo(0.0)
-        time_s = detection_time(event)
-        seen = replace(after, home_s=time_s, camera=0)
+        seen = replace(state, home_s=time_s, camera=0)
         size = self.state_size
         if state.camera == UNSEEN:
-            space = self.rig.space(event.camera, time_s)
             means, covariances = self.prior.moments(event.points, event.covariances, space, size)
             back = np.linalg.inv(self.matrices[event.camera])
             whole = np.kron(np.eye(size // 3), back)
             means[0, :3] -= self.offsets[event.camera]
-            info = SingleInfo(first_density(self.rig, event))
-            return replace(seen, mean=whole @ means[0], covariance=whole @ covariances[0] @ whole.T), info
+            first = replace(seen, mean=whole @ means[0], covariance=whole @ covariances[0] @ whole.T)
+            return first, first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
         matrix = np.zeros((2, size))
         matrix[:, :3] = self.matrices[event.camera][:2]
@@ -172,20 +145,14 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, predicted, event.points[0], event.covariances[0]
         )
-        info = SingleInfo(log_density + math.log(event.areas[0]))
-        return replace(seen, mean=mean, covariance=covariance), info
+        return replace(seen, mean=mean, covariance=covariance), log_density + math.log(event.areas[0])
 
     def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
         """Particle prediction, whether or not the object is in the first camera's image."""
         if not self.motion.moves or time_s == state.home_s:
             return state.mean, state.covariance
         home = self.rig.space(0, time_s)
-        moved = move(
-            _sources(self.motion, state, home, time_s),
-            widened(home),
-            self.sets,
-            state.n_events,
-        )
+        moved = move(_sources(self.motion, state, home, time_s), widened(home), self.sets, state.n_events)
         if moved.status[0] == OUT_OF_VIEW:
             return state.mean, state.covariance
         mean = moved.means[0]

@@ -23,14 +23,7 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.motion.base import Motion
-from stereophd.core.single.base import (
-    SingleEstimate,
-    SingleEstimator,
-    SingleInfo,
-    detection_time,
-    first_density,
-    only_detection,
-)
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
 
@@ -55,17 +48,14 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         state = unseen_state()
         return InverseDepthState(0.0, 0.0, 0, state.mean, state.covariance, UNSEEN, np.empty(0))
 
-    def step(self, state: InverseDepthState, event: Event) -> tuple[InverseDepthState, SingleInfo]:
+    def _detected(
+        self, state: InverseDepthState, event: Event, camera: Array, time_s: float
+    ) -> tuple[InverseDepthState, float]:
         """Predict and update to first order."""
-        seen = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
-        if only_detection(event) is None:
-            return seen, SingleInfo(0.0)
-        time_s = detection_time(event)
-        camera = self.rig.space(event.camera, time_s)
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
-            first = replace(seen, mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
-            return first, SingleInfo(first_density(self.rig, event))
+            first = replace(state, mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
+            return first, first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
         # d (rho times the point in the camera's axes) / d (a, b, rho)
         in_world = np.column_stack([rotation(state.anchor).T[:, :2], center(state.anchor) - center(camera)])
@@ -74,12 +64,12 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         matrix = np.zeros((2, len(mean)))
         matrix[:, :3] = jacobian @ rotation(camera) @ in_world
         if not np.isfinite(pixel).all():
-            return seen, SingleInfo(0.0)
+            return state, 0.0
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
         )
-        updated = replace(seen, mean=mean, covariance=covariance, home_s=time_s)
-        return updated, SingleInfo(log_density + float(np.log(event.areas[0])))
+        updated = replace(state, mean=mean, covariance=covariance, home_s=time_s)
+        return updated, log_density + float(np.log(event.areas[0]))
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
         size = self.state_size

@@ -25,11 +25,8 @@ from stereophd.core.numerics.resampling import SCHEMES
 from stereophd.core.single.base import (
     SingleEstimate,
     SingleEstimator,
-    SingleInfo,
     SingleState,
-    detection_time,
     first_density,
-    only_detection,
 )
 from stereophd.core.single.gaussian import states_in_world
 from stereophd.core.single.settings import ParticleSettings
@@ -130,14 +127,9 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         """Return the state before the first detection."""
         return ParticleState(0.0, 0.0, 0, np.empty((self.state_size, 0)), np.empty(0), np.empty(0))
 
-    def step(self, state: ParticleState, event: Event) -> tuple[ParticleState, SingleInfo]:
+    def _detected(self, state: ParticleState, event: Event, space: Array, time_s: float) -> tuple[ParticleState, float]:
         """Resample, if due, move the particles to the event's time, and weigh them by its detection."""
-        if only_detection(event) is None:
-            after = replace(state, time_s=event.time_s, n_events=state.n_events + 1)
-            return after, SingleInfo(0.0)
         rng = np.random.default_rng((self.seed, state.n_events))
-        time_s = detection_time(event)
-        space = self.rig.space(event.camera, time_s)
         if len(state.weights) == 0:
             particles = self._first(event, space, rng)
             weights = np.full(particles.shape[1], 1.0 / particles.shape[1])
@@ -147,8 +139,8 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             likelihood = log_likelihoods(particles, space, event.points[0], event.covariances[0])
             weights, log_weights, evidence = self._update(weights, log_weights, likelihood)
             log_likelihood = evidence + math.log(event.areas[0])
-        updated = ParticleState(event.time_s, time_s, state.n_events + 1, particles, weights, log_weights)
-        return updated, SingleInfo(log_likelihood)
+        updated = replace(state, home_s=time_s, particles=particles, weights=weights, log_weights=log_weights)
+        return updated, log_likelihood
 
     def _first(self, event: Event, space: Array, rng: np.random.Generator) -> Array:
         """Particles (d, n) on the ray of the first detection."""
