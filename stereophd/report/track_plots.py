@@ -106,17 +106,17 @@ def _draw_timelines(tracks: Paths) -> Figure:
 
 def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     """Draw detection minus reprojected track over time, one panel per camera, with means."""
-    found = camera_residuals(run, tracks, MOST_RESIDUALS) or []
-    figure = Figure(figsize=(9.0, 0.9 + 1.7 * max(len(found), 1)), layout="constrained")
+    by_camera = camera_residuals(run, tracks, MOST_RESIDUALS) or []
+    figure = Figure(figsize=(9.0, 0.9 + 1.7 * max(len(by_camera), 1)), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(max(len(found), 1), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, camera, (times, values, _) in zip(grid, run.cameras, found, strict=False):
+    grid = figure.subplots(max(len(by_camera), 1), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, camera, (times, values, _) in zip(grid, run.cameras, by_camera, strict=False):
         _draw_camera_residuals(axes, times, values)
         rms = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
         axes.set_title(f"{camera.name}: root mean square {rms:.2f} px", fontsize=10)
         axes.set_ylabel("px")
     grid[-1].set_xlabel("time [s]")
-    if not found:
+    if not by_camera:
         grid[-1].text(0.5, 0.5, "no associations were kept", transform=grid[-1].transAxes, ha="center")
     return figure
 

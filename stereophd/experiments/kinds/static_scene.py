@@ -87,16 +87,16 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     ]
 
 
-def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> list[Series]:
+def _accuracy(points: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> list[Series]:
     """Return counts of points after the last view, their error, its ratio to the bound, and NEES."""
-    count, reported = len(views.labels), int(found.counts[-1])
-    errors = found.position[pairs[:, 0]] - views.positions[pairs[:, 1]]
+    count, reported = len(views.labels), int(points.counts[-1])
+    errors = points.position[pairs[:, 0]] - views.positions[pairs[:, 1]]
     squared = (errors**2).sum(axis=1)
     # an estimate may lie next to a point that too few views show: such a point has no bound
     shown = _determined(views.information[pairs[:, 1]])
     limit = _bounds_of(views.information[pairs[shown, 1]])
-    assert found.covariance is not None
-    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(found.covariance[pairs[:, 0]]), errors)
+    assert points.covariance is not None
+    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(points.covariance[pairs[:, 0]]), errors)
     figures = {
         "points_found": len(pairs) / count if count else np.nan,
         "points_false": float(reported - len(pairs)),
@@ -110,12 +110,12 @@ def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> 
     ]
 
 
-def _correspondence(found: PointSets, views: _Views, pairs: np.ndarray) -> list[Series]:
+def _correspondence(points: PointSets, views: _Views, pairs: np.ndarray) -> list[Series]:
     """Return the share of true detections assigned to the landmark of their point, and of wrong assignments among
     all."""
-    first = int(found.start[-2])
-    assert found.covariance is not None
-    positions, covariances = found.position[first:], found.covariance[first:]
+    first = int(points.start[-2])
+    assert points.covariance is not None
+    positions, covariances = points.position[first:], points.covariance[first:]
     point_of = np.full(len(positions), CLUTTER_ID - 1)
     point_of[pairs[:, 0] - first] = views.labels[pairs[:, 1]]
     right = given = true = 0
