@@ -11,9 +11,9 @@ from typing import Any
 
 import matplotlib as mpl
 
-from stereophd.report.scene_plots import draw_views
+from stereophd.report.plots.scene_plots import draw_views
+from stereophd.report.plots.time_plots import draw_cardinality, draw_ospa
 from stereophd.report.style import STYLE, Pictures
-from stereophd.report.time_plots import draw_cardinality, draw_ospa
 
 __all__ = ["Pictures", "write_plots"]
 
