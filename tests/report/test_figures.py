@@ -170,6 +170,7 @@ def report(**changes) -> dict:
         "id_recall": 0.91,
         "hota": {"mean": 0.81, "detection": 0.83, "association": 0.79, "localisation": 0.9},
         "tracks": 7,
+        "clear_mot": {"mota": 0.75, "motp": 0.5, "mostly_tracked": 5, "mostly_lost": 1},
         "purity": {"mean": 0.875, "table": []},
         "completeness": {"mean": 0.96, "mean_dominant": 0.91, "fragmentation": 1.17, "table": []},
         "nees": {"position": 3.5, "interval_95": [2.5, 3.6], "dimension": 3, "n": 42},
@@ -222,6 +223,7 @@ def test_the_table_of_a_run_without_identities_or_covariances():
     completeness = {"mean": 0.5, "mean_dominant": None, "fragmentation": None, "table": []}
     changes = {"identity_switches": None, "purity": purity, "completeness": completeness, "nees": nees}
     changes |= dict.fromkeys(("idf1", "id_precision", "id_recall"))
+    changes["clear_mot"] = {"mota": None, "mostly_tracked": None, "mostly_lost": None}
     changes["confirmation"] = {"mean_s": None, "median_s": None, "first_report_mean_s": None, "objects": 0, "never": 2}
     changes["hota"] = dict.fromkeys(("mean", "detection", "association", "localisation"))
     text = scores_text(report(**changes, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
