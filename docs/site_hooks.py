@@ -46,8 +46,8 @@ def on_files(collection: Files, config: Any, **_: Any) -> Files:
     """Add the files that do not lie in docs/."""
     script = files("mathjax") / "static" / "mathjax" / "es5" / "tex-svg-full.js"
     collection.append(File.generated(config, "assets/tex-svg-full.js", content=script.read_bytes()))
-    names = ("configs/schema.json", "sample_data/hall.yaml", "LICENSE", "CITATION.cff")
-    plain = [*ROOT.glob("configs/**/*.yaml"), *(ROOT / name for name in names)]
+    names = ("sample_data/hall.yaml", "LICENSE", "CITATION.cff")
+    plain = [*ROOT.glob("configs/**/*.yaml"), *ROOT.glob("configs/*.json"), *(ROOT / name for name in names)]
     for path in sorted(plain):
         collection.append(File.generated(config, path.relative_to(ROOT).as_posix(), content=path.read_bytes()))
     for source, page in PAGES.items():

@@ -109,6 +109,6 @@ def _draw(results: Results, out: OutputFolder) -> None:
         LOGGER.info("no figure: it needs matplotlib (pip install 'stereophd[plot]')")
         return
     # Costly to import, and matplotlib is an extra.
-    from stereophd.report.experiment_plots import write_figure
+    from stereophd.report.plots.experiment_plots import write_figure
 
     write_figure(results, {name: out.path(name) for name in FIGURE_FILES})

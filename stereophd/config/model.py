@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from annotated_types import Interval
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.experiment import ExperimentConfig
@@ -21,6 +21,7 @@ from stereophd.config.simulate import SimulateConfig
 from stereophd.config.tracking import DisparityConfig, Filter, RegionConfig, Shape
 from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
+from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.validated import Model, Units
@@ -58,3 +59,12 @@ class Config(Model):
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
     calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
     experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")
+
+    @model_validator(mode="after")
+    def _depth_of_points(self) -> Config:
+        """Refuse births of points without a prior of their depth."""
+        if isinstance(self.object, PointSettings) and isinstance(self.filter, FilterSettings):
+            birth = self.filter.birth
+            if not birth.has_depth:
+                raise ValueError("filter.birth: expected exactly one of disparity and depth_range, found none")
+        return self

@@ -17,7 +17,7 @@ from stereophd.errors import InputError
 
 CONFIG = "configs/crowd.yaml"
 SMALL = ["simulate.duration_s=6", "simulate.walkers.count=4"]
-POINTS = ["object={shape: point}", "simulate=null"]
+POINTS = ["object={shape: point}", "simulate=null", "filter.birth.depth_range=[1, 20]"]
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,7 @@ def test_a_log_has_boxes_and_tracks_have_extents(log: Path, tmp_path: Path) -> N
     assert {"width_px", "height_px", "object_id"} <= set(boxes.column_names)
     report = track(load_config(CONFIG, [*SMALL, "report.associations=true"]), log, tmp_path / "out")
     assert lasting(report) == 4
+    assert [found["message"] for found in report["checks"] if found["status"] == "warning"] == []
     tracks = pq.read_table(tmp_path / "out" / "tracks.parquet")
     for name, mean, spread in (("height", 1.7, 0.4), ("width", 0.5, 0.3)):
         assert np.abs(tracks[name].to_numpy() - mean).max() < spread
@@ -77,6 +78,7 @@ def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
         (["detector=estimate"], "detector: expected given .*, found estimate"),
         (["motion.acceleration_std=estimate"], "object.shape: expected point"),
         (["cameras.northeast.readout_s=0.01"], "cameras.northeast.readout_s: expected 0"),
+        (["object={shape: point}"], "filter.birth: expected exactly one of disparity and depth_range, found none"),
         (["object.up=null"], "object: expected width and up, or neither of them"),
         (["object.up=[0, 0, 0]"], "object: up: expected a direction"),
         (["object.width=null", "object.up=null"], "object: expected up where objects stand on the ground"),
@@ -121,7 +123,7 @@ def test_walkers_need_a_ground(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"simulate\.walkers: expected object.ground"):
         simulate(load_config(CONFIG, ["object.ground=null"]), tmp_path / "scene")
     with pytest.raises(InputError, match=r"simulate\.walkers: expected object.shape ellipsoid"):
-        simulate(load_config(CONFIG, ["object={shape: point}"]), tmp_path / "scene")
+        simulate(load_config(CONFIG, ["object={shape: point}", "filter.birth.depth_range=[1, 20]"]), tmp_path / "scene")
 
 
 def test_tracks_are_scored_on_the_ground_and_in_a_region(log: Path, tmp_path: Path) -> None:

@@ -242,7 +242,7 @@ class TestErrors:
                 "length: cm",
                 "length: ell",
                 2,
-                """units.length: expected 'mm', 'cm', 'm' or 'km', found "ell\"""",
+                """units.length: expected 'mm', 'cm', 'm', 'km' or 'baseline', found "ell\"""",
             ),
             ("units: {length: cm}", "units: cm", 2, 'units: expected a mapping, found "cm"'),
             (

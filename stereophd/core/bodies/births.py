@@ -20,7 +20,7 @@ from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
 
-STEPS = 6
+STEPS = 3
 # Columns of a state that a box tells of.
 MEASURED = [0, 1, 2, 6, 7]
 # Places of the image (across, down), and depths in heights of an object, that measure how far views overlap.

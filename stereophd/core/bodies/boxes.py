@@ -17,6 +17,7 @@ from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.outline import BOTTOM, TOP, WIDTH, U
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.errors import InputError
 
 # A side within this of the border of the image, px, may lie beyond it.
 BORDER_PX = 5.0
@@ -55,10 +56,19 @@ def boxes_of(event: Event, camera: Camera) -> Boxes:
     event : Event
     camera : Camera
         Its camera.
+
+    Raises
+    ------
+    InputError
+        A detection has no box.
     """
-    assert event.pixels is not None
-    assert event.sizes is not None
-    pixels, sizes = event.pixels, event.sizes
+    pixels = event.points if event.pixels is None else event.pixels
+    sizes = np.full_like(pixels, np.nan) if event.sizes is None else event.sizes
+    if np.isnan(sizes).any():
+        raise InputError(
+            f"camera {camera.name}, frame {event.frame} at {event.time_s:g} s: expected a box (width_px, height_px) "
+            "for each detection (object.shape is ellipsoid), found none"
+        )
     half = sizes / 2.0
     left, right = pixels[:, 0] - half[:, 0], pixels[:, 0] + half[:, 0]
     top, bottom = pixels[:, 1] - half[:, 1], pixels[:, 1] + half[:, 1]

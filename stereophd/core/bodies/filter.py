@@ -22,9 +22,9 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.births import Newborns, half_extents, newborn_bodies, shares_left
-from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
+from stereophd.core.bodies.boxes import Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.hypotheses import Hypotheses, reduce_hypotheses
-from stereophd.core.bodies.occlusion import hidden_shares
+from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, outline_boxes
 from stereophd.core.bodies.prediction import predict_bodies
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
@@ -39,8 +39,10 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 
 # Gate of each value of a box, standard deviations, and of all together (squared).
 GATE, GATE_SQUARED = 5.0, 36.0
-# Detections whose best track outweighs clutter by more than these odds give birth to nothing.
-CLEARLY_CLAIMED = 1e6
+# Bodies of whose box less is hidden are seen whole.
+LEAST_HIDDEN = 0.05
+# Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
+CLEARLY_CLAIMED = 1e5
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,8 @@ class BodyFilter:
         owners, weights = hypotheses.owners, hypotheses.weights
         boxes = boxes_of(event, camera)
         projected, slopes = outline_boxes(hypotheses.means, camera, self.shape.direction)
-        detection = self._detection_probabilities(hypotheses, projected, camera)
+        hidden = self._hidden(hypotheses, projected, camera)
+        detection = detection_probabilities(projected, hidden, camera, self.shape)
         existence = np.bincount(owners, weights, n_tracks)
         missed = weights * (1.0 - detection)
         not_detected = 1.0 - existence + np.bincount(owners, missed, n_tracks)
@@ -146,7 +149,7 @@ class BodyFilter:
             state.undetected, birth, self._left[event.camera], elapsed, event, detector, burst, known
         )
         clutter = max(detector.clutter_per_frame, float(burst), 1e-12)
-        pairs = self._pairs(hypotheses, projected, slopes, boxes, camera)
+        pairs = self._pairs(hypotheses, projected, slopes, hidden, boxes, camera)
         with np.errstate(over="ignore"):
             masses = weights[pairs.rows] * detection[pairs.rows] * np.exp(np.minimum(pairs.log_odds, 500.0)) / clutter
         claimed = np.bincount(pairs.columns, masses, len(boxes)) > CLEARLY_CLAIMED
@@ -171,12 +174,12 @@ class BodyFilter:
         joined = self._joined(
             hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights), n_tracks
         )
-        reduced, kept = reduce_hypotheses(joined, len(labels), self.settings, self.shape.direction)
-        more = np.zeros(len(boxes), dtype=np.bool_)
+        reported = np.concatenate([state.reported, np.zeros(len(boxes), dtype=np.bool_)])
+        reduced, kept = reduce_hypotheses(joined, reported, self.settings, self.shape.direction)
         identities = np.concatenate([state.track_ids, np.full(len(boxes), -1)])
         state = replace(
             state, hypotheses=reduced, labels=labels[kept], track_ids=identities[kept],
-            reported=np.concatenate([state.reported, more])[kept], next_label=state.next_label + len(boxes),
+            reported=reported[kept], next_label=state.next_label + len(boxes),
             undetected=undetected,
         )  # fmt: skip
         return state, replace(
@@ -189,43 +192,54 @@ class BodyFilter:
         """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
         return list(np.ascontiguousarray(shares_left(self.rig.cameras, self.shape).T))
 
-    def _detection_probabilities(self, hypotheses: Hypotheses, projected: Array, camera: Camera) -> Array:
-        """Probabilities of detection (n,): less for what other bodies or the border of the image hide."""
-        probability = camera.detector.p_detect * np.minimum(share_in_image(projected, camera) / WHOLE_SHARE, 1.0)
-        if self.shape.hidden_loss == 0.0 or not len(probability):
-            return np.asarray(probability)
+    def _hidden(self, hypotheses: Hypotheses, projected: Array, camera: Camera) -> Array:
+        """Shares (n,) of the boxes of the hypotheses that nearer bodies are expected to hide."""
+        if self.shape.hidden_loss == 0.0 or not len(projected):
+            return np.zeros(len(projected))
         first = hypotheses.first()
         existence = np.bincount(hypotheses.owners, hypotheses.weights).astype(np.float64)
-        hidden = hidden_shares(
-            projected[first], hypotheses.means[first], hypotheses.covariances[first], existence, camera
-        )
-        factor = 1.0 - self.shape.hidden_loss * hidden**self.shape.hidden_power
-        return np.asarray(probability * factor[hypotheses.owners])
+        means, covariances = hypotheses.means[first], hypotheses.covariances[first]
+        return hidden_shares(projected[first], means, covariances, existence, camera)[hypotheses.owners]
 
-    def _pairs(self, hypotheses: Hypotheses, projected: Array, slopes: Array, boxes: Boxes, camera: Camera) -> Pairs:
-        """Return the hypotheses and boxes that the gates let pass."""
+    def _pairs(
+        self, hypotheses: Hypotheses, projected: Array, slopes: Array, hidden: Array, boxes: Boxes, camera: Camera
+    ) -> Pairs:
+        """Return the hypotheses and boxes that the gates let pass.
+
+        The box of a body that others hide may be cut at the bottom: such a pair is there twice, with the bottom as
+        measured, and with a bottom that may be anywhere in the image of the body.
+        """
         parts = np.asarray(camera.detector.box_noise)
         carried = hypotheses.covariances @ slopes.swapaxes(1, 2)
         spread = slopes @ carried
         heights = projected[:, BOTTOM] - projected[:, TOP]
         with np.errstate(invalid="ignore"):
             widest = np.sqrt(spread[:, range(4), range(4)] + box_variances(heights, np.ones((len(heights), 4)), parts))
-            off = np.abs(boxes.values[None] - projected[:, None])
-            inside = (off <= GATE * widest[:, None]) | boxes.hidden[None]
-        rows, columns = np.nonzero(inside.all(axis=2) & np.isfinite(heights)[:, None])
-        selections = boxes.selections[columns]
+            off = boxes.values[None] - projected[:, None]
+            inside = (np.abs(off) <= GATE * widest[:, None]) | boxes.hidden[None]
+            inside &= np.isfinite(heights)[:, None, None]
+            may_be_cut = (hidden[:, None] >= LEAST_HIDDEN) & (off[:, :, BOTTOM] < 0.0) & ~boxes.hidden[:, BOTTOM]
+        whole = np.nonzero(inside.all(axis=2))
+        cut = np.nonzero(np.delete(inside, BOTTOM, axis=2).all(axis=2) & may_be_cut)
+        rows, columns = np.concatenate([whole[0], cut[0]]), np.concatenate([whole[1], cut[1]])
+        is_cut = np.arange(len(rows)) >= len(whole[0])
+        missing = boxes.hidden[columns]
+        missing[is_cut, BOTTOM] = True
+        selections = np.where(missing[:, :, None], 0.0, boxes.selections[columns])
         noise = box_variances(heights[rows], boxes.scales[columns], parts)
         full = spread[rows]
         full[:, range(4), range(4)] += noise
         innovation = selections @ full @ selections.swapaxes(1, 2)
-        innovation[:, range(4), range(4)] += boxes.hidden[columns]
+        innovation[:, range(4), range(4)] += missing
         inverses = np.linalg.inv(innovation)
         residuals = np.einsum("kij,kj->ki", selections, boxes.values[columns] - projected[rows])
         squared = np.einsum("ki,kij,kj->k", residuals, inverses, residuals)
-        observed = 4 - boxes.hidden[columns].sum(axis=1)
+        observed = 4 - missing.sum(axis=1)
+        share = CUT_SHARE * hidden[rows]
         log_odds = (
             -0.5 * (squared + np.linalg.slogdet(innovation)[1] + observed * math.log(2.0 * math.pi))
             - boxes.log_clutter[columns]
+            + np.log(np.where(is_cut, share / heights[rows], 1.0 - share))
         )
         gains = carried[rows] @ selections.swapaxes(1, 2) @ inverses
         near = squared < GATE_SQUARED

@@ -39,7 +39,7 @@ class Hypotheses(NamedTuple):
 
 
 def reduce_hypotheses(
-    hypotheses: Hypotheses, n_tracks: int, settings: PmbSettings, up: Array
+    hypotheses: Hypotheses, reported: Booleans, settings: PmbSettings, up: Array
 ) -> tuple[Hypotheses, Integers]:
     """Drop, merge and bound the hypotheses of tracks, and let the tracks exclude each other.
 
@@ -47,7 +47,8 @@ def reduce_hypotheses(
     ----------
     hypotheses : Hypotheses
         In any order.
-    n_tracks : int
+    reported : array (t,) of bool
+        Whether each track has been reported.
     settings : PmbSettings
     up : array (3,)
         Axis of the bodies.
@@ -59,20 +60,21 @@ def reduce_hypotheses(
     array (t,) of int
         Those tracks.
     """
-    owners, weights = hypotheses.owners, hypotheses.weights
+    owners, weights, n_tracks = hypotheses.owners, hypotheses.weights, len(reported)
     existence = np.bincount(owners, weights, n_tracks).astype(np.float64)
     kept = weights > np.maximum(settings.least_share * existence[owners], 0.0)
     kept &= existence[owners] >= settings.prune_weight
     hypotheses = hypotheses.take(kept)
     hypotheses = hypotheses.take(np.lexsort((-hypotheses.weights, hypotheses.owners)))
-    several = np.flatnonzero(np.bincount(hypotheses.owners, minlength=n_tracks) > 1)
-    if len(several):
-        hypotheses = _merged(hypotheses, several, settings.hypothesis_distance)
+    if (np.diff(hypotheses.owners) == 0).any():
+        hypotheses = _merged(hypotheses, settings.hypothesis_distance)
     # what was dropped belongs to the hypotheses that stay
     totals = np.bincount(hypotheses.owners, hypotheses.weights, n_tracks)
     first = hypotheses.first()
     tracks = hypotheses.owners[first]
-    exclusive = exclusive_existence(existence[tracks], hypotheses.means[first], hypotheses.covariances[first], up)
+    exclusive = exclusive_existence(
+        existence[tracks], hypotheses.means[first], hypotheses.covariances[first], reported[tracks], up
+    )
     existence[tracks] = exclusive
     weights = hypotheses.weights * existence[hypotheses.owners] / np.maximum(totals[hypotheses.owners], 1e-300)
     tracks = tracks[exclusive >= settings.prune_weight]
@@ -85,33 +87,30 @@ def reduce_hypotheses(
     return reduced.take(owners >= 0), tracks
 
 
-def _merged(hypotheses: Hypotheses, tracks: Integers, distance: float) -> Hypotheses:
-    """Merge hypotheses of the tracks that are close in both covariances, and keep the heaviest."""
-    out = [hypotheses.take(~np.isin(hypotheses.owners, tracks))]
-    bounds = np.searchsorted(hypotheses.owners, np.stack([tracks, tracks + 1]))
-    for start, end in bounds.T.tolist():
-        out.append(_merged_track(hypotheses.take(np.arange(start, end)), distance))
-    joined = Hypotheses(*(np.concatenate(values) for values in zip(*out, strict=True)))
-    return joined.take(np.lexsort((-joined.weights, joined.owners)))
-
-
-def _merged_track(track: Hypotheses, distance: float) -> Hypotheses:
-    """Merge the hypotheses of one track, the heaviest first."""
-    rest, groups = np.arange(len(track.weights)), list[Integers]()
-    inverses = np.linalg.inv(track.covariances)
-    while len(rest) and len(groups) < MOST_HYPOTHESES:
-        off = track.means[rest] - track.means[rest[0]]
+def _merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
+    """Merge hypotheses of a track that are close in both covariances, round by round with the heaviest that is left."""
+    owners, weights, means, covariances = hypotheses
+    inverses = np.linalg.inv(covariances)
+    group, rest = np.full(len(owners), -1), np.arange(len(owners))
+    for _ in range(MOST_HYPOTHESES):
+        first = np.append(True, np.diff(owners[rest]) != 0)
+        leader = rest[first][np.cumsum(first) - 1]
+        off = means[rest] - means[leader]
         there = np.einsum("ni,nij,nj->n", off, inverses[rest], off)
-        back = np.einsum("ni,ij,nj->n", off, inverses[rest[0]], off)
-        near = np.maximum(there, back) < distance
-        near[0] = True
-        groups.append(rest[near])
+        back = np.einsum("ni,nij,nj->n", off, inverses[leader], off)
+        near = (np.maximum(there, back) < distance) | (rest == leader)
+        group[rest[near]] = leader[near]
         rest = rest[~near]
-    weights = np.array([track.weights[group].sum() for group in groups])
-    means, covariances = np.empty((len(groups), STATE_SIZE)), np.empty((len(groups), STATE_SIZE, STATE_SIZE))
-    for k, group in enumerate(groups):
-        share = track.weights[group] / weights[k]
-        means[k] = share @ track.means[group]
-        off = track.means[group] - means[k]
-        covariances[k] = np.einsum("n,nij->ij", share, track.covariances[group] + off[:, :, None] * off[:, None, :])
-    return Hypotheses(track.owners[: len(groups)], weights, means, covariances)
+        if not len(rest):
+            break
+    order = np.argsort(group, kind="stable")
+    order = order[group[order] >= 0]
+    starts = np.flatnonzero(np.append(True, np.diff(group[order]) != 0))
+    number = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(order))))
+    totals = np.add.reduceat(weights[order], starts)
+    share = weights[order] / totals[number]
+    joint = np.add.reduceat(share[:, None] * means[order], starts)
+    off = means[order] - joint[number]
+    spread = covariances[order] + off[:, :, None] * off[:, None, :]
+    joined = Hypotheses(owners[order[starts]], totals, joint, np.add.reduceat(share[:, None, None] * spread, starts))
+    return joined.take(np.lexsort((-joined.weights, joined.owners)))

@@ -41,7 +41,8 @@ def disparity_moments(
     """Mean and standard deviation of the disparity (px) in a packed space (30,), given either prior."""
     if disparity is not None:
         return disparity.mean_px, disparity.std_px
-    assert depth_range is not None
+    if depth_range is None:
+        raise ValueError("expected exactly one of disparity and depth_range, found none")
     scale = float((space[FY] if space[VERTICAL] == 1.0 else space[FX]) * space[BASELINE])
     near, far = scale / depth_range[0], scale / depth_range[1]
     return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)

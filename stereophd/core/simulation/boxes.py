@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.bodies.boxes import WHOLE_SHARE, box_variances, corners, share_in_image
-from stereophd.core.bodies.occlusion import hidden_shares
+from stereophd.core.bodies.boxes import box_variances, corners, share_in_image
+from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, STATE_SIZE, TOP, VELOCITY, WIDTH, U, outline_boxes
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
@@ -44,12 +44,12 @@ def draw_boxes(
     seen = share_in_image(boxes, camera)
     none = np.zeros((len(bodies), STATE_SIZE, STATE_SIZE))
     hidden = hidden_shares(boxes, bodies, none, np.ones(len(bodies)), camera)
-    probability = camera.detector.p_detect * np.minimum(seen / WHOLE_SHARE, 1.0)
-    probability = probability * (1.0 - objects.shape.hidden_loss * hidden**objects.shape.hidden_power)
-    detected = generator.random(len(bodies)) < probability
+    detected = generator.random(len(bodies)) < detection_probabilities(boxes, hidden, camera, objects.shape)
     heights = np.nan_to_num(boxes[:, BOTTOM] - boxes[:, TOP])
     std = np.sqrt(box_variances(heights, np.ones((len(boxes), 4)), np.asarray(camera.detector.box_noise)))
     noisy = boxes + std * generator.standard_normal(boxes.shape)
+    cut = generator.random(len(bodies)) < CUT_SHARE * hidden
+    noisy[:, BOTTOM] -= cut * hidden * heights * generator.random(len(bodies))
     false = _false_boxes(camera, boxes[seen > 0.0], generator)
     values = np.concatenate([noisy[detected], false])
     labels = np.concatenate([labels[detected], np.full(len(false), -1)])

@@ -53,10 +53,6 @@ class WholeRun:
     delays: Array  # (d,), s; 0 without a rolling shutter
     travels: Array  # (d, 3)
 
-    def detections(self, event: int) -> slice:
-        """Return the detections of an event."""
-        return slice(int(self.starts[event]), int(self.starts[event + 1]))
-
     def event_of(self, detections: Integers) -> Integers:
         """Return the event (n,) of each detection."""
         return np.searchsorted(self.starts, detections, side="right") - 1

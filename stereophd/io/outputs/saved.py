@@ -180,6 +180,8 @@ class GrowingFile:
             self._stream.write(_head(identity))
             self._stream.flush()  # known as ours from here on
         else:
+            if not is_saved(path) or path.stat().st_size < length:
+                raise InputError(f"{path}: expected a file of an unfinished run, found it damaged or cut off")
             if path.stat().st_nlink > 1:  # somebody's copy stays whole
                 with atomic_write(path) as temporary:
                     temporary.write_bytes(path.read_bytes())

@@ -18,7 +18,7 @@ import numpy as np
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
 from stereophd.config.loading import variant
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
-from stereophd.core.calibration.discovery.rig import Rig, View, discover
+from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
@@ -51,7 +51,8 @@ class FoundCameras:
     """What was found where poses or clocks are unknown: the rig, or the reason why there is none."""
 
     names: tuple[str, ...]  # of the cameras that were unknown
-    rig: Rig | None
+    rig: RigHypothesis | None
+    others: tuple[RigHypothesis, ...]  # with the next optimum of the pair that is least sure
     reason: str
     has_scale: bool
     intervals: dict[str, float]  # of each camera, s
@@ -74,14 +75,8 @@ class FoundCameras:
             for pair in self.rig.pairs
         ]  # fmt: skip
         out["doubts"] = list(self.rig.doubts)
-        out["start"] = {
-            camera.name: {
-                "center": camera.pose.center.tolist(),
-                "rotation_vector_deg": np.rad2deg(rotation_to_vector(camera.pose.rotation)).tolist(),
-                "focal_px": camera.fx, "clock_offset_s": camera.clock.offset_s, "clock_rate": camera.clock.rate,
-            }
-            for camera in self.rig.cameras
-        }  # fmt: skip
+        out["start"] = _values_of(self.rig)
+        out["other_optima"] = [{"gain": rig.gain, "start": _values_of(rig)} for rig in self.others]
         return out
 
     def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
@@ -118,6 +113,18 @@ class FoundCameras:
             if component == "clock_offset" and not std <= MOST_FRAMES * self.intervals[camera]:
                 out.append(f"the clock of {camera} is known to {std:.2g} s")
         return out
+
+
+def _values_of(rig: RigHypothesis) -> dict[str, Any]:
+    """Return the cameras of a rig for the report."""
+    return {
+        camera.name: {
+            "center": camera.pose.center.tolist(),
+            "rotation_vector_deg": np.rad2deg(rotation_to_vector(camera.pose.rotation)).tolist(),
+            "focal_px": camera.fx, "clock_offset_s": camera.clock.offset_s, "clock_rate": camera.clock.rate,
+        }
+        for camera in rig.cameras
+    }  # fmt: skip
 
 
 def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, FoundCameras | None]:
@@ -157,7 +164,9 @@ def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[Load
         if np.count_nonzero(recording.cameras == number) > 1
     }
     rig = _in_frame(loaded, section, discovery.rigs[0]) if discovery.rigs else None
-    found = FoundCameras(names, rig, discovery.reason, not isinstance(section.scale, NoScale), intervals)
+    found = FoundCameras(
+        names, rig, discovery.rigs[1:], discovery.reason, not isinstance(section.scale, NoScale), intervals
+    )
     if rig is None:
         return _placed(loaded, cameras, section), found
     placed = _placed(loaded, rig.cameras, section, _priors(loaded, section, views, rig, intervals))
@@ -222,7 +231,7 @@ def _view(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> V
     return View(camera, focal, lens, np.inf if clock else 0.0, rate)
 
 
-def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig:
+def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: RigHypothesis) -> RigHypothesis:
     """Return a rig in the axes of the reference's pose, and in the unit of a known distance of two of its cameras."""
     factor = 1.0
     if isinstance(section.scale, BaselineScale):
@@ -239,7 +248,7 @@ def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig
 
 
 def _priors(
-    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: Rig, intervals: dict[str, float]
+    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: RigHypothesis, intervals: dict[str, float]
 ) -> dict[str, Any]:
     """Return priors about the cameras of a rig, as the configuration writes them."""
     out: dict[str, Any] = {}

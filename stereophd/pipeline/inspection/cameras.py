@@ -58,6 +58,7 @@ def _row(name: str, config: CameraConfig) -> dict[str, Any]:
         "lens": camera.lens.model,
         "center": camera.pose.center.tolist(),
         "looks_along": camera.pose.rotation[2].tolist(),
+        "pose_is_unknown": config.pose.unknown,
         "moves": not camera.pose.is_static,
         "trajectory": _trajectory(camera.pose),
         "sigma_px": list(config.detector.sigma_px),

@@ -26,6 +26,8 @@ from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes
 
 # Events and detections of an event that make the kernels ready before the first frame.
 WARM_UP_EVENTS, WARM_UP_DETECTIONS = 40, 4
+# Width and height of their boxes, which filters of points do not read.
+WARM_UP_BOX_PX = 50.0
 # Classes of latencies: to 10 s.
 LATENCY_STEP_S, LATENCY_STEPS = 1e-4, 100_000
 
@@ -155,7 +157,8 @@ def warm_up(estimator: Estimator[Any], cameras: Sequence[Camera]) -> None:
     pixels = [rng.uniform(0.2, 0.8, (WARM_UP_DETECTIONS, 2)) * (c.width, c.height) for c in cameras]
     for number in range(WARM_UP_EVENTS):
         index = number % len(cameras)
-        event: Event = make_event(cameras[index], index, 0.02 * number, pixels[index], frame=number)
+        boxes = np.full((WARM_UP_DETECTIONS, 2), WARM_UP_BOX_PX)
+        event: Event = make_event(cameras[index], index, 0.02 * number, pixels[index], frame=number, sizes=boxes)
         state, _, _ = estimator.step(state, event)
     gc.collect()
     gc.freeze()

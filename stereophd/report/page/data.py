@@ -12,8 +12,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.pipeline.inspection.runs import Evaluation, Run
 from stereophd.report.page.columns import Paths, binned, chosen, packed, paths_of, thinned
 from stereophd.report.page.frames import camera_frames, paths_of_run, residuals
+from stereophd.report.plots.views import down_axis
 from stereophd.report.summaries import verdict
-from stereophd.report.views import down_axis
 
 # Numbers of rows of all runs together: with the script of plotly the page stays below 10 MB.
 TRACK_ROWS = 50_000

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stereophd.config.loading import load_config
-from stereophd.core.bodies.filter import BodyFilter
+from stereophd.core.bodies.filter import BodyFilter, BodyState
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.simulation.detections import simulate_frames, truth_rows
+from stereophd.errors import InputError
+from stereophd.io.outputs.saved import decode, decoder, encode
 from stereophd.pipeline.simulation import build_scene
 
 SECONDS, PEOPLE = 8.0, 8
@@ -105,3 +108,23 @@ def test_forecasts_move_and_fade() -> None:
     assert ahead.track_ids.tolist() == estimates.track_ids.tolist()
     expected = estimates.states[:, :2] + 0.5 * estimates.states[:, 3:5]
     assert ahead.states[:, :2] == pytest.approx(expected)
+
+
+def test_a_run_continues_from_its_saved_state(tmp_path: Path) -> None:
+    body_filter, events, _ = scene()
+    state = body_filter.init()
+    for event in events[:40]:
+        state, _, _ = body_filter.step(state, event)
+    kept = decode(encode(state), decoder(BodyState), tmp_path / "state")
+    for event in events[40:60]:
+        state, info, estimates = body_filter.step(state, event)
+        kept, same_info, same = body_filter.step(kept, event)
+        assert info == same_info
+        assert np.array_equal(estimates.states, same.states)
+        assert np.array_equal(estimates.track_ids, same.track_ids)
+
+
+def test_a_detection_without_a_box_is_refused() -> None:
+    body_filter, events, _ = scene()
+    with pytest.raises(InputError, match=r"expected a box \(width_px, height_px\) for each detection"):
+        body_filter.step(body_filter.init(), replace(events[0], sizes=None))

@@ -173,6 +173,18 @@ def test_nearer_bodies_hide_those_behind() -> None:
 def test_two_bodies_in_one_place_cannot_both_exist() -> None:
     states = np.stack([standing(1.0, 1.0), standing(1.0, 1.0), standing(3.0, 1.0)])
     covariances = np.tile(1e-8 * np.eye(8), (3, 1, 1))
-    existence = exclusive_existence(np.array([0.9, 0.5, 0.7]), states, covariances, UP)
+    shown = np.ones(3, dtype=bool)
+    existence = exclusive_existence(np.array([0.9, 0.5, 0.7]), states, covariances, shown, UP)
     # of the joint probabilities .05, .45, .05 and .45 (both) the last one is impossible
     assert existence == pytest.approx([0.45 / 0.55, 0.05 / 0.55, 0.7], abs=1e-6)
+
+
+def test_nobody_appears_in_touch_with_somebody() -> None:
+    """0.4 apart, with half widths of 0.25: people who are known may stand so, but nobody is born there."""
+    states = np.stack([standing(1.0, 1.0), standing(1.4, 1.0)])
+    covariances = np.tile(1e-8 * np.eye(8), (2, 1, 1))
+    existence = np.array([0.9, 0.5])
+    known = exclusive_existence(existence, states, covariances, np.array([True, True]), UP)
+    assert known == pytest.approx(existence)
+    new = exclusive_existence(existence, states, covariances, np.array([True, False]), UP)
+    assert new == pytest.approx([0.45 / 0.55, 0.05 / 0.55], abs=1e-6)

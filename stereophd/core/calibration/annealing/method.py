@@ -242,17 +242,17 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     for number in range(MOST_ROUNDS):
-        # residuals of the joint optimum tell the noise, unless errors that detections share were taken out of them
-        early = None if fit.observations.weights is None else state(task, fit, choices)
-        seen = fit if early is None else early.fit
+        independent = with_independent_errors(task, fit)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        estimate = noise_factors(problem_of(task, seen), seen.adjustment, np.random.default_rng(NOISE_SEED))
+        estimate = noise_factors(
+            problem_of(task, independent), independent.adjustment, np.random.default_rng(NOISE_SEED)
+        )
         if estimate.differs.any() and not last:
             factors = np.where(estimate.differs, estimate.factors, 1.0)
             task, noise = task.with_noise(factors), noise * factors
             fit = adjusted_anew(task, fit)
             continue
-        answer = early or state(task, fit, choices)
+        answer = state(task, fit, choices)
         enlarged, suspicions = suspected(task, answer)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
         if wrong is None or last:
@@ -300,6 +300,14 @@ def adjusted_anew(task: Task, fit: Fit) -> Fit:
     adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
     chosen = refitted(task, adjusted, weighted=True)
     return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
+
+
+def with_independent_errors(task: Task, fit: Fit) -> Fit:
+    """Adjust again where errors that detections share were taken out of the residuals: these tell the noise."""
+    if fit.observations.weights is None:
+        return fit
+    observations = replace(fit.observations, weights=None)
+    return adjusted_to(task, fit, observations, observations.trajectories, fit.detections)
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:

@@ -46,7 +46,7 @@ def squared_sampson(essential: Array, rows: Array) -> Array:
 
 
 def eight_point(rows: Array, valid: Array, tolerances: tuple[float, float]) -> Array:
-    """Essential matrices (h, 3, 3) of sets of constraint rows (h, n, 9), robustly.
+    """Essential matrices (h, 3, 3) of sets of constraint rows (h, n, 9); a few wrong rows are borne.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ from stereophd.core.calibration.discovery.essential import (
 )
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 
-# Share of detections whose distance is chance's, and density of that, in heights of the image (200 px of 1000).
+# Share of detections whose distance is chance's, and the range of distances by chance.
 OUTLIERS, CHANCE_RANGE_PX = 0.1, 200.0
 # Tolerance, px, of the scores of hypotheses, and first and last one of the eight-point method.
 TOLERANCE, FIRST_TOLERANCE, LAST_TOLERANCE = 20.0, 80.0, 10.0

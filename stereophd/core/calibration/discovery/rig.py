@@ -54,7 +54,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Rig:
+class RigHypothesis:
     """Cameras that were found, those of one hypothesis."""
 
     cameras: tuple[Camera, ...]  # in the order of the views; the reference at the origin
@@ -73,7 +73,7 @@ class Rig:
 class Discovery:
     """What was found: rigs, the best first; none with the reason."""
 
-    rigs: tuple[Rig, ...]
+    rigs: tuple[RigHypothesis, ...]
     reason: str = ""
 
 
@@ -137,7 +137,7 @@ def _rig(
     reference: int,
     pairs: Sequence[PairResult],
     others: Sequence[PairResult],
-) -> Rig | None:
+) -> RigHypothesis | None:
     """Place cameras along the tree of pairs, the reference first; None if the baselines cannot be compared."""
     scales = _scales(found, reference, pairs)
     if scales is None:
@@ -178,7 +178,9 @@ def _rig(
     names = [view.camera.name for view in views]
     confirmed = _confirmed(poses, pairs, others)
     doubts = [text for pair in pairs for text in doubts_of_pair(pair, names, pair.cameras in confirmed)]
-    return Rig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts), sum(pair.best.gain for pair in pairs))
+    return RigHypothesis(
+        tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts), sum(pair.best.gain for pair in pairs)
+    )
 
 
 def _confirmed(

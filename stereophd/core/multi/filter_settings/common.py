@@ -84,9 +84,15 @@ class BirthPrior:
     )
 
     def __post_init__(self) -> None:
-        check_depth(self.disparity, self.depth_range)
+        if self.has_depth:
+            check_depth(self.disparity, self.depth_range)
         if self.per_frame is not None and self.initial is not None:
             raise ValueError("expected per_s and initial, found per_frame and initial")
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether a prior of the depth is stated: points need one, the boxes of bodies none."""
+        return self.disparity is not None or self.depth_range is not None
 
     def disparity_moments(self, space: NDArray[np.float64]) -> tuple[float, float]:
         """Mean and standard deviation of the disparity (px) in a packed space (30,)."""

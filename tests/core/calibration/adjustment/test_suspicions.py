@@ -71,11 +71,20 @@ def test_the_evidence_is_that_of_a_gaussian_model() -> None:
     gradient = precision @ optimum - matrix.T @ data
     names = ParameterSet(rig()[:1], unknowns(rig(), ("principal_point", "focal")).parameters[:3])
     enlarged = EnlargedSet(names, (HeldGroup("focal", np.array([2]), False),))
-    tracks = TrackMoves(np.ones((1, 3)), np.zeros((1, 3, 3)))
+    tracks = TrackMoves(np.ones((1, 3)), np.zeros((1, 3, 3)), np.zeros(3))
     (suspicion,) = suspect(QuadraticPosterior(gradient, precision, tracks), enlarged, np.array([0, 1]))
     assert suspicion.log_evidence == pytest.approx(free - held)
     value = np.linalg.solve(precision, matrix.T @ data)[2] * names.prior_std[2]
     assert suspicion.values == pytest.approx([value])
+
+
+def test_a_move_of_tracks_is_counted_but_for_the_growth_of_the_cameras() -> None:
+    points = np.array([[0.0, 0.0, 100.0], [10.0, 0.0, 120.0], [0.0, -5.0, 90.0]])
+    # the first value moves points by their own depth; the second is the scale
+    slopes = np.stack([points * [0.0, 0.0, 1.0], points], axis=2)
+    moves = TrackMoves(points, slopes, np.array([0.0, 1.0]))
+    assert moves.relative_move(np.array([0.03, 0.0])) == pytest.approx(0.03, rel=0.01)
+    assert moves.relative_move(np.array([0.0, 0.5])) == 0.0
 
 
 @pytest.mark.parametrize("factor", [0.2, 1.0, 4.0])

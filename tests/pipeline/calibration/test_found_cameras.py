@@ -1,0 +1,100 @@
+"""Cameras whose poses and clocks are unknown in the configuration: found, calibrated, and stated in an honest unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.errors import InputError
+from stereophd.pipeline.calibration.found_cameras import with_found_cameras
+
+PAPER = Path(__file__).parents[3] / "configs" / "paper" / "calibration.yaml"
+
+
+def unknown_cameras(folder: Path, **changes: object) -> Path:
+    """The cameras of the paper without poses."""
+    cameras = yaml.safe_load(PAPER.read_text())["cameras"]
+    for camera in cameras.values():
+        camera["pose"] = "unknown"
+        camera.update(changes)
+    path = folder / "cameras.yaml"
+    path.write_text(yaml.safe_dump({"units": {"length": "cm"}, "cameras": cameras}))
+    return path
+
+
+def stated(folder: Path, *overrides: str, **changes: object) -> LoadedConfig:
+    return load_config(PAPER, ("calibration.priors={}", *overrides), None, unknown_cameras(folder, **changes))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from stereophd.commands.simulate import simulate
+
+    folder = tmp_path_factory.mktemp("scene") / "out"
+    simulate(load_config(PAPER), folder)
+    return folder / "detections.parquet"
+
+
+def test_what_is_known_stays_as_it_is() -> None:
+    loaded = load_config(PAPER)
+    assert with_found_cameras(loaded, "no log is read") == (loaded, None)
+
+
+def test_an_unknown_pose_is_refused_where_one_is_needed(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"cameras\.left\.pose: expected a known one, found unknown; `calibrate` finds"
+    ):
+        stated(tmp_path).build_cameras()
+
+
+def test_unknown_values_survive_the_record(tmp_path: Path) -> None:
+    loaded = stated(tmp_path, intrinsics={"focal": "unknown"}, clock={"offset_s": "unknown"})
+    camera = loaded.cameras["right"]
+    assert camera.pose.unknown
+    assert camera.clock.unknown
+    assert camera.intrinsics.unknown
+    assert type(camera).model_validate(camera.model_dump()) == camera
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("calibration.priors.right={center_std: 1.0}", "priors.right.center_std: expected none of an unknown camera"),
+        ("calibration.scale={kind: speed, speed: 1.0, std: 0.1}", "scale.kind: expected none or baseline"),
+        ("cameras.right.pose={center: [40, 0, 0]}", "cameras.right.pose: expected unknown as that of left"),
+        ("cameras.left.clock={offset_s: unknown}", "reference: expected a camera whose clock is taken as true"),
+    ],
+)
+def test_contradictions_are_refused(tmp_path: Path, override: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        with_found_cameras(stated(tmp_path, override), "no log is read")
+
+
+def test_cameras_are_found_in_the_unit_of_their_distance(tmp_path: Path, log: Path) -> None:
+    loaded, found = with_found_cameras(stated(tmp_path), log)
+    assert found is not None
+    assert not found.reason
+    assert loaded.config.units.length == "baseline"
+    left, right = loaded.build_cameras()
+    assert np.linalg.norm(right.pose.center - left.pose.center) == pytest.approx(1.0)
+    # true: 30 degrees
+    angle = np.degrees(np.arccos(0.5 * (np.trace(right.pose.rotation) - 1.0)))
+    assert angle == pytest.approx(30.0, abs=3.0)
+    assert loaded.config.calibration is not None
+    assert set(loaded.config.calibration.priors) == {"right"}
+    # the settings follow: objects lie somewhat beyond the depth that the births expect, the cameras 40 cm apart
+    assert 6.0 / 40.0 < loaded.config.motion.max_speed < 2.0 * 6.0 / 40.0
+
+
+def test_a_known_distance_gives_the_scale(tmp_path: Path, log: Path) -> None:
+    scale = "calibration.scale={kind: baseline, cameras: [left, right], distance: 40.0, std: 0.1}"
+    loaded, found = with_found_cameras(stated(tmp_path, scale), log)
+    assert found is not None
+    assert found.has_scale
+    left, right = loaded.build_cameras()
+    assert loaded.config.units.length == "cm"
+    assert np.linalg.norm(right.pose.center - left.pose.center) == pytest.approx(40.0)
