@@ -177,7 +177,7 @@ def _bound_series(
     times, units = _times(loaded), _units(parameters, loaded.config.units.length)
     spreads = [_spreads(parameters, reference, true, covariance) for covariance in covariances]
     series = [
-        Series(f"{name}_rmse", units[f"{name}_error"], np.array([one[f"{name}_std"] for one in spreads]), times)
+        Series(f"{name}_rmse", units[f"{name}_error"], np.array([spread[f"{name}_std"] for spread in spreads]), times)
         for name in ("rotation", "direction", "center")
     ]
     for j, name in enumerate(_names(parameters)):

@@ -66,7 +66,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     views = _views(loaded, number)
     times = np.array([frame.time_s for frame in views.frames])
     with method_clock():
-        found = filtered_points(loaded, views.cameras, views.frames, np.arange(len(times)))
+        points = filtered_points(loaded, views.cameras, views.frames, np.arange(len(times)))
     count = len(views.labels)
     start = count * np.arange(len(times) + 1)
     truth = PointSets(
@@ -74,16 +74,16 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
         np.tile(views.labels, len(times)),
     )  # fmt: skip
     scenario = scenario_of(loaded.config, StaticSceneScenario)
-    scores = score_scans(found, truth, 2.0, scenario.cutoff)
+    scores = score_scans(points, truth, 2.0, scenario.cutoff)
     unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
     last = scores.pair_scan == len(times) - 1
     pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % max(count, 1)])
-    bias = (found.counts - count).astype(np.float64)
+    bias = (points.counts - count).astype(np.float64)
     return [
         Series("ospa", unit, scores.ospa, over),
         Series("cardinality_bias", "1", bias, over),
-        *_accuracy(found, views, pairs, unit),
-        *_correspondence(found, views, pairs),
+        *_accuracy(points, views, pairs, unit),
+        *_correspondence(points, views, pairs),
     ]
 
 
