@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
@@ -19,6 +19,8 @@ from matplotlib.ticker import LogFormatter
 from stereophd.core.arrays import Array
 from stereophd.report.plots.experiment_moves import draw_moves
 from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right
+from stereophd.report.experiment_moves import draw_moves
+from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right, plots_named, save_figures
 from stereophd.wording import counted
 
 if TYPE_CHECKING:
@@ -72,11 +74,7 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
         moved = results.config.scenario.kind == "move"
         figure = draw_moves(results) if moved else _draw(results)
         _add_title(figure, results)
-        for name, path in paths.items():
-            kind = name.rsplit(".", 1)[1]
-            # Metadata of the files (date, program) would differ between runs.
-            metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
-            figure.savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.12, dpi=DPI)
+        save_figures(dict.fromkeys(plots_named(paths), figure), paths, pad_inches=0.12, dpi=DPI)
 
 
 def _draw(results: Results) -> Figure:

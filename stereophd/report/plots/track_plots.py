@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
@@ -21,6 +21,9 @@ from stereophd.report.page.frames import camera_residuals, paths_of_run
 from stereophd.report.plots.scene_plots import draw_camera_views, view_axes
 from stereophd.report.plots.views import SceneView, views
 from stereophd.report.style import BLUE, ORANGE, STYLE, TRACK_COLOURS, dash_of, marker_of
+from stereophd.report.scene_plots import draw_camera_views, view_axes
+from stereophd.report.style import BLUE, ORANGE, STYLE, TRACK_COLOURS, dash_of, marker_of, plots_named, save_figures
+from stereophd.report.views import SceneView, views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,13 +45,7 @@ def write_track_plots(run: Run, paths: Mapping[str, Path]) -> None:
         "residuals": lambda: _draw_residuals(run, tracks),
     }
     with mpl.rc_context(STYLE):
-        figures: dict[str, Figure] = {}
-        for name, path in paths.items():
-            plot, kind = name.rsplit(".", 1)
-            if plot not in figures:
-                figures[plot] = makers[plot]()
-            metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
-            figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.15)
+        save_figures({plot: makers[plot]() for plot in plots_named(paths)}, paths)
 
 
 def _positions(tracks: Paths) -> NDArray[np.float64]:
