@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from stereophd.core.arrays import Array
-from stereophd.report.experiment_moves import draw_moves
 from stereophd.report.plots.experiment_moves import draw_moves
 from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right, plots_named, save_figures
 from stereophd.wording import counted

@@ -12,9 +12,7 @@ import matplotlib as mpl
 
 from stereophd.report.plots.scene_plots import draw_views
 from stereophd.report.plots.time_plots import draw_cardinality, draw_ospa
-from stereophd.report.scene_plots import draw_views
 from stereophd.report.style import STYLE, Pictures, save_figures
-from stereophd.report.time_plots import draw_cardinality, draw_ospa
 
 __all__ = ["Pictures", "write_plots"]
 

@@ -20,9 +20,7 @@ from stereophd.report.page.columns import Paths
 from stereophd.report.page.frames import camera_residuals, paths_of_run
 from stereophd.report.plots.scene_plots import draw_camera_views, view_axes
 from stereophd.report.plots.views import SceneView, views
-from stereophd.report.scene_plots import draw_camera_views, view_axes
 from stereophd.report.style import BLUE, ORANGE, STYLE, TRACK_COLOURS, dash_of, marker_of, plots_named, save_figures
-from stereophd.report.views import SceneView, views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
