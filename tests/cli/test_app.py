@@ -151,7 +151,7 @@ def test_parts_of_an_error(message: str) -> None:
     [
         (["track", "a", "b", "--out", "c", "--jobs", "0"], "--jobs", "a value .*1", "0"),
         (["simulate", "a", "--out", "b", "--seed", "x"], "--seed", "a valid integer", "x"),
-        (["track", "a", "b"], "--out", "a folder", "none"),
+        (["track", "a", "b"], "--out", "a folder", "none (see 'stereophd track --help')"),
         (["track", "a", "b", "--out", "c", "--treads"], "--treads", "a known option", "--treads"),
         (["trakc"], "trakc", "a known command", "trakc"),
         (["simulate", "a", "b", "--out", "d"], None, "no further argument", "b"),

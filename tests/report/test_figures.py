@@ -170,7 +170,6 @@ def report(**changes) -> dict:
         "id_recall": 0.91,
         "hota": {"mean": 0.81, "detection": 0.83, "association": 0.79, "localisation": 0.9},
         "tracks": 7,
-        "clear_mot": {"mota": 0.75, "motp": 0.5, "mostly_tracked": 5, "mostly_lost": 1},
         "purity": {"mean": 0.875, "table": []},
         "completeness": {"mean": 0.96, "mean_dominant": 0.91, "fragmentation": 1.17, "table": []},
         "nees": {"position": 3.5, "interval_95": [2.5, 3.6], "dimension": 3, "n": 42},
