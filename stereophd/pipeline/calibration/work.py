@@ -15,18 +15,9 @@ _HYPOTHESIS_BYTES, _DETECTION_BYTES = 8e3, 1e3
 
 
 def size_of_calibration(section: CalibrationConfig, frames: float, detections: float) -> Size:
-    """Estimate the memory of a calibration.
+    """Estimate the memory of a calibration, from the frames and detections of the log, of all cameras together.
 
-    Parameters
-    ----------
-    section : CalibrationConfig
-    frames, detections : float
-        Of the log, of all cameras together.
-
-    Returns
-    -------
-    Size
-        Without disk space: the outputs are small.
+    Without disk space: the outputs are small.
     """
     hypotheses = 0
     if section.method == "sequential":

@@ -106,14 +106,9 @@ class Interpolation(NamedTuple):
 
 
 def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:
-    """Return the interpolation of the positions at given times.
+    """Return the interpolation of positions of trajectories (n,) at times (n,).
 
-    Parameters
-    ----------
-    knots : Knots
-    trajectories : array (n,) of int
-    times : array (n,)
-        Outside its knots a trajectory continues without noise.
+    Outside its knots a trajectory continues without noise.
     """
     return _interpolated(knots, trajectories, times, velocities=False)
 
