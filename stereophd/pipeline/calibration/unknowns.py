@@ -65,8 +65,7 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
 def _shared(
     loaded: LoadedConfig, section: CalibrationConfig, cameras: tuple[Camera, ...], parameters: list[Parameter]
 ) -> tuple[Parameter, ...]:
-    """Tie the intrinsics and lenses of cameras that share them: a parameter of the first camera applies to all of
-    them."""
+    """Tie the intrinsics and lenses of cameras that share them: a parameter of the first camera applies to all."""
     by_name = {camera.name: camera for camera in cameras}
     places = {(p.camera, p.name): p for p in parameters}
     for number, group in enumerate(section.shared):
@@ -144,8 +143,7 @@ def with_quantities(
 ) -> dict[str, CameraConfig]:
     """Return the configurations of cameras with the quantities of others; what is the same stays as it was written.
 
-    Raises InputError when a value is beyond the bounds of its key; the message begins with `source`, which says where
-    it is from.
+    Raises InputError when a value is beyond the bounds of its key; the message begins with `source`, its origin.
     """
     out = {}
     for camera in cameras:

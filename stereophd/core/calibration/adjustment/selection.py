@@ -100,9 +100,9 @@ def _thinned(problem: Problem, stretches: Integers, weights: Array) -> tuple[Pro
 
 
 def choice(losses: Array) -> int:
-    """Index of the set whose loss (s, b), by set and stretch, is least if it beats the last clearly, else the last.
+    """Index of the set of the least loss if it beats the last by more than the standard error, else the last.
 
-    Clearly is by more than the standard error.
+    Losses are (s, b), by set and stretch.
     """
     last = len(losses) - 1
     best = int(losses.sum(axis=1).argmin())

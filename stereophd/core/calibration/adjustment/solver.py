@@ -66,10 +66,7 @@ def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]
 
 
 def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
-    """Solve damped normal equations: steps of values (m,) and knots (6 k,).
-
-    Raises LinAlgError when the damped matrix is not positive definite.
-    """
+    """Steps of values (m,) and knots (6 k,) by damped normal equations; LinAlgError if not positive definite."""
     eliminated, schur = eliminate(equations, damping)
     damped = schur + damping * np.diag(np.diag(equations.matrix))
     right = equations.value_vector - equations.coupling.T @ eliminated[:, -1]

@@ -106,10 +106,7 @@ class Interpolation(NamedTuple):
 
 
 def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:
-    """Return the interpolation of positions of trajectories (n,) at times (n,).
-
-    Outside its knots a trajectory continues without noise.
-    """
+    """Interpolation of positions of trajectories (n,) at times (n,); outside its knots one continues without noise."""
     return _interpolated(knots, trajectories, times, velocities=False)
 
 

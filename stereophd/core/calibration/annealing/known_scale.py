@@ -236,8 +236,7 @@ def candidate_pairs(
 ) -> tuple[Peaks, Integers]:
     """Rigid pairs that may have the known length: those whose log(length / distance) is within `reach` of `center`.
 
-    `rigid` (r,) has the places of the rigid pairs. Returns the candidates and their odds, and their places (k,) in
-    `pairs`.
+    `rigid` (r,) has the places of rigid pairs. Returns the candidates and their odds, and their places (k,) in `pairs`.
     """
     every = np.log(length / pairs.distances)
     near = np.abs(every - center) <= reach

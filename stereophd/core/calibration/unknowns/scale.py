@@ -81,8 +81,7 @@ def log_probability_of_nearness(parameters: ParameterSet, reference: int, values
     Where two cameras are in one place every detection of one meets some of the other, at no depth: an adjustment that
     began at wrong pairs may end there. A prior of d coordinates of centres with the density p gives the ball of the
     radius R about the reference the probability p V_d R^d, with V_d the volume of the unit ball (for R small against
-    the prior's standard deviations). 0 where the scale is not free, or a coordinate of another camera's centre is
-    known.
+    the prior's standard deviations). 0 where the scale is not free, or another camera's centre has a known coordinate.
     """
     if not scale_is_free(parameters):
         return 0.0
