@@ -68,8 +68,7 @@ def cells_of(observations: Observations, radius: float) -> Integers:
 
 
 def variance_components(residuals: Array, cells: Integers) -> tuple[float, float]:
-    """Variances, per coordinate, of the errors of residuals (n, 2): independent ones, and those that cells (n,) share.
-    """
+    """Variances, per coordinate, of the errors of residuals (n, 2): independent ones, and those cells (n,) share."""
     _, cells, sizes = np.unique(cells, return_inverse=True, return_counts=True)
     count, total = len(sizes), len(cells)
     if count < 2 or total == count:
