@@ -43,7 +43,7 @@ def simulate_command(
             sys.stdout.flush()
         return
     if out is None:
-        raise InputError("--out: expected a folder, found none")
+        raise InputError("--out: expected a folder, found none (see 'stereophd simulate --help')")
     from stereophd.commands.simulate import simulate
 
     with progress_bar(session, "simulate") as progress:

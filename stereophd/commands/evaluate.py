@@ -103,7 +103,7 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))
         if draw:
             # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots import Pictures, write_plots
+            from stereophd.report.plots.figures import Pictures, write_plots
 
             pictures = Pictures(
                 columns=scored.columns,

@@ -106,9 +106,9 @@ def finished_runs(loaded: LoadedConfig, out_dir: Path | str) -> int:
 def _draw(results: Results, out: OutputFolder) -> None:
     """Draw the figure, if matplotlib is installed."""
     if not can_draw():
-        LOGGER.info("no figure: it needs matplotlib (pip install 'stereophd[plot]')")
+        LOGGER.info("no figure: it needs matplotlib (pip install matplotlib)")
         return
     # Costly to import, and matplotlib is an extra.
-    from stereophd.report.experiment_plots import write_figure
+    from stereophd.report.plots.experiment_plots import write_figure
 
     write_figure(results, {name: out.path(name) for name in FIGURE_FILES})

@@ -34,7 +34,6 @@ from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.checkpoint import Journal
-from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
 from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
@@ -47,6 +46,7 @@ from stereophd.pipeline.tracking.run import (
     with_detectors,
     write_tracks,
 )
+from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
@@ -177,7 +177,9 @@ class _Outputs:
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
         findings += tuple(check_detections(summary, tracking.cameras))
-        findings += tuple(check_noise(summary, tracking.cameras, self.stream.has_noise))
+        if not tracking.boxes:
+            # the middle of a box is not the image of the middle of a body
+            findings += tuple(check_noise(summary, tracking.cameras, self.stream.has_noise))
         findings += tuple(check_losses(summary, counts))
         findings += tuple(check_estimated_detectors(tracking.detectors))
         report = {
@@ -201,7 +203,7 @@ def _draw(report: dict[str, Any], out: OutputFolder) -> None:
     """Draw the plots of a run from the files that it has written."""
     # Costly to import, and matplotlib is an extra.
     from stereophd.pipeline.inspection.runs import read_run
-    from stereophd.report.track_plots import write_track_plots
+    from stereophd.report.plots.track_plots import write_track_plots
 
     run = read_run(out.path(TRACKS_FILE).parent, "track", report)
     kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]

@@ -46,16 +46,16 @@ def _bounds(report: Mapping[str, Any]) -> SummaryTable:
 
 def _others(report: Mapping[str, Any]) -> SummaryTable:
     """Errors of lenses, clocks and movements that are not the true ones."""
-    found: Mapping[str, Mapping[str, float | None]] = report["quantities"]
+    by_camera: Mapping[str, Mapping[str, float | None]] = report["quantities"]
     rows = []
     for quantity, component in ((one, name) for one in quantities() for name in one.components):
         key = quantity.key(component)
-        errors = [figures.get(key, 0.0) for figures in found.values()]
+        errors = [figures.get(key, 0.0) for figures in by_camera.values()]
         if any(error is None or abs(error) > ROUNDING for error in errors):
-            cells = (number(figures.get(key)) for figures in found.values())
+            cells = (number(figures.get(key)) for figures in by_camera.values())
             rows.append((component, _unit(quantity, report["length_unit"]), *cells))
     notes = () if rows else ("none: intrinsics, lenses, clocks and movements are the true ones",)
-    return SummaryTable("Other errors, estimated less true", ("value", "unit", *found), tuple(rows), notes)
+    return SummaryTable("Other errors, estimated less true", ("value", "unit", *by_camera), tuple(rows), notes)
 
 
 def _unit(quantity: Quantity, length_unit: str) -> str:
@@ -74,9 +74,9 @@ def _parameters(report: Mapping[str, Any]) -> SummaryTable:
         factor = SUFFIXES[quantity.unit][1]
         row = [name, _unit(quantity, report["length_unit"])]
         if errors:
-            one = errors.get(name)
-            row += ["-"] * 3 if one is None else [
-                number(factor * one["error"]), number(factor * one["std"]), "yes" if one["covered_90"] else "no"
+            score = errors.get(name)
+            row += ["-"] * 3 if score is None else [
+                number(factor * score["error"]), number(factor * score["std"]), "yes" if score["covered_90"] else "no"
             ]  # fmt: skip
         if bounds:
             row.append(number(factor * bounds[name]) if name in bounds else "-")

@@ -42,7 +42,7 @@ def _table(results: Results, quantity: str) -> SummaryTable:
 def _quantities(results: Results) -> list[str]:
     if results.config.table is not None:
         return list(results.config.table)
-    names = [one.quantity for cell in results.cells for one in cell.summaries if one.times_s is None]
+    names = [summary.quantity for cell in results.cells for summary in cell.summaries if summary.times_s is None]
     return list(dict.fromkeys(names))
 
 
@@ -50,17 +50,19 @@ def _rows(results: Results, quantity: str) -> Iterator[tuple[str, ...]]:
     cases = dict.fromkeys(cell.case for cell in results.cells)
     for case in cases:
         for cell in results.cells:
-            for one in cell.summaries:
-                if cell.case == case and one.quantity == quantity and one.times_s is None:
-                    yield (case, cell.method, *_values(one))
+            for summary in cell.summaries:
+                if cell.case == case and summary.quantity == quantity and summary.times_s is None:
+                    yield (case, cell.method, *_values(summary))
 
 
-def _values(one: Summary) -> tuple[str, ...]:
-    mean, bound = float(one.mean[0]), float(one.bound[0])
-    interval = f"{_number(one.ci_low[0])} to {_number(one.ci_high[0])}" if np.isfinite(one.ci_low[0]) else ""
+def _values(summary: Summary) -> tuple[str, ...]:
+    mean, bound = float(summary.mean[0]), float(summary.bound[0])
+    interval = (
+        f"{_number(summary.ci_low[0])} to {_number(summary.ci_high[0])}" if np.isfinite(summary.ci_low[0]) else ""
+    )
     if not np.isfinite(bound):
-        return (_number(mean), interval, _number(one.std[0]), "", "")
-    return (_number(mean), interval, _number(one.std[0]), _number(bound), f"{mean / bound:.3f}")
+        return (_number(mean), interval, _number(summary.std[0]), "", "")
+    return (_number(mean), interval, _number(summary.std[0]), _number(bound), f"{mean / bound:.3f}")
 
 
 def _number(value: float) -> str:

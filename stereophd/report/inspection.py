@@ -17,9 +17,9 @@ AFTER_TABLES = ("report", "cameras", "configuration", "folder", "other")
 PICTURES = (".jpeg", ".jpg", ".pdf", ".png", ".svg")
 
 
-def info_text(found: Mapping[str, Any]) -> str:
+def info_text(summary: Mapping[str, Any]) -> str:
     """Return the text of what a file or folder holds."""
-    lines = [f"{found['path']}: {found['kind']}", *_origin(found.get("origin"))]
+    lines = [f"{summary['path']}: {summary['kind']}", *_origin(summary.get("origin"))]
     describe: dict[str, Callable[[Mapping[str, Any]], Iterator[str]]] = {
         "detections": _log,
         "tracks": _objects,
@@ -29,7 +29,7 @@ def info_text(found: Mapping[str, Any]) -> str:
         "report": _report,
         "folder": _folder,
     }
-    return "\n".join([*lines, *describe.get(found["kind"], _table)(found)])
+    return "\n".join([*lines, *describe.get(summary["kind"], _table)(summary)])
 
 
 def _origin(origin: Mapping[str, Any] | None) -> Iterator[str]:

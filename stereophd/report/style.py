@@ -10,7 +10,10 @@ from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from stereophd.core.geometry.camera import Camera
 
@@ -46,6 +49,21 @@ STYLE: dict[Any, Any] = {
     "ytick.color": INK,
     "savefig.dpi": 150.0,
 }
+
+
+def plots_named(paths: Mapping[str, Path]) -> list[str]:
+    """Return the plots that files such as ``ospa.svg`` show, each once."""
+    return list(dict.fromkeys(name.rsplit(".", 1)[0] for name in paths))
+
+
+def save_figures(figures: Mapping[str, Figure], paths: Mapping[str, Path], **options: Any) -> None:
+    """Write figures, by plot, as the files that `paths` names: png or svg; to be called in the style they have."""
+    for name, path in paths.items():
+        plot, kind = name.rsplit(".", 1)
+        # Metadata of the files (date, program) would differ between runs.
+        metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
+        how = {"pad_inches": 0.15, **options}
+        figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", **how)
 
 
 def marker_of(number: int) -> str:

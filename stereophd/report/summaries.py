@@ -35,8 +35,8 @@ def share(value: float | None) -> str:
 
 def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the figures of a tracking run inside a report; empty if there are none."""
-    found = report.get("tracking", report)
-    return found if isinstance(found.get("tracks"), list) else {}
+    part = report.get("tracking", report)
+    return part if isinstance(part.get("tracks"), list) else {}
 
 
 def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
@@ -80,19 +80,19 @@ def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
 
 def _parameters(report: Mapping[str, Any]) -> SummaryTable:
     rows = []
-    for one in report["parameters"]:
-        angle = one["unit"].startswith("rad")
-        factor, unit = (math.degrees(1.0), f"deg{one['unit'][3:]}") if angle else (1.0, one["unit"])
-        mean = None if one["mean"] is None else factor * one["mean"]
+    for estimate in report["parameters"]:
+        angle = estimate["unit"].startswith("rad")
+        factor, unit = (math.degrees(1.0), f"deg{estimate['unit'][3:]}") if angle else (1.0, estimate["unit"])
+        mean = None if estimate["mean"] is None else factor * estimate["mean"]
         rows.append(
             (
-                one["name"],
+                estimate["name"],
                 unit,
-                number(factor * one["prior_std"]),
+                number(factor * estimate["prior_std"]),
                 number(mean),
-                number(factor * one["std"]),
-                number(one["posterior_over_prior_std"], 2),
-                "the data" if one["determined_by_data"] else "the prior",
+                number(factor * estimate["std"]),
+                number(estimate["posterior_over_prior_std"], 2),
+                "the data" if estimate["determined_by_data"] else "the prior",
             )
         )
     header = ("parameter", "unit", "prior std", "offset from prior", "std", "std / prior std", "determined by")
@@ -101,12 +101,12 @@ def _parameters(report: Mapping[str, Any]) -> SummaryTable:
 
 def _clocks(report: Mapping[str, Any], described: Mapping[str, Any]) -> dict[str, str]:
     """Return offset and rate of every clock, with the correction that a calibration found."""
-    found = {one["name"]: one for one in report.get("parameters", ())}
+    estimates = {estimate["name"]: estimate for estimate in report.get("parameters", ())}
     out = {}
     for name, camera in described.items():
         clock = camera.get("clock") or {}
         offset, rate = float(clock.get("offset_s") or 0.0), float(clock.get("rate") or 1.0)
-        estimated = found.get(f"{name}.clock_offset")
+        estimated = estimates.get(f"{name}.clock_offset")
         if estimated is not None and estimated["mean"] is not None:
             text = f"{offset + estimated['mean']:+.4f} s +- {number(estimated['std'], 2)}"
         else:
@@ -153,22 +153,22 @@ def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) ->
         return SummaryTable("Tracks", (), (), ("no tracks",))
     names = list(tracks[0]["n_detections"])
     each = names if len(names) <= CAMERAS_SHOWN else []
-    by_length = sorted(tracks, key=lambda one: (one["first_s"] - one["last_s"], one["track_id"]))
-    chosen = sorted(by_length[: len(tracks) if most is None else most], key=lambda one: one["track_id"])
+    by_length = sorted(tracks, key=lambda track: (track["first_s"] - track["last_s"], track["track_id"]))
+    chosen = sorted(by_length[: len(tracks) if most is None else most], key=lambda track: track["track_id"])
     rows = []
-    for one in chosen:
-        counts = one["n_detections"]
+    for track in chosen:
+        counts = track["n_detections"]
         rows.append(
             (
-                str(one["track_id"]),
-                f"{one['first_s']:.2f}",
-                f"{one['last_s']:.2f}",
-                f"{one['last_s'] - one['first_s']:.2f}",
+                str(track["track_id"]),
+                f"{track['first_s']:.2f}",
+                f"{track['last_s']:.2f}",
+                f"{track['last_s'] - track['first_s']:.2f}",
                 *(str(counts[name]) for name in each),
                 *(() if each else (str(sum(counts.values())), str(sum(n > 0 for n in counts.values())))),
-                number(one.get("mean_speed")),
-                number(one.get("mean_position_std"), 2),
-                number(one["mean_existence"], 2),
+                number(track.get("mean_speed")),
+                number(track.get("mean_position_std"), 2),
+                number(track["mean_existence"], 2),
             )
         )
     header = (
@@ -181,11 +181,11 @@ def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) ->
 
 
 def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:
-    warnings = [found for found in checks if found["status"] == "warning"]
+    warnings = [check for check in checks if check["status"] == "warning"]
     rows = tuple(
-        (found["name"], found["camera"] or "all", found["message"], found["remedy"] or "-") for found in warnings
+        (check["name"], check["camera"] or "all", check["message"], check["remedy"] or "-") for check in warnings
     )
-    fine = sum(found["status"] == "ok" for found in checks)
+    fine = sum(check["status"] == "ok" for check in checks)
     note = f"{fine} of {len(checks)} checks passed" + (f", {len(warnings)} warn" if warnings else "")
     return SummaryTable(CHECKS, ("check", "camera", "finding", "remedy"), rows, (note,))
 
@@ -228,7 +228,7 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""
         yield f"OSPA {number(ospa['mean'])}{scale} (cutoff {ospa['cutoff']:g}{scale})"
-    warnings = [found["name"] for found in report.get("checks", ()) if found["status"] == "warning"]
+    warnings = [finding["name"] for finding in report.get("checks", ()) if finding["status"] == "warning"]
     if warnings:
         what = "check warns" if len(warnings) == 1 else "checks warn"
         yield f"{len(warnings)} {what}: {', '.join(dict.fromkeys(warnings))}"

@@ -97,7 +97,7 @@ def test_without_words_the_help_is_shown(call: Call, command: list[str]) -> None
     [
         (["trakc"], "No such command 'trakc'"),
         (["track"], "Missing argument 'CONFIG'"),
-        (["track", "a", "b"], "Missing option '--out'"),
+        (["track", "a", "b"], "--out: expected a folder, found none"),
         (["track", "a", "b", "--out", "c", "--treads", "2"], "--treads"),
         (["track", "a", "b", "--out", "c", "--threads", "0"], "--threads"),
         (["simulate", "a", "b", "--out", "d"], "unexpected extra argument"),
@@ -151,7 +151,7 @@ def test_parts_of_an_error(message: str) -> None:
     [
         (["track", "a", "b", "--out", "c", "--jobs", "0"], "--jobs", "a value .*1", "0"),
         (["simulate", "a", "--out", "b", "--seed", "x"], "--seed", "a valid integer", "x"),
-        (["track", "a", "b"], "--out", "a value", "none"),
+        (["track", "a", "b"], "--out", "a folder", "none (see 'stereophd track --help')"),
         (["track", "a", "b", "--out", "c", "--treads"], "--treads", "a known option", "--treads"),
         (["trakc"], "trakc", "a known command", "trakc"),
         (["simulate", "a", "b", "--out", "d"], None, "no further argument", "b"),
@@ -235,7 +235,7 @@ class TestConfig:
         values = yaml.safe_load(shown.out)
         assert values["filter"]["merge_distance"] == 4.0
         assert values["seed"] == 8
-        assert values["input"] == {"on_bad_row": "error", "image_margin_px": 10.0}
+        assert values["input"] == {"on_bad_row": "error", "image_margin_px": 10.0, "leave_out": {}}
         (tmp_path / "copy.yaml").write_text(shown.out)
         assert call("config", "show", tmp_path / "copy.yaml").out == shown.out
 

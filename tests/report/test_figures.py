@@ -10,8 +10,8 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
+from stereophd.report.plots.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
 from stereophd.report.scores import scores_text
-from stereophd.report.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
 
 
 def camera(rotation: np.ndarray, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Camera:
@@ -81,7 +81,7 @@ def test_convex_hull():
 
 def pictures(scans: int):
     pytest.importorskip("matplotlib")
-    from stereophd.report.plots import Pictures
+    from stereophd.report.plots.figures import Pictures
 
     time = np.arange(scans, dtype=float)
     position = np.stack([time, np.sin(time), 100 + 0 * time], axis=1)
@@ -97,7 +97,7 @@ def pictures(scans: int):
 @pytest.mark.parametrize("scans", [1, 50, 4000])
 def test_plots_are_made_for_short_and_long_runs(tmp_path, scans):
     data = pictures(scans)
-    from stereophd.report.plots import write_plots
+    from stereophd.report.plots.figures import write_plots
 
     names = [f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg")]
     write_plots(data, {name: tmp_path / name for name in names})
@@ -110,8 +110,8 @@ def test_plots_are_made_for_short_and_long_runs(tmp_path, scans):
 
 def test_what_is_drawn():
     data = pictures(50)
-    from stereophd.report.scene_plots import draw_views
-    from stereophd.report.time_plots import draw_cardinality, draw_ospa
+    from stereophd.report.plots.scene_plots import draw_views
+    from stereophd.report.plots.time_plots import draw_cardinality, draw_ospa
 
     whole, parts = draw_ospa(data).axes
     assert whole.lines[0].get_ydata() == pytest.approx(data.columns["ospa"])
@@ -129,7 +129,7 @@ def test_what_is_drawn():
 def test_lines_break_where_nothing_was_scored():
     from dataclasses import replace
 
-    from stereophd.report.time_plots import draw_ospa
+    from stereophd.report.plots.time_plots import draw_ospa
 
     data = pictures(60)
     columns = {**data.columns, "time_s": data.columns["time_s"] + np.where(np.arange(60) < 20, 0, 100)}
@@ -139,7 +139,7 @@ def test_lines_break_where_nothing_was_scored():
 
 
 def test_long_runs_are_drawn_as_means_and_ranges():
-    from stereophd.report.time_plots import MOST_SCANS_DRAWN, draw_ospa
+    from stereophd.report.plots.time_plots import MOST_SCANS_DRAWN, draw_ospa
 
     data = pictures(10 * MOST_SCANS_DRAWN)
     whole = draw_ospa(data).axes[0]
@@ -222,6 +222,7 @@ def test_the_table_of_a_run_without_identities_or_covariances():
     completeness = {"mean": 0.5, "mean_dominant": None, "fragmentation": None, "table": []}
     changes = {"identity_switches": None, "purity": purity, "completeness": completeness, "nees": nees}
     changes |= dict.fromkeys(("idf1", "id_precision", "id_recall"))
+    changes["clear_mot"] = {"mota": None, "mostly_tracked": None, "mostly_lost": None}
     changes["confirmation"] = {"mean_s": None, "median_s": None, "first_report_mean_s": None, "objects": 0, "never": 2}
     changes["hota"] = dict.fromkeys(("mean", "detection", "association", "localisation"))
     text = scores_text(report(**changes, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
@@ -233,7 +234,7 @@ def test_the_table_of_a_run_without_identities_or_covariances():
 def test_spikes_do_not_hide_the_rest():
     from dataclasses import replace
 
-    from stereophd.report.time_plots import draw_ospa
+    from stereophd.report.plots.time_plots import draw_ospa
 
     data = pictures(60)
     flat = np.full(60, 0.2)
@@ -246,7 +247,7 @@ def test_spikes_do_not_hide_the_rest():
 def test_false_and_missed_tracks_are_marked_and_colours_have_marks():
     from dataclasses import replace
 
-    from stereophd.report.scene_plots import draw_views
+    from stereophd.report.plots.scene_plots import draw_views
     from stereophd.report.style import TRACK_COLOURS, dash_of, marker_of
 
     data = pictures(50)

@@ -50,14 +50,14 @@ def calibration_bound(
     precisions, log_times, heights = np.zeros((len(times), 2, 2)), np.zeros(len(times)), np.zeros(len(times))
     noise = np.inf
     for number, camera in enumerate(built):
-        here = np.flatnonzero(cameras == number)
-        log_times[here] = camera.clock.to_log(times[here])
+        part = np.flatnonzero(cameras == number)
+        log_times[part] = camera.clock.to_log(times[part])
         # objects that are seen move little during the readout
-        view = look(camera, positions[here], np.zeros((len(here), 3)), times[here], log_times[here], heights[here])
+        view = look(camera, positions[part], np.zeros((len(part), 3)), times[part], log_times[part], heights[part])
         inside = camera.contains(np.where(view.visible[:, None], view.pixels, np.nan))
-        heights[here] = view.pixels[:, 1] / camera.height
-        seen[here] = inside
-        rows = here[inside]
+        heights[part] = view.pixels[:, 1] / camera.height
+        seen[part] = inside
+        rows = part[inside]
         precisions[rows] = camera.detector.p_detect * np.diag(camera.detector.sigma**-2.0)
         if len(rows):
             depth = float(np.median(view.points[inside, 2]))

@@ -97,19 +97,19 @@ def noiseless_paths(
     seen = paths.start_s[None, :] <= times_s[:, None]
     for k, time_s in enumerate(times_s):
         data = detections.until(float(time_s))
-        here = seen[k]
-        if not here.any():
+        known = seen[k]
+        if not known.any():
             continue
         parameters, information = _fit(paths, data, parameters)
         points, jacobian = projective(paths.to_world, parameters[:, :3])
-        reach, keep, drift = motion.flow(time_s - paths.start_s[here])
-        states[k, here, 3:] = keep[:, None] * parameters[here, 3:] + drift[:, 3:]
-        states[k, here, :3] = points[here] + reach[:, None] * parameters[here, 3:] + drift[:, :3]
-        to_state = np.zeros((int(here.sum()), 6, 6))
-        to_state[:, :3, :3] = jacobian[here]
+        reach, keep, drift = motion.flow(time_s - paths.start_s[known])
+        states[k, known, 3:] = keep[:, None] * parameters[known, 3:] + drift[:, 3:]
+        states[k, known, :3] = points[known] + reach[:, None] * parameters[known, 3:] + drift[:, :3]
+        to_state = np.zeros((int(known.sum()), 6, 6))
+        to_state[:, :3, :3] = jacobian[known]
         to_state[:, :3, 3:] = reach[:, None, None] * np.eye(3)
         to_state[:, 3:, 3:] = keep[:, None, None] * np.eye(3)
-        covariances[k, here] = to_state @ np.linalg.inv(information[here]) @ np.swapaxes(to_state, 1, 2)
+        covariances[k, known] = to_state @ np.linalg.inv(information[known]) @ np.swapaxes(to_state, 1, 2)
     return states, covariances, seen
 
 

@@ -198,10 +198,10 @@ class Motion(ABC):
 
 def accelerations(values: ArrayLike) -> tuple[float, float, float]:
     """Return one acceleration or three as three numbers; ValueError if they are not finite numbers >= 0."""
-    found = np.asarray(values, dtype=np.float64)
-    if found.shape not in ((), (3,)) or not ((found >= 0.0) & np.isfinite(found)).all():
+    given = np.asarray(values, dtype=np.float64)
+    if given.shape not in ((), (3,)) or not ((given >= 0.0) & np.isfinite(given)).all():
         raise ValueError(f"motion: expected three accelerations >= 0, found {values!r}")
-    first, second, third = np.broadcast_to(found, 3).tolist()
+    first, second, third = np.broadcast_to(given, 3).tolist()
     return first, second, third
 
 

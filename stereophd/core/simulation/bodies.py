@@ -84,9 +84,9 @@ class Body:
         sway = (self.amplitudes * np.cos(angles)).sum(axis=1)
         rate = -(self.amplitudes * self.frequencies * np.sin(angles)).sum(axis=1)
         turning = _angular_velocities(sway[:, 3:], rate[:, 3:])
-        found = BodyPoses(times_s, self.center + sway[:, :3], rotations(sway[:, 3:]), rate[:, :3], turning)
-        self._latest[:] = [found]
-        return found
+        latest = BodyPoses(times_s, self.center + sway[:, :3], rotations(sway[:, 3:]), rate[:, :3], turning)
+        self._latest[:] = [latest]
+        return latest
 
 
 def _angular_velocities(vectors: Array, rates: Array) -> Array:

@@ -140,9 +140,9 @@ def _row_delays(camera: Camera, points: Array, velocities: Array, times_s: Array
         rows = camera.project_at(points + delays[:, None] * velocities, times_s + delays)[:, 1]
         # outside the image (NaN: behind the camera) nothing is read: any time will do
         rows = np.clip(np.where(np.isnan(rows), camera.height / 2.0, rows), *outermost)
-        found = camera.readout_s / camera.height * rows
-        change = np.abs(found - delays)
-        delays = found
+        reached = camera.readout_s / camera.height * rows
+        change = np.abs(reached - delays)
+        delays = reached
         if not (change > READOUT_TOLERANCE_S).any():
             break
     return np.where(change > READOUT_TOLERANCE_S, np.nan, delays)
@@ -154,9 +154,9 @@ def _project_in_view(camera: Camera, points: Array, times_s: Array) -> tuple[Arr
         return np.asarray(camera.project(points)), np.asarray(camera.in_view(points), dtype=np.bool_)
     pixels = np.empty((len(points), 2))
     in_view = np.zeros(len(points), dtype=np.bool_)
-    for time_s, here in instants(times_s):  # a moving camera is another camera at every instant
+    for time_s, rows in instants(times_s):  # a moving camera is another camera at every instant
         frozen = camera.at(time_s)
-        pixels[here], in_view[here] = frozen.project(points[here]), frozen.in_view(points[here])
+        pixels[rows], in_view[rows] = frozen.project(points[rows]), frozen.in_view(points[rows])
     return pixels, in_view
 
 

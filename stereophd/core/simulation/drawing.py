@@ -41,8 +41,8 @@ def in_view_at(camera: Camera, points: Array, times_s: Array) -> Booleans:
     if camera.pose.is_static:
         return np.asarray(camera.in_view(points), dtype=np.bool_)
     result = np.zeros(len(points), dtype=np.bool_)
-    for time_s, here in instants(times_s):  # a moving camera is another camera at every instant
-        result[here] = camera.at(time_s).in_view(points[here])
+    for time_s, rows in instants(times_s):  # a moving camera is another camera at every instant
+        result[rows] = camera.at(time_s).in_view(points[rows])
     return result
 
 
@@ -69,11 +69,11 @@ def draw_objects(
     )
     drawn = []
     for index, (start_s, child) in enumerate(zip(birth_s, object_seed.spawn(birth_s.size), strict=True)):
-        own = np.random.default_rng(child)
+        object_generator = np.random.default_rng(child)
         mean_s = drawing.mean_lifetime_s
-        death_s = np.inf if mean_s is None else start_s + own.exponential(mean_s)
+        death_s = np.inf if mean_s is None else start_s + object_generator.exponential(mean_s)
         life = (first_id + index, float(start_s), float(death_s))
-        drawn.append(_draw_one(drawing, cameras, grid, motion, own, life))
+        drawn.append(_draw_one(drawing, cameras, grid, motion, object_generator, life))
     return tuple(drawn)
 
 

@@ -48,13 +48,7 @@ class JointPairs(NamedTuple):
 
 
 def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float) -> dict[int, int]:
-    """Find tracks that continue others, which end at most `max_gap_s` before.
-
-    Returns
-    -------
-    dict
-        Track -> the earlier track that it continues, for those that do.
-    """
+    """Find tracks that continue others, which end at most `max_gap_s` before: track -> the earlier one it continues."""
     if not trajectories:
         return {}
     starts = np.array([t.times[0] for t in trajectories])
@@ -88,18 +82,10 @@ def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float)
 def join_probabilities(
     before: Sequence[Trajectory], after: Sequence[Trajectory], times: Array, at_s: float, decay_s: float
 ) -> JointPairs:
-    """Return the probabilities that tracks of two runs are one object.
+    """Return the probabilities that tracks of two runs, in their overlap, are one object.
 
-    Parameters
-    ----------
-    before, after : sequences of Trajectory
-        Tracks of the two runs in their overlap; their events are numbered alike.
-    times : array (n,)
-        Times of all events of the overlap, s.
-    at_s : float
-        Time of the join.
-    decay_s : float
-        An event this far from the join has the weight 1/e.
+    Their events are numbered alike; `times` (n,) are those of all events of the overlap, s. An event `decay_s` from the
+    time `at_s` of the join has the weight 1/e.
     """
     chosen: list[int] = []
     if len(times):

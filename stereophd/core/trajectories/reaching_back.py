@@ -44,14 +44,7 @@ class Extended:
 def reach_back(trajectory: Trajectory, others: Sequence[Trajectory], run: WholeRun, max_gap_s: float) -> Extended:
     """Continue a smoothed trajectory back to the first detection that its object probably made.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    others : sequence of Trajectory
-        All other tracks, smoothed.
-    run : WholeRun
-    max_gap_s : float
-        Longest time to look back, s.
+    `others` are all other tracks, smoothed; `max_gap_s` is the longest time to look back.
     """
     first = int(trajectory.events[0])
     # in logarithms: of the factor of all events so far, and of the weight of each event as the first

@@ -57,17 +57,9 @@ def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
 def extend_back(
     trajectory: Trajectory, events: NDArray[np.int64], times: Array, motion: Motion, existence: Array | None = None
 ) -> Trajectory:
-    """Return the trajectory continued back over earlier events, by backward prediction.
+    """Return a smoothed trajectory continued back over events (j,) before its first, in order, by backward prediction.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Smoothed.
-    events, times : arrays (j,)
-        Events before its first, in order.
-    motion : Motion
-    existence : array (j,), optional
-        At these events; default that at its first.
+    The existence at these events is (j,); by default that at the first event of the trajectory.
     """
     if existence is None:
         existence = np.full(len(events), trajectory.existence[0])

@@ -71,19 +71,10 @@ class Cut(NamedTuple):
 
 
 def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> list[Chain]:
-    """Let smoothed tracks choose their detections anew.
+    """Let smoothed tracks, over events from their first to their last, choose their detections anew.
 
-    Parameters
-    ----------
-    tracks : sequence of Chain
-        Smoothed, over events from their first to their last; no two have the same detection.
-    run : WholeRun
-        With objects that move.
-
-    Returns
-    -------
-    list of Chain
-        The same tracks: smoothed again from their detections if any of these changed, and otherwise those given.
+    No two have the same detection; the objects of the run move. Returns the same tracks: smoothed again from their
+    detections if any of these changed, and otherwise those given.
     """
     book = _Book(tracks, _owners(tracks, run), run)
     interval = _frame_interval(run)

@@ -41,23 +41,10 @@ class _Track:
 
 
 def linked(times: Array, first: Integers, points: Array, noise: Array, reach: float) -> list[Integers]:
-    """Link the detections of one camera, frame by frame.
+    """Link the detections of one camera, frame by frame: the detections of each track.
 
-    Parameters
-    ----------
-    times : array (f,)
-        Times of the frames, s, increasing.
-    first : array (f + 1,) of int
-        Frame i has the detections first[i] to first[i + 1] - 1.
-    points, noise : arrays (n, 2), (n,)
-        Pixels, and their standard deviation.
-    reach : float
-        Longest distance from a prediction, px.
-
-    Returns
-    -------
-    list of arrays of int
-        Detections of each track.
+    Times (f,) of the frames increase, s; frame i has the detections first[i] to first[i + 1] - 1. Points (n, 2) are
+    pixels and `noise` (n,) their standard deviation; `reach` is the longest distance from a prediction, px.
     """
     every: list[_Track] = []
     active: list[_Track] = []

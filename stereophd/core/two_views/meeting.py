@@ -13,13 +13,9 @@ LEAST_SQUARED_SINE = 1e-12
 def nearest_depths(rays_a: Array, rays_b: Array, between: Array) -> tuple[Array, Array, Array]:
     """Depths (...,) along both rays where they come nearest to each other, and the sine (...,) of their angle.
 
-    Parameters
-    ----------
-    rays_a, rays_b : arrays (..., 3)
-        In the axes of the world. A depth is in units of their lengths, so that it is the depth before the camera where
-        the third component in the camera's axes is 1.
-    between : array (..., 3)
-        Centre of the second camera less that of the first.
+    Rays (..., 3) are in the axes of the world, and a depth is in units of their lengths, so that it is the depth before
+    the camera where the third component in the camera's axes is 1. `between` (..., 3) is the centre of the second
+    camera less that of the first.
     """
     aa, bb, ab, da, db = (
         np.einsum("...i,...i->...", one, other)

@@ -83,10 +83,10 @@ class PartStore:
         """Store the outcomes of a chunk that came without an error."""
         method, case, seed = chunk.part.method, chunk.part.case, chunk.part.config.config.seed
         runs = [
-            FinishedRun(one.run, 0 if one.run == BOUND_RUN else run_number(seed, one.run), one.series, one.cpu_s)
-            for one in outcomes
+            FinishedRun(run.run, 0 if run.run == BOUND_RUN else run_number(seed, run.run), run.series, run.cpu_s)
+            for run in outcomes
         ]
-        key = json.dumps([method, case, [one.run for one in outcomes]])
+        key = json.dumps([method, case, [run.run for run in outcomes]])
         name = hashlib.sha256(key.encode()).hexdigest()[:NAME_LENGTH]
         self.unfinished.write(name, FinishedChunk(method, case, runs))
 
@@ -94,9 +94,9 @@ class PartStore:
         """Return all finished runs, or raise InputError when a file is damaged."""
         chunks = [self.unfinished.read(name, FinishedChunk) for name in self.unfinished.names()]
         return [
-            RunResult(chunk.method, chunk.case, one.run, one.seed if one.series else 0, one.series, one.cpu_s)
+            RunResult(chunk.method, chunk.case, run.run, run.seed if run.series else 0, run.series, run.cpu_s)
             for chunk in chunks
-            for one in chunk.runs
+            for run in chunk.runs
         ]
 
 

@@ -55,11 +55,11 @@ class Results:
 
 
 def gather_results(
-    loaded: LoadedConfig, settings: ExperimentConfig, parts: list[Part], found: list[RunResult]
+    loaded: LoadedConfig, settings: ExperimentConfig, parts: list[Part], results: list[RunResult]
 ) -> tuple[Results, list[RunResult]]:
     """Return the summaries, and all runs in their order, with their means over the windows."""
     by_part: dict[tuple[str, str], dict[int, RunResult]] = {}
-    for result in found:
+    for result in results:
         by_part.setdefault((result.method, result.case), {})[result.run] = result
     bounds: Mapping[str, list[Series]] = {
         part.case: with_windows(by_part[part.method, part.case][BOUND_RUN].series, settings.windows, squares=False)
@@ -71,14 +71,14 @@ def gather_results(
     for part in parts:
         if part.method == BOUND_METHOD:
             continue
-        own = [by_part[part.method, part.case][run] for run in range(settings.runs)]
-        series = [with_windows(result.series, settings.windows) for result in own]
+        done = [by_part[part.method, part.case][run] for run in range(settings.runs)]
+        series = [with_windows(result.series, settings.windows) for result in done]
         summaries = summarise(series, bounds[part.case])
         cells.append(Cell(part.method, part.case, names[part.case], tuple(summaries)))
         runs += [
-            RunResult(r.method, r.case, r.run, r.seed, tuple(s), r.cpu_s) for r, s in zip(own, series, strict=True)
+            RunResult(r.method, r.case, r.run, r.seed, tuple(s), r.cpu_s) for r, s in zip(done, series, strict=True)
         ]
-        cpu.setdefault(part.method, []).extend(result.cpu_s for result in own)
+        cpu.setdefault(part.method, []).extend(result.cpu_s for result in done)
     return Results(experiment_name(loaded), settings, tuple(cells), _timing(cpu)), runs
 
 
@@ -94,14 +94,14 @@ def report_of(results: Results) -> dict[str, Any]:
         {
             "method": cell.method,
             "case": cell.case,
-            "quantity": one.quantity,
-            "unit": one.unit,
-            "runs": int(one.runs[0]),
-            **{name: float(getattr(one, name)[0]) for name in ("mean", "std", "ci_low", "ci_high", "bound")},
+            "quantity": summary.quantity,
+            "unit": summary.unit,
+            "runs": int(summary.runs[0]),
+            **{name: float(getattr(summary, name)[0]) for name in ("mean", "std", "ci_low", "ci_high", "bound")},
         }
         for cell in results.cells
-        for one in cell.summaries
-        if one.times_s is None
+        for summary in cell.summaries
+        if summary.times_s is None
     ]
     return {"experiment": results.name, "runs": results.config.runs, "summary": rows, "timing": results.timing}
 
@@ -133,10 +133,10 @@ def write_results(results: Results, runs: Sequence[RunResult], loaded: LoadedCon
 def read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) -> Results:
     """Return the results of a finished experiment from its files."""
     names = {case: points for case, points, _ in cases_of(settings)}
-    found: dict[tuple[str, str], list[Summary]] = {}
+    by_cell: dict[tuple[str, str], list[Summary]] = {}
     for method, case, summary in read_summaries(out / SUMMARY_FILE):
-        found.setdefault((method, case), []).append(summary)
-    cells = tuple(Cell(*key, names[key[1]], tuple(summaries)) for key, summaries in found.items())
+        by_cell.setdefault((method, case), []).append(summary)
+    cells = tuple(Cell(*key, names[key[1]], tuple(summaries)) for key, summaries in by_cell.items())
     try:
         timing = json.loads((out / TIMING_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -51,17 +51,19 @@ def with_windows(series: Sequence[Series], windows: Windows, squares: bool = Tru
     """
     out = list(series)
     for name, (first, last) in windows.items():
-        for one in series:
-            if one.times_s is None:
+        for run_series in series:
+            if run_series.times_s is None:
                 continue
-            inside = (one.times_s >= first) & (one.times_s <= last) & ~np.isnan(one.values)
-            values = one.values[inside]
+            inside = (run_series.times_s >= first) & (run_series.times_s <= last) & ~np.isnan(run_series.values)
+            values = run_series.values[inside]
             mean = np.array([values.mean() if values.size else np.nan])
             with np.errstate(over="ignore"):  # of a filter that has lost all it knew
                 root = np.array([np.sqrt((values**2).mean()) if values.size else np.nan])
-            out.append(Series(f"{one.quantity}_{name}", one.unit, root if is_rms(one.quantity) else mean))
-            if squares and one.quantity.endswith(ERROR):
-                out.append(Series(f"{one.quantity.removesuffix(ERROR)}{RMSE}_{name}", one.unit, root))
+            out.append(
+                Series(f"{run_series.quantity}_{name}", run_series.unit, root if is_rms(run_series.quantity) else mean)
+            )
+            if squares and run_series.quantity.endswith(ERROR):
+                out.append(Series(f"{run_series.quantity.removesuffix(ERROR)}{RMSE}_{name}", run_series.unit, root))
     return out
 
 
@@ -74,12 +76,12 @@ def summarise(runs: Sequence[Sequence[Series]], bounds: Iterable[Series]) -> lis
     """Return the summaries of one method in one case, from the series of every run and the bounds of the case."""
     quantities: dict[tuple[str, str, bool], list[Series]] = {}
     for run in runs:
-        for one in run:
-            quantities.setdefault((one.quantity, one.unit, one.times_s is None), []).append(one)
-    known = {(one.quantity, one.times_s is None): one for one in bounds}
+        for series in run:
+            quantities.setdefault((series.quantity, series.unit, series.times_s is None), []).append(series)
+    known = {(series.quantity, series.times_s is None): series for series in bounds}
     out = []
-    for (quantity, unit, whole), found in quantities.items():
-        times_s, values = _matrix(found)
+    for (quantity, unit, whole), alike in quantities.items():
+        times_s, values = _matrix(alike)
         names = [quantity]
         if quantity.endswith(ERROR):
             names.append(quantity.removesuffix(ERROR) + RMSE)
@@ -89,18 +91,18 @@ def summarise(runs: Sequence[Sequence[Series]], bounds: Iterable[Series]) -> lis
     return out
 
 
-def _matrix(found: Sequence[Series]) -> tuple[Array | None, Array]:
+def _matrix(runs: Sequence[Series]) -> tuple[Array | None, Array]:
     """Return the times (k,) and the values (runs, k), NaN where a run has none."""
-    first = found[0].times_s
+    first = runs[0].times_s
     if first is None:
-        return None, np.array([one.values for one in found])
-    if all(one.times_s is not None and np.array_equal(one.times_s, first) for one in found):
-        return first, np.array([one.values for one in found])
-    rounded = [np.round(one.times_s, TIME_DECIMALS) for one in found if one.times_s is not None]
+        return None, np.array([run.values for run in runs])
+    if all(run.times_s is not None and np.array_equal(run.times_s, first) for run in runs):
+        return first, np.array([run.values for run in runs])
+    rounded = [np.round(run.times_s, TIME_DECIMALS) for run in runs if run.times_s is not None]
     times_s = np.unique(np.concatenate(rounded))
-    values = np.full((len(found), len(times_s)), np.nan)
-    for row, own, one in zip(values, rounded, found, strict=True):
-        row[np.searchsorted(times_s, own)] = one.values
+    values = np.full((len(runs), len(times_s)), np.nan)
+    for row, run_times, run in zip(values, rounded, runs, strict=True):
+        row[np.searchsorted(times_s, run_times)] = run.values
     return times_s, values
 
 
@@ -157,7 +159,7 @@ class QuantityCheck:
             return
         self._left.remove((method, case))
         summaries = summarise([with_windows(series, self._windows)], [])
-        self._known |= dict.fromkeys(one.quantity for one in summaries)
+        self._known |= dict.fromkeys(summary.quantity for summary in summaries)
         if self._left:
             return
         for key, names in self._wanted.items():

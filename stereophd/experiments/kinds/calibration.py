@@ -114,8 +114,8 @@ def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, Pa
     true_cameras = loaded.build_cameras()
     scene = build_scene(config, true_cameras, RUN_OBJECTS.seed(config.seed, number))
     guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, number))
-    own = RUN_METHOD.seed(config.seed, number).generate_state(1)
-    guessed = replace(loaded, config=config.model_copy(update={"seed": int(own[0]), "cameras": guess}))
+    run_seed = RUN_METHOD.seed(config.seed, number).generate_state(1)
+    guessed = replace(loaded, config=config.model_copy(update={"seed": int(run_seed[0]), "cameras": guess}))
     parameters, reference = build_parameters(guessed)
     return scene, guessed, parameters, reference, parameters.difference(true_cameras)
 
@@ -154,7 +154,7 @@ def _errors(
         for name, value in figures.items():
             values.setdefault(name, np.full(len(times), np.nan))[k] = value
     units = _units(parameters, unit)
-    return [Series(name, units.get(name, "1"), one, times) for name, one in values.items()]
+    return [Series(name, units.get(name, "1"), series, times) for name, series in values.items()]
 
 
 def _consistency(
@@ -177,7 +177,7 @@ def _bound_series(
     times, units = _times(loaded), _units(parameters, loaded.config.units.length)
     spreads = [_spreads(parameters, reference, true, covariance) for covariance in covariances]
     series = [
-        Series(f"{name}_rmse", units[f"{name}_error"], np.array([one[f"{name}_std"] for one in spreads]), times)
+        Series(f"{name}_rmse", units[f"{name}_error"], np.array([spread[f"{name}_std"] for spread in spreads]), times)
         for name in ("rotation", "direction", "center")
     ]
     for j, name in enumerate(_names(parameters)):
@@ -194,9 +194,9 @@ def _spreads(parameters: ParameterSet, reference: int, values: Array, covariance
     cameras = posed_cameras(parameters)
     spreads = [pose_spread(parameters, reference, values, covariance, camera) for camera in cameras]
     return {
-        "rotation_std": math.degrees(_root(np.array([one.rotation for one in spreads]))),
-        "direction_std": math.degrees(_root(np.array([one.direction for one in spreads]))),
-        "center_std": _root(np.array([one.center for one in spreads])),
+        "rotation_std": math.degrees(_root(np.array([spread.rotation for spread in spreads]))),
+        "direction_std": math.degrees(_root(np.array([spread.direction for spread in spreads]))),
+        "center_std": _root(np.array([spread.center for spread in spreads])),
     }
 
 

@@ -51,8 +51,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     case, reference = _case(loaded)
     moments = loaded.config.moments
     rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
-    found = compare_move(case, moments.method, moments.samples, reference, rng)
-    return [Series("divergence", "nat", np.array([found.divergence])), *_moments(found)]
+    comparison = compare_move(case, moments.method, moments.samples, reference, rng)
+    return [Series("divergence", "nat", np.array([comparison.divergence])), *_moments(comparison)]
 
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
@@ -62,9 +62,9 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
 
 def _case(loaded: LoadedConfig) -> tuple[MoveCase, MoveMoments]:
     """Return what is carried over, and the reference: the same for all methods and runs, and made once a process."""
-    own = {key: value for key, value in loaded.resolved.items() if key not in NOT_IN_REFERENCE}
+    case_settings = {key: value for key, value in loaded.resolved.items() if key not in NOT_IN_REFERENCE}
     try:
-        return _reference(canonical_json(own))
+        return _reference(canonical_json(case_settings))
     except OutOfViewError as error:
         raise InputError(f"{loaded.path}: experiment.scenario: {error}") from None
 
@@ -92,12 +92,12 @@ def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
     return case, reference_moments(case, rng, settings.reference_samples)
 
 
-def _moments(found: MoveMoments) -> list[Series]:
+def _moments(moments: MoveMoments) -> list[Series]:
     """Return the mean and covariance of (u, v, d), and the share in view."""
-    series = [Series("share_in_view", "1", np.array([found.fraction]))]
-    series += [Series(f"mean_{axis}", "px", found.mean[i : i + 1]) for i, axis in enumerate(AXES)]
+    series = [Series("share_in_view", "1", np.array([moments.fraction]))]
+    series += [Series(f"mean_{axis}", "px", moments.mean[i : i + 1]) for i, axis in enumerate(AXES)]
     pairs = [(i, j) for i in range(len(AXES)) for j in range(i, len(AXES))]
-    series += [Series(f"covariance_{AXES[i]}{AXES[j]}", "px^2", found.covariance[i, j : j + 1]) for i, j in pairs]
+    series += [Series(f"covariance_{AXES[i]}{AXES[j]}", "px^2", moments.covariance[i, j : j + 1]) for i, j in pairs]
     return series
 
 

@@ -94,18 +94,18 @@ def filtered_points(
     records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
     estimates = [record.estimates for record in records]
     if tentative:
-        estimates = [one.with_tentative() for one in estimates]
+        estimates = [reported.with_tentative() for reported in estimates]
     if config.report.max_position_std is not None:
-        estimates = [one.certain(config.report.max_position_std) for one in estimates]
+        estimates = [reported.certain(config.report.max_position_std) for reported in estimates]
     return points_of_estimates([estimates[event] for event in last.tolist()])
 
 
 def points_of_estimates(estimates: Sequence[Estimates]) -> PointSets:
     """Return reported objects as sets of points, one per scan."""
-    start = np.concatenate([[0], np.cumsum([len(one.track_ids) for one in estimates])]).astype(np.int64)
-    states = np.concatenate([one.states for one in estimates])
-    covariances = np.concatenate([one.covariances for one in estimates])
-    labels = np.concatenate([one.track_ids for one in estimates])
+    start = np.concatenate([[0], np.cumsum([len(scan.track_ids) for scan in estimates])]).astype(np.int64)
+    states = np.concatenate([scan.states for scan in estimates])
+    covariances = np.concatenate([scan.covariances for scan in estimates])
+    labels = np.concatenate([scan.track_ids for scan in estimates])
     return PointSets(start, states[:, :3], states[:, 3:], labels, covariances[:, :3, :3])
 
 

@@ -66,7 +66,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     views = _views(loaded, number)
     times = np.array([frame.time_s for frame in views.frames])
     with method_clock():
-        found = filtered_points(loaded, views.cameras, views.frames, np.arange(len(times)))
+        points = filtered_points(loaded, views.cameras, views.frames, np.arange(len(times)))
     count = len(views.labels)
     start = count * np.arange(len(times) + 1)
     truth = PointSets(
@@ -74,29 +74,29 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
         np.tile(views.labels, len(times)),
     )  # fmt: skip
     scenario = scenario_of(loaded.config, StaticSceneScenario)
-    scores = score_scans(found, truth, 2.0, scenario.cutoff)
+    scores = score_scans(points, truth, 2.0, scenario.cutoff)
     unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
     last = scores.pair_scan == len(times) - 1
     pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % max(count, 1)])
-    bias = (found.counts - count).astype(np.float64)
+    bias = (points.counts - count).astype(np.float64)
     return [
         Series("ospa", unit, scores.ospa, over),
         Series("cardinality_bias", "1", bias, over),
-        *_accuracy(found, views, pairs, unit),
-        *_correspondence(found, views, pairs),
+        *_accuracy(points, views, pairs, unit),
+        *_correspondence(points, views, pairs),
     ]
 
 
-def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> list[Series]:
+def _accuracy(points: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> list[Series]:
     """Return counts of points after the last view, their error, its ratio to the bound, and NEES."""
-    count, reported = len(views.labels), int(found.counts[-1])
-    errors = found.position[pairs[:, 0]] - views.positions[pairs[:, 1]]
+    count, reported = len(views.labels), int(points.counts[-1])
+    errors = points.position[pairs[:, 0]] - views.positions[pairs[:, 1]]
     squared = (errors**2).sum(axis=1)
     # an estimate may lie next to a point that too few views show: such a point has no bound
     shown = _determined(views.information[pairs[:, 1]])
     limit = _bounds_of(views.information[pairs[shown, 1]])
-    assert found.covariance is not None
-    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(found.covariance[pairs[:, 0]]), errors)
+    assert points.covariance is not None
+    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(points.covariance[pairs[:, 0]]), errors)
     figures = {
         "points_found": len(pairs) / count if count else np.nan,
         "points_false": float(reported - len(pairs)),
@@ -110,12 +110,12 @@ def _accuracy(found: PointSets, views: _Views, pairs: np.ndarray, unit: str) -> 
     ]
 
 
-def _correspondence(found: PointSets, views: _Views, pairs: np.ndarray) -> list[Series]:
+def _correspondence(points: PointSets, views: _Views, pairs: np.ndarray) -> list[Series]:
     """Return the share of true detections assigned to the landmark of their point, and of wrong assignments among
     all."""
-    first = int(found.start[-2])
-    assert found.covariance is not None
-    positions, covariances = found.position[first:], found.covariance[first:]
+    first = int(points.start[-2])
+    assert points.covariance is not None
+    positions, covariances = points.position[first:], points.covariance[first:]
     point_of = np.full(len(positions), CLUTTER_ID - 1)
     point_of[pairs[:, 0] - first] = views.labels[pairs[:, 1]]
     right = given = true = 0

@@ -44,8 +44,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
     series = []
     for name, unit, part in _parts(loaded):
-        own = result.covariances[:, part, part]
-        series += series_of_errors(name, unit, result.times, reported[:, part], own, result.mean_errors[:, part])
+        stated = result.covariances[:, part, part]
+        series += series_of_errors(name, unit, result.times, reported[:, part], stated, result.mean_errors[:, part])
     return series
 
 
@@ -56,7 +56,9 @@ def bounds(loaded: LoadedConfig) -> list[Series]:
     covariances = tracking_bound(scenario, np.random.default_rng(seed), settings.bound_trajectories)
     times = np.unique(scenario.times)
     return [
-        one for name, unit, part in _parts(loaded) for one in bounds_of(name, unit, times, covariances[:, part, part])
+        series
+        for name, unit, part in _parts(loaded)
+        for series in bounds_of(name, unit, times, covariances[:, part, part])
     ]
 
 

@@ -19,7 +19,7 @@ from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import take_apart, unit
-from stereophd.io.interchange.toml_cameras import read_toml, toml_camera
+from stereophd.io.interchange.documents.toml_cameras import read_toml, toml_camera
 
 
 def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:

@@ -27,8 +27,8 @@ from stereophd.errors import InputError
 from stereophd.io.documents import open_packed_table, read_bytes, read_member
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, put_together
+from stereophd.io.interchange.documents.text_tables import numbers, read_batches
 from stereophd.io.interchange.projection import Decomposed, decompose, is_left_handed
-from stereophd.io.interchange.text_tables import numbers, read_batches
 
 DETECTIONS, CAMERAS, CALIBRATION = "data2d_distorted.csv", "cam_info.csv", "calibration.xml"
 # Skew, and difference of intrinsics, that move pixels by less than this are rounding of a file of few digits.

@@ -20,8 +20,8 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
-from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches, split_line
-from stereophd.io.interchange.toml_cameras import read_toml, toml_camera
+from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches, split_line
+from stereophd.io.interchange.documents.toml_cameras import read_toml, toml_camera
 
 CAMERA_FILES = ("camera_array.toml", "config.toml")
 POINT_FILES = ("xy.csv",)

@@ -29,8 +29,8 @@ from stereophd.io.interchange.base import (
     ImportOptions,
     Piece,
 )
+from stereophd.io.interchange.documents.text_tables import first_lines, read_batches, separator_of, split_line
 from stereophd.io.interchange.pixels import native_pixels
-from stereophd.io.interchange.text_tables import first_lines, read_batches, separator_of, split_line
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -17,7 +17,7 @@ from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.formats.dltdv import COEFFICIENTS, is_profile, read
 from stereophd.io.interchange.base import Format
 from stereophd.io.interchange.cameras import take_apart
-from stereophd.io.interchange.text_tables import read_matrix
+from stereophd.io.interchange.documents.text_tables import read_matrix
 
 # The largest coefficient over the last one beyond which the world's origin is in the plane of the camera.
 LARGEST_COEFFICIENT = 1e12

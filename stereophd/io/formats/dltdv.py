@@ -26,10 +26,16 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, unit
+from stereophd.io.interchange.documents.text_tables import (
+    first_lines,
+    read_batches,
+    read_matrix,
+    separator_of,
+    split_line,
+)
 from stereophd.io.interchange.pixels import ORIGINS
 from stereophd.io.interchange.points import point_rows
 from stereophd.io.interchange.projection import MIRROR, Decomposed, decompose, is_left_handed, triangulate
-from stereophd.io.interchange.text_tables import first_lines, read_batches, read_matrix, separator_of, split_line
 
 COEFFICIENTS = 11
 PROFILE_COLUMNS = 12

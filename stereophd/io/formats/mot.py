@@ -21,8 +21,8 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions, ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches, separator_of, split_line
 from stereophd.io.interchange.pixels import native_pixels
-from stereophd.io.interchange.text_tables import first_lines, numbers, read_batches, separator_of, split_line
 from stereophd.io.interchange.tracks import on_grid, trajectories
 
 # Number of the first frame: at time 0.

@@ -25,7 +25,7 @@ from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart, unit
-from stereophd.io.interchange.opencv_storage import read_document, write_yaml
+from stereophd.io.interchange.documents.opencv_storage import read_document, write_yaml
 
 #: Quantity -> the names it goes by, in lower case and without separators.
 ALIASES: Mapping[str, tuple[str, ...]] = {

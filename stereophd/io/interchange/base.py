@@ -67,8 +67,10 @@ class ImportOptions:
     detector: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        if self.least_score is not None and not math.isfinite(self.least_score):
-            raise InputError(f"`least_score`: expected a finite number, found {self.least_score}")
+        # by `vars`, because options that note what a format reads must not note this
+        least_score = vars(self)["least_score"]
+        if least_score is not None and not math.isfinite(least_score):
+            raise InputError(f"`least_score`: expected a finite number, found {least_score}")
 
     def name(self, camera: str) -> str:
         """Return the native name of a camera of the source."""

@@ -166,7 +166,7 @@ def listen(address: str) -> Arrivals:
     try:
         import zmq
     except ImportError as error:
-        raise InputError("messages over the network need the extra `live`: pip install 'stereophd[live]'") from error
+        raise InputError("messages over the network need pyzmq, which is not installed: pip install pyzmq") from error
     socket: Any = zmq.Context.instance().socket(zmq.PULL)
     try:
         socket.bind(address)

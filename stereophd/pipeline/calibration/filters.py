@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 
 def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...]) -> PmbFilter:
-    """Return the PMB filter of a configuration; for a PHD configuration, a PMB filter with the same births and
-    survival."""
+    """Return the PMB filter of a configuration; of a PHD configuration, one with the same births and survival."""
     config = loaded.config
     settings = _filter_section(loaded)
     if not isinstance(settings, PmbSettings):

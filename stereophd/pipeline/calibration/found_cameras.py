@@ -131,11 +131,8 @@ def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[Load
     """Find cameras whose pose or clock is unknown; return the configuration with them and with priors about them.
 
     The configuration itself, and None, where none is unknown. Where none are found, their poses are placeholders.
-
-    Raises
-    ------
-    InputError
-        A camera is unknown that moves or has a prior of its pose, or a scale is stated that only known cameras have.
+    Raises InputError when a camera is unknown that moves or has a prior of its pose, or a scale is stated that only
+    known cameras have.
     """
     names = tuple(name for name, camera in loaded.cameras.items() if camera.must_be_found)
     if not names:

@@ -47,10 +47,7 @@ class CalibrationProblem:
 def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
     """Return a known baseline as a measurement; None if another length is known, or none.
 
-    Raises
-    ------
-    InputError
-        A name that no camera has, or one camera twice.
+    Raises InputError for a name that no camera has, or one camera twice.
     """
     scale = calibration_section(loaded).scale
     if not isinstance(scale, BaselineScale):
@@ -69,10 +66,8 @@ def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurem
 def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProblem:
     """Read a log, and check that it can constrain the unknown cameras.
 
-    Raises
-    ------
-    InputError
-        As `build_parameters`; the log is not usable; an unknown camera saw nothing, or not while another did.
+    Raises InputError as `build_parameters` does, and when the log is not usable, or an unknown camera saw nothing, or
+    not while another did.
     """
     parameters, reference = build_parameters(loaded)
     scale = build_scale(loaded, parameters)
@@ -141,13 +136,7 @@ def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: Cal
 
 
 def build_stages(loaded: LoadedConfig, parameters: ParameterSet) -> tuple[UnknownSet, ...]:
-    """Return the stages in which unknowns are freed.
-
-    Raises
-    ------
-    InputError
-        A stage names what is no unknown.
-    """
+    """Return the stages in which unknowns are freed; raises InputError when one names what is no unknown."""
     stages = calibration_section(loaded).stages
     if stages == "auto":
         return default_stages(parameters)

@@ -24,13 +24,7 @@ if TYPE_CHECKING:
 
 
 def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
-    """Return the ``calibration`` section.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+    """Return the ``calibration`` section; raises InputError when there is none."""
     section = loaded.config.calibration
     if section is None:
         raise InputError(f"{loaded.path}: calibration: expected a section with reference and priors, found none")
@@ -40,10 +34,7 @@ def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
 def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
     """Return the unknowns that a configuration describes, and the index of the reference camera.
 
-    Raises
-    ------
-    InputError
-        No section, fewer than two cameras, a name that no camera has, or cameras that move.
+    Raises InputError for no section, fewer than two cameras, a name that no camera has, or cameras that move.
     """
     section = calibration_section(loaded)
     cameras = loaded.build_cameras()
@@ -74,8 +65,7 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
 def _shared(
     loaded: LoadedConfig, section: CalibrationConfig, cameras: tuple[Camera, ...], parameters: list[Parameter]
 ) -> tuple[Parameter, ...]:
-    """Tie the intrinsics and lenses of cameras that share them: a parameter of the first camera applies to all of
-    them."""
+    """Tie the intrinsics and lenses of cameras that share them: a parameter of the first camera applies to all."""
     by_name = {camera.name: camera for camera in cameras}
     places = {(p.camera, p.name): p for p in parameters}
     for number, group in enumerate(section.shared):
@@ -141,10 +131,7 @@ def prior_stds(section: CalibrationConfig, camera: str, quantity: Quantity) -> t
 def draw_guess(loaded: LoadedConfig, seed: np.random.SeedSequence) -> dict[str, CameraConfig]:
     """Draw prior means about which the configuration's cameras are a draw from the prior.
 
-    Raises
-    ------
-    InputError
-        The prior is so wide that a value drawn from it is none of a camera.
+    Raises InputError when the prior is so wide that a value drawn from it is none of a camera.
     """
     parameters, _ = build_parameters(loaded)
     guess = parameters.guess(parameters.sample(np.random.default_rng(seed), 1)[0])
@@ -156,10 +143,7 @@ def with_quantities(
 ) -> dict[str, CameraConfig]:
     """Return the configurations of cameras with the quantities of others; what is the same stays as it was written.
 
-    Raises
-    ------
-    InputError
-        A value is beyond the bounds of its key; the message begins with `source`, which says where it is from.
+    Raises InputError when a value is beyond the bounds of its key; the message begins with `source`, its origin.
     """
     out = {}
     for camera in cameras:

@@ -15,19 +15,7 @@ _HYPOTHESIS_BYTES, _DETECTION_BYTES = 8e3, 1e3
 
 
 def size_of_calibration(section: CalibrationConfig, frames: float, detections: float) -> Size:
-    """Estimate the memory of a calibration.
-
-    Parameters
-    ----------
-    section : CalibrationConfig
-    frames, detections : float
-        Of the log, of all cameras together.
-
-    Returns
-    -------
-    Size
-        Without disk space: the outputs are small.
-    """
+    """Estimate memory, not disk (outputs are small), from frames and detections of the log, of all cameras together."""
     hypotheses = 0
     if section.method == "sequential":
         settings = section.sequential

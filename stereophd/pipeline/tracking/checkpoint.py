@@ -20,9 +20,9 @@ from stereophd.core.disparity.events import Event
 from stereophd.io.outputs.saved import GrowingFile, decode, decoder, encode
 from stereophd.io.tables.kept_tables import KeptTable
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.tracking.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes, RunState, State, run_estimator
 from stereophd.pipeline.tracking.outputs import Writing
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 
 STATE, RECORDS = "state", "records"
@@ -217,7 +217,7 @@ class Journal:
         self._records = RecordFile(self._unfinished.grow(RECORDS, length))
 
     def lasting(self, records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
-        """Yield records without short tracks, as `stereophd.pipeline.tracking.lifetimes.lasting` does."""
+        """Yield records without short tracks, as `stereophd.pipeline.tracking.run_figures.lifetimes.lasting` does."""
         kept = None if self._saved is None else self._saved.lasting
         lasting = LastingTracks(min_length_s) if kept is None else kept
         if not self.keeps_records:

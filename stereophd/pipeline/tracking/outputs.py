@@ -15,8 +15,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, TENTATIVE
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.tracking.figures import FigureSums, RunFigures
 from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.run_figures.figures import FigureSums, RunFigures
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
 

@@ -26,9 +26,9 @@ from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detec
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.checkpoint import Journal
-from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
+from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
 

@@ -39,8 +39,8 @@ class Paths:
     def positions_at(self, path: int, times: Array) -> Array:
         """Return the positions (m, 3) of one path, interpolated; NaN outside of its life."""
         rows = slice(int(self.starts[path]), int(self.starts[path + 1]))
-        own = self.times[rows]
-        columns = [np.interp(times, own, self.columns[axis][rows], np.nan, np.nan) for axis in "xyz"]
+        path_times = self.times[rows]
+        columns = [np.interp(times, path_times, self.columns[axis][rows], np.nan, np.nan) for axis in "xyz"]
         return np.stack(columns, axis=1)
 
 

@@ -12,8 +12,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.pipeline.inspection.runs import Evaluation, Run
 from stereophd.report.page.columns import Paths, binned, chosen, packed, paths_of, thinned
 from stereophd.report.page.frames import camera_frames, paths_of_run, residuals
+from stereophd.report.plots.views import down_axis
 from stereophd.report.summaries import verdict
-from stereophd.report.views import down_axis
 
 # Numbers of rows of all runs together: with the script of plotly the page stays below 10 MB.
 TRACK_ROWS = 50_000
@@ -112,7 +112,9 @@ def _cameras(
     cameras: Sequence[Camera], paths: Paths | None, truth: Paths | None, start: float, end: float
 ) -> list[dict[str, Any]]:
     """Image sizes, and views as the corners of a pyramid, at several times if a camera moves."""
-    points = [np.stack([one.columns[axis] for axis in "xyz"], axis=1) for one in (paths, truth) if one is not None]
+    points = [
+        np.stack([drawn.columns[axis] for axis in "xyz"], axis=1) for drawn in (paths, truth) if drawn is not None
+    ]
     centers = np.array([camera.at(start).pose.center for camera in cameras]).reshape(-1, 3)
     scene = np.concatenate([*points, centers])
     scene = scene[np.isfinite(scene).all(axis=1)]
@@ -172,19 +174,19 @@ def _evaluation(evaluation: Evaluation, start: float) -> dict[str, Any]:
 def _calibration(run: Run, start: float) -> dict[str, Any]:
     """Parameters in the units that are drawn, their history, particles, and the directions of the posterior."""
     names, factors, parameters = [], [], []
-    for one in run.report["parameters"]:
-        angle = one["unit"].startswith("rad")
+    for estimate in run.report["parameters"]:
+        angle = estimate["unit"].startswith("rad")
         factor = float(np.degrees(1.0)) if angle else 1.0
-        names.append(one["name"])
+        names.append(estimate["name"])
         factors.append(factor)
         parameters.append(
             {
-                "name": one["name"],
-                "unit": f"deg{one['unit'][3:]}" if angle else one["unit"],
-                "prior": factor * one["prior_std"],
-                "mean": None if one["mean"] is None else factor * one["mean"],
-                "std": factor * one["std"],
-                "determined": one["determined_by_data"],
+                "name": estimate["name"],
+                "unit": f"deg{estimate['unit'][3:]}" if angle else estimate["unit"],
+                "prior": factor * estimate["prior_std"],
+                "mean": None if estimate["mean"] is None else factor * estimate["mean"],
+                "std": factor * estimate["std"],
+                "determined": estimate["determined_by_data"],
             }
         )
     data: dict[str, Any] = {"parameters": parameters, "status": run.report["status"]}

@@ -50,7 +50,7 @@ def _resource(name: str) -> str:
 
 
 def _doubtful(run: Run) -> bool:
-    warns = any(found["status"] == "warning" for found in run.report.get("checks", ()))
+    warns = any(finding["status"] == "warning" for finding in run.report.get("checks", ()))
     undetermined = run.report.get("status") not in (None, "determined")
     empty = run.command == "track" and not tracking_part(run.report).get("tracks")
     return warns or undetermined or empty

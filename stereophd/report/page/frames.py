@@ -10,7 +10,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Run
-from stereophd.pipeline.tracking.explained import PROBABLE, residuals_px
+from stereophd.pipeline.tracking.run_figures.explained import PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
 
 # A reprojected track further outside the image than this share of its size is not drawn.
@@ -31,13 +31,13 @@ def detections_of(run: Run) -> tuple[Array, Integers, Integers, Array]:
         ]
         table = np.array(rows, dtype=np.float64).reshape(-1, 5)
         return table[:, 0], table[:, 1].astype(np.int64), table[:, 2].astype(np.int64), table[:, 3:]
-    found = run.associations
-    if found is None:
+    detections = run.associations
+    if detections is None:
         empty = np.empty(0, dtype=np.int64)
         return np.empty(0), empty, empty, np.empty((0, 2))
     numbers = {camera.name: number for number, camera in enumerate(run.cameras)}
-    cameras = np.array([numbers.get(name, -1) for name in found["camera"].tolist()], dtype=np.int64)
-    return found["time_s"], cameras, found["frame"], np.column_stack([found["u_px"], found["v_px"]])
+    cameras = np.array([numbers.get(name, -1) for name in detections["camera"].tolist()], dtype=np.int64)
+    return detections["time_s"], cameras, detections["frame"], np.column_stack([detections["u_px"], detections["v_px"]])
 
 
 def camera_frames(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[str, Any]]:
@@ -46,15 +46,15 @@ def camera_frames(run: Run, paths: Paths, budget: int, start_s: float) -> list[d
     owners = _owners(run, paths)
     out = []
     for number, camera in enumerate(run.cameras):
-        own = np.flatnonzero(cameras == number)
-        events, event = np.unique(np.column_stack([times[own], frames[own]]), axis=0, return_inverse=True)
+        rows_of = np.flatnonzero(cameras == number)
+        events, event = np.unique(np.column_stack([times[rows_of], frames[rows_of]]), axis=0, return_inverse=True)
         event = event.reshape(-1)
-        per_frame = max(len(own) / max(len(events), 1), _tracks_at_a_time(paths), 1.0)
+        per_frame = max(len(rows_of) / max(len(events), 1), _tracks_at_a_time(paths), 1.0)
         kept = chosen(len(events), max(int(budget / (per_frame * len(run.cameras))), 1))
         place = np.full(len(events), -1)
         place[kept] = np.arange(len(kept))
-        rows = own[(place[event] >= 0) & np.isfinite(pixels[own, 0])]
-        at = place[event[(place[event] >= 0) & np.isfinite(pixels[own, 0])]]
+        rows = rows_of[(place[event] >= 0) & np.isfinite(pixels[rows_of, 0])]
+        at = place[event[(place[event] >= 0) & np.isfinite(pixels[rows_of, 0])]]
         order = np.argsort(at, kind="stable")
         rows, at = rows[order], at[order]
         keys = zip(frames[rows].tolist(), pixels[rows, 0].tolist(), pixels[rows, 1].tolist(), strict=True)
@@ -80,8 +80,8 @@ def camera_frames(run: Run, paths: Paths, budget: int, start_s: float) -> list[d
 
 def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[str, Any]] | None:
     """Return detections minus reprojected tracks by camera; None without associations or cameras."""
-    found = camera_residuals(run, paths, max(budget // max(len(run.cameras), 1), 1))
-    if found is None:
+    by_camera = camera_residuals(run, paths, max(budget // max(len(run.cameras), 1), 1))
+    if by_camera is None:
         return None
     return [
         {
@@ -90,7 +90,7 @@ def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[
             "v": packed(values[:, 1]),
             "track": packed(tracks),
         }
-        for times, values, tracks in found
+        for times, values, tracks in by_camera
     ]
 
 
@@ -100,34 +100,34 @@ def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Arr
     Only detections that belong to a track more probably than not are taken, at most `most` of each camera, evenly
     spread.
     """
-    found = run.associations
-    if found is None or not run.cameras:
+    detections = run.associations
+    if detections is None or not run.cameras:
         return None
-    probable = np.flatnonzero(found["probability"] > PROBABLE)
+    probable = np.flatnonzero(detections["probability"] > PROBABLE)
     place = {track_id: number for number, track_id in enumerate(paths.ids.tolist())}
-    path = np.array([place.get(one, -1) for one in found["track_id"][probable].tolist()], dtype=np.int64)
+    path = np.array([place.get(label, -1) for label in detections["track_id"][probable].tolist()], dtype=np.int64)
     out = []
     for camera in run.cameras:
-        of_camera = (found["camera"][probable] == camera.name) & (path >= 0)
-        rows, own = probable[of_camera], path[of_camera]
+        of_camera = (detections["camera"][probable] == camera.name) & (path >= 0)
+        rows, owner = probable[of_camera], path[of_camera]
         few = chosen(len(rows), most)
-        rows, own = rows[few], own[few]
-        times = found["time_s"][rows]
-        pixels = np.column_stack([found["u_px"][rows], found["v_px"][rows]])
-        values = residuals_px(camera, times, _states(paths, own, times), pixels)
+        rows, owner = rows[few], owner[few]
+        times = detections["time_s"][rows]
+        pixels = np.column_stack([detections["u_px"][rows], detections["v_px"][rows]])
+        values = residuals_px(camera, times, _states(paths, owner, times), pixels)
         known = np.isfinite(values).all(axis=1)
-        out.append((times[known], values[known], own[known]))
+        out.append((times[known], values[known], owner[known]))
     return out
 
 
-def _states(paths: Paths, own: Integers, times: Array) -> Array:
+def _states(paths: Paths, path_of_row: Integers, times: Array) -> Array:
     """States (n, 6) of tracks (n,) at times (n,), interpolated; NaN outside of their lives."""
     states = np.full((len(times), 6), np.nan)
-    for number in np.unique(own).tolist():
-        here = np.flatnonzero(own == number)
+    for number in np.unique(path_of_row).tolist():
+        rows = np.flatnonzero(path_of_row == number)
         span = slice(int(paths.starts[number]), int(paths.starts[number + 1]))
         for axis, name in enumerate(("x", "y", "z", "vx", "vy", "vz")):
-            states[here, axis] = np.interp(times[here], paths.times[span], paths.columns[name][span], np.nan, np.nan)
+            states[rows, axis] = np.interp(times[rows], paths.times[span], paths.columns[name][span], np.nan, np.nan)
     return states
 
 
@@ -140,12 +140,12 @@ def paths_of_run(run: Run) -> Paths:
 
 def _owners(run: Run, paths: Paths) -> dict[tuple[str, int, float, float], int]:
     """Detection -> the track that it probably belongs to."""
-    found = run.associations
-    if found is None:
+    detections = run.associations
+    if detections is None:
         return {}
-    rows = np.flatnonzero(found["probability"] > PROBABLE)
+    rows = np.flatnonzero(detections["probability"] > PROBABLE)
     place = {track_id: number for number, track_id in enumerate(paths.ids.tolist())}
-    columns = [found[name][rows].tolist() for name in ("camera", "frame", "u_px", "v_px", "track_id")]
+    columns = [detections[name][rows].tolist() for name in ("camera", "frame", "u_px", "v_px", "track_id")]
     return {(c, f, u, v): place.get(i, -1) for c, f, u, v, i in zip(*columns, strict=True)}
 
 

@@ -25,10 +25,10 @@ from stereophd.pipeline.tracking.associations import (
     LEAST_PROBABILITY,
     Associations,
 )
-from stereophd.pipeline.tracking.explained import residuals_px
-from stereophd.pipeline.tracking.lifetimes import lasting
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_claims import RunClaims
+from stereophd.pipeline.tracking.run_figures.explained import residuals_px
+from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from tests.commands.test_track import SCENE
 
 pytestmark = pytest.mark.usefixtures("without_checks")

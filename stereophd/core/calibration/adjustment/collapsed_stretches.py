@@ -21,22 +21,10 @@ COLLAPSED_PART = 0.05
 
 
 def collapsed(trajectories: Integers, times: Array, cameras: Integers, distances: Array) -> Booleans:
-    """Which detections belong to a stretch of their trajectory that has collapsed into its camera.
+    """Which detections (n,) belong to a stretch of their trajectory that has collapsed into its camera.
 
-    A stretch is a sequence of detections of one trajectory, in order of time, that one camera made.
-
-    Parameters
-    ----------
-    trajectories, cameras : arrays (n,) of int
-        Trajectory and camera of each detection.
-    times : array (n,)
-        Times of the detections, s.
-    distances : array (n, c)
-        Distances of the trajectory at each detection from all cameras, length.
-
-    Returns
-    -------
-    array (n,) of bool
+    A stretch is a sequence of detections of one trajectory, in order of time, that one camera made. Times are in s;
+    `distances` (n, c) are those of the trajectory at each detection from all cameras, length.
     """
     order = np.lexsort((times, trajectories))
     out = np.zeros(len(order), dtype=np.bool_)

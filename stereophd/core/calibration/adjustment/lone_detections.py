@@ -20,24 +20,13 @@ NEAR_FRAMES = 2
 
 
 def lone(trajectories: Integers, events: Integers, of_event: Integers, p_detect: Array) -> Booleans:
-    """Which detections have no other detection of their trajectory and camera near, before or after.
+    """Which detections (n,) have no other detection of their trajectory and camera near, before or after.
 
-    Parameters
-    ----------
-    trajectories, events : arrays (n,) of int
-        Trajectory and event of each detection, sorted by trajectory and time.
-    of_event : array (e,) of int
-        Camera of each event, a frame, in order of time.
-    p_detect : array (c,)
-        Probability of detection of each camera.
-
-    Returns
-    -------
-    array (n,) of bool
-        True where the frames of the camera without a detection of the trajectory are so many, both since the last
-        one (or the first frame of the log) and until the next one (or the last frame), that a detector that sees
-        the object misses it in all of either with less than `LONE_PROBABILITY`, and fewer than two other cameras
-        detected the object within `NEAR_FRAMES` frames.
+    Detections are sorted by trajectory and time; `of_event` (e,) is the camera of each event, a frame, in order of
+    time; `p_detect` (c,) is the probability of detection of each camera. True where the frames of the camera without a
+    detection of the trajectory are so many, both since the last one (or the first frame of the log) and until the next
+    one (or the last frame), that a detector that sees the object misses it in all of either with less than
+    `LONE_PROBABILITY`, and fewer than two other cameras detected the object within `NEAR_FRAMES` frames.
     """
     frame = np.empty(len(of_event), dtype=np.int64)
     frames = np.bincount(of_event, minlength=len(p_detect))

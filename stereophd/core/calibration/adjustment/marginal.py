@@ -89,19 +89,10 @@ class MarginalOptimum:
 
 
 def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
-    """Move an adjustment to the maximum of the marginal posterior of the values.
+    """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    Parameters
-    ----------
-    problem : Problem
-        Values that it holds stay, and keep the covariance of the prior.
-    found : Adjustment
-        Solution of that problem.
-
-    Returns
-    -------
-    MarginalOptimum
-        The adjustment given, not converged, at the noise stated, where the normal equations are singular.
+    Values that the problem holds stay, and keep the covariance of the prior. Returns the adjustment given, not
+    converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
@@ -207,10 +198,7 @@ class MarginalPosterior:
     def at(self, unknowns: Array, states: Array) -> Point:
         """Return the point of unknowns, its knots minimised from the given ones.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            The normal equations are not positive definite, or the cost is not finite.
+        Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         equations = self.equations(unknowns, states)
         if not np.isfinite(equations.cost):

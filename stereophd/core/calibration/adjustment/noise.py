@@ -46,16 +46,7 @@ class NoiseFactors:
 
 
 def noise_factors(problem: Problem, adjustment: Adjustment, rng: np.random.Generator) -> NoiseFactors:
-    """Estimate the noise of the detections of each camera over what is stated.
-
-    Parameters
-    ----------
-    problem : Problem
-        What the adjustment solved.
-    adjustment : Adjustment
-    rng : Generator
-        Source of the errors that are drawn.
-    """
+    """Estimate the noise of the detections of each camera over what is stated, with errors drawn from `rng`."""
     observations = problem.observations
     weights = problem.weights(adjustment.distances)
     linearisation = Linearisation.of(problem.weighted(weights))

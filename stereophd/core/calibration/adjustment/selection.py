@@ -60,16 +60,9 @@ def stretches_of(times: Array) -> Integers:
 
 
 def compare(problem: Problem, values: Array, states: Array, sets: Sequence[UnknownSet]) -> Comparison | None:
-    """Compare sets of unknowns; None where there is one only, or the log is too short.
+    """Compare sets of unknowns, the smallest first and all unknowns last, from a fit and its association.
 
-    Parameters
-    ----------
-    problem : Problem
-        With the association of a fit.
-    values, states : arrays (m,), (k, 2, 3)
-        The fit.
-    sets : sequence of UnknownSet
-        The smallest first, all unknowns last.
+    The values of the fit are (m,), its knots (k, 2, 3). None where there is one set only, or the log is too short.
     """
     observations = problem.observations
     if len(sets) < 2 or len(observations) < STRETCHES * LEAST_DETECTIONS:
@@ -109,10 +102,7 @@ def _thinned(problem: Problem, stretches: Integers, weights: Array) -> tuple[Pro
 def choice(losses: Array) -> int:
     """Index of the set of the least loss if it beats the last by more than the standard error, else the last.
 
-    Parameters
-    ----------
-    losses : array (s, b)
-        By set and stretch.
+    Losses are (s, b), by set and stretch.
     """
     last = len(losses) - 1
     best = int(losses.sum(axis=1).argmin())

@@ -68,14 +68,7 @@ def cells_of(observations: Observations, radius: float) -> Integers:
 
 
 def variance_components(residuals: Array, cells: Integers) -> tuple[float, float]:
-    """Variances, per coordinate, of the independent errors of detections and of the errors that detections of a cell
-    share.
-
-    Parameters
-    ----------
-    residuals : array (n, 2)
-    cells : array (n,) of int
-    """
+    """Variances, per coordinate, of the errors of residuals (n, 2): independent ones, and those cells (n,) share."""
     _, cells, sizes = np.unique(cells, return_inverse=True, return_counts=True)
     count, total = len(sizes), len(cells)
     if count < 2 or total == count:
@@ -103,17 +96,9 @@ class SharedErrors:
 def shared_errors(
     linearisation: Linearisation, values: Array, states: Array, radius: float, rng: np.random.Generator
 ) -> SharedErrors:
-    """Find the errors that detections share from the residuals of a fit.
+    """Find the errors that detections share within cells of a radius in px, from the residuals of a fit.
 
-    Parameters
-    ----------
-    linearisation : Linearisation
-    values, states : arrays (m,), (k, 2, 3)
-        Values of the parameters and states of the knots of the fit.
-    radius : float
-        Radius of the cells, px.
-    rng : Generator
-        Source of the errors that are drawn.
+    The fit has the values (m,) and states of the knots (k, 2, 3); errors are drawn from `rng`.
     """
     observations = linearisation.problem.observations
     residuals = linearisation.residuals(values, states)[1]

@@ -57,10 +57,7 @@ def damped_bands(bands: Array, damping: float) -> Array:
 def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
     """Eliminate the knots: A^-1 [C, a] (6 k, m + 1) and the Schur complement B - C^T A^-1 C (m, m).
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The damped matrix of the knots is not positive definite.
+    Raises LinAlgError when the damped matrix of the knots is not positive definite.
     """
     factor = (cholesky_banded(damped_bands(equations.bands, damping), lower=True, check_finite=False), True)
     both = np.column_stack([equations.coupling, equations.state_vector])
@@ -69,13 +66,7 @@ def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]
 
 
 def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
-    """Solve damped normal equations: steps of values (m,) and knots (6 k,).
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The damped matrix is not positive definite.
-    """
+    """Steps of values (m,) and knots (6 k,) by damped normal equations; LinAlgError if not positive definite."""
     eliminated, schur = eliminate(equations, damping)
     damped = schur + damping * np.diag(np.diag(equations.matrix))
     right = equations.value_vector - equations.coupling.T @ eliminated[:, -1]
@@ -86,22 +77,10 @@ def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
 def adjust(
     problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7
 ) -> Adjustment:
-    """Minimise from values (m,) and knots (k, 2, 3).
+    """Minimise from values (m,) and knots (k, 2, 3), trying at most `max_iterations` steps.
 
-    Parameters
-    ----------
-    problem : Problem
-    values, states : arrays
-        Where to start.
-    max_iterations : int
-        Steps tried.
-    tolerance : float
-        Converged when a step lowers the cost by less than this part of it.
-
-    Returns
-    -------
-    Adjustment
-        Its covariance is that of the undamped equations; held values keep that of the prior.
+    Converged when a step lowers the cost by less than the part `tolerance` of it. The covariance is that of the
+    undamped equations; held values keep that of the prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)

@@ -70,16 +70,8 @@ def quadratic_posterior(
 ) -> QuadraticPosterior:
     """Return the posterior of everything about a fit, in units of the prior standard deviations.
 
-    Parameters
-    ----------
-    problem : Problem
-        Of the fit, with the stated noise of the motion where `log_noise` is given.
-    enlarged : EnlargedSet
-    adjustment : Adjustment
-        The fit.
-    log_noise : float or None
-        Logarithm of the noise of the motion over what is stated, if the fit is the marginal optimum; None if it is
-        the joint one.
+    At the marginal optimum `log_noise` is the logarithm of the noise of the motion over what is stated, and the problem
+    has the stated one; None if the fit is the joint optimum.
     """
     parameters = enlarged.parameters
     std = parameters.prior_std
@@ -106,13 +98,8 @@ def quadratic_posterior(
 def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers) -> list[Suspicion]:
     """Test every group; those of the greatest evidence first.
 
-    Parameters
-    ----------
-    quadratic : QuadraticPosterior
-        Of all values, and after them what else is unknown (the noise of the motion).
-    enlarged : EnlargedSet
-    free : array of int
-        Places of the values that the fit had free.
+    The posterior is that of all values, and after them of what else is unknown (the noise of the motion); `free` has
+    the places of the values that the fit had free.
     """
     size, std = enlarged.parameters.size, enlarged.parameters.prior_std
     free = np.concatenate([free, np.arange(size, len(quadratic.gradient))])

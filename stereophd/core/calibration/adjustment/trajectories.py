@@ -106,15 +106,7 @@ class Interpolation(NamedTuple):
 
 
 def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:
-    """Return the interpolation of the positions at given times.
-
-    Parameters
-    ----------
-    knots : Knots
-    trajectories : array (n,) of int
-    times : array (n,)
-        Outside its knots a trajectory continues without noise.
-    """
+    """Interpolation of positions of trajectories (n,) at times (n,); outside its knots one continues without noise."""
     return _interpolated(knots, trajectories, times, velocities=False)
 
 

@@ -301,13 +301,8 @@ def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, fl
     noise is not believed (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the
     prior although the fit does not.
 
-    Returns
-    -------
-    fit : Fit
-    noise_factor : float
-        Noise of the motion that the log shows over what is stated; 1 where it was not estimated.
-    doubt : str
-        Why neither optimum is trusted, whether the search for it converged or not; empty if there is no reason.
+    Returns the fit, the noise of the motion that the log shows over what is stated (1 where it was not estimated), and
+    why neither optimum is trusted, whether the search for it converged or not (empty if there is no reason).
     """
     if not len(fit.knots.links()):
         return fit, 1.0, ""

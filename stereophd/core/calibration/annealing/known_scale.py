@@ -83,22 +83,12 @@ class ObjectPairs:
 def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) -> ScaleMeasurement | None:
     """Measure the scale by the known speed of most objects, or by a known distance that pairs of objects keep.
 
+    The kind is ``speed`` (mean speed of most objects) or ``length`` (the most probable distance that two or more keep).
     Speeds and distances in units of the scene's scale do not depend on it, so each of them measures its logarithm as
     log s + log(known / found). The speeds of k objects are independent measurements.
 
-    Parameters
-    ----------
-    task, fit : Task, Fit
-    kind : str
-        ``speed`` (mean speed of most objects) or ``length`` (the most probable distance that two or more keep).
-    value, std : float
-        What is known.
-
-    Returns
-    -------
-    ScaleMeasurement or None
-        None if no two objects keep their distance, if neither distances nor speeds agree on a scale, or if the centres
-        of two cameras are known, which fix the scale.
+    None if no two objects keep their distance, if neither distances nor speeds agree on a scale, or if the centres of
+    two cameras are known, which fix the scale.
     """
     if not scale_is_free(task.parameters):
         return None
@@ -133,15 +123,10 @@ def mean_speeds(fit: Fit) -> Array:
 def known_speed(speeds: Array, speed: float, std: float) -> tuple[float, float] | None:
     """Find log(speed / found) of most objects, and its error; None if the objects do not agree on one.
 
-    The speeds are a normal density on a floor of others (a mixture, fitted by expectation and maximisation). Its width
-    begins with that of the densest third of the logarithms, so that it does not span several groups.
-
-    Parameters
-    ----------
-    speeds : array (k,)
-        Mean speeds of the objects; some may be of other objects, or of what is none.
-    speed, std : float
-        The known speed, and its standard deviation from object to object.
+    Of the mean speeds (k,) some may be of other objects, or of what is none; `std` is the standard deviation of the
+    known speed from object to object. The speeds are a normal density on a floor of others (a mixture, fitted by
+    expectation and maximisation). Its width begins with that of the densest third of the logarithms, so that it does
+    not span several groups.
     """
     ratios = np.log(speed / np.maximum(speeds, 1e-300))
     # trajectories have errors of their own, which the shortest interval that holds a third of them shows
@@ -249,22 +234,9 @@ def _normal(errors: Array, std: Array | float) -> Array:
 def candidate_pairs(
     pairs: ObjectPairs, rigid: Integers, length: float, center: float, reach: float
 ) -> tuple[Peaks, Integers]:
-    """Pairs that may have the known length: the rigid ones whose logarithm of the ratio is within `reach` of `center`.
+    """Rigid pairs that may have the known length: those whose log(length / distance) is within `reach` of `center`.
 
-    Parameters
-    ----------
-    pairs : ObjectPairs
-    rigid : array (r,) of int
-        Places of the rigid pairs.
-    length : float
-        The known length.
-    center, reach : float
-        Of log(length / distance).
-
-    Returns
-    -------
-    Peaks, array (k,) of int
-        The candidates and their odds, and their places in `pairs`.
+    `rigid` (r,) has the places of rigid pairs. Returns the candidates and their odds, and their places (k,) in `pairs`.
     """
     every = np.log(length / pairs.distances)
     near = np.abs(every - center) <= reach
@@ -278,21 +250,11 @@ def known_distance(pairs: ObjectPairs, length: float, expected: float, prior_std
     """Find which of the distances of rigid pairs is the known length; return log(length / distance) and its error.
 
     Many neighbouring corners of a board are the known length apart, and other pairs are not. The ratio of the greatest
-    probability is taken, among those that the prior of the scale allows. If the prior allows no rigid pair, the pair
-    that keeps its distance best is taken.
+    probability is taken, among those that the prior of the result, `expected` with `prior_std`, allows. If the prior
+    allows no rigid pair, the pair that keeps its distance best is taken.
 
-    Parameters
-    ----------
-    pairs : ObjectPairs
-    length : float
-    expected, prior_std : float
-        Prior of the result.
-
-    Returns
-    -------
-    (float, float) or None
-        None if no pair is rigid, if several distances are about as probable or chance may have made them, if another
-        distance has nearly as many pairs (`LARGEST_RIVAL`), and where the prior leaves nothing free.
+    None if no pair is rigid, if several distances are about as probable or chance may have made them, if another
+    distance has nearly as many pairs (`LARGEST_RIVAL`), and where the prior leaves nothing free.
     """
     rigid = pairs.rigid()
     if not len(rigid) or prior_std <= 0.0:

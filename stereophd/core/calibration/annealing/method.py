@@ -120,15 +120,7 @@ class Calibrated:
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
-    """Return the answer of the best start.
-
-    Parameters
-    ----------
-    task : Task
-    starts : list of Start
-        One of them has succeeded.
-    choices : Choices
-    """
+    """Return the answer of the best start; one of them has succeeded."""
     best = best_of(starts)
     assert best is not None
     assert best.fit is not None

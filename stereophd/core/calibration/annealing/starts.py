@@ -51,20 +51,11 @@ LEAST_SHARE = 0.05
 
 
 def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> Start:
-    """Follow one start through all passes: from the pairings found, the best first, then from its own values.
+    """Follow one start through all passes: from the pairings found, the best first, then from its own values (m,).
 
     A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
-    and the start's own values at the widest noise, are tried only where none has succeeded so far.
-
-    Parameters
-    ----------
-    task : Task
-    number : int
-        Which start, for the record.
-    values : array (m,)
-        Where it begins.
-    seed : SeedSequence
-        Seed of the further draws among which one-camera tracks are paired.
+    and the start's own values at the widest noise, are tried only where none has succeeded so far. The number is for
+    the record; the seed is that of the further draws among which one-camera tracks are paired.
     """
     pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS]
     tried: list[Start] = []
@@ -143,16 +134,9 @@ def explained(task: Task, fit: Fit) -> float:
 def real_detections(parameters: ParameterSet, scans: Scans, followed: float) -> float:
     """How many detections are not expected to be false.
 
-    Those beyond the clutter that the detectors state, but no more than tracks of one camera alone follow: there may
-    be more clutter than stated. At least two standard deviations of the number of detections, were all of them
-    false.
-
-    Parameters
-    ----------
-    parameters : ParameterSet
-    scans : Scans
-    followed : float
-        Share of the detections that tracks of one camera alone follow.
+    Those beyond the clutter that the detectors state, but no more than the share `followed` that tracks of one camera
+    alone follow: there may be more clutter than stated. At least two standard deviations of the number of detections,
+    were all of them false.
     """
     frames = np.bincount(scans.cameras, minlength=len(parameters.cameras))
     clutter = sum(

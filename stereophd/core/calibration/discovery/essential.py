@@ -48,13 +48,8 @@ def squared_sampson(essential: Array, rows: Array) -> Array:
 def eight_point(rows: Array, valid: Array, tolerances: tuple[float, float]) -> Array:
     """Essential matrices (h, 3, 3) of sets of constraint rows (h, n, 9); a few wrong rows are borne.
 
-    Parameters
-    ----------
-    rows : array (h, n, 9)
-    valid : array (h, n)
-        Weight of each row: 0 where there is none.
-    tolerances : (float, float)
-        First and last tolerance of the Cauchy weights, in slopes.
+    `valid` (h, n) is the weight of each row, 0 where there is none; the tolerances are the first and the last of the
+    Cauchy weights, in slopes.
     """
     weights = np.broadcast_to(valid, rows.shape[:2])
     essential = np.empty((len(rows), 3, 3))

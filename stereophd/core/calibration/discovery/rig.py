@@ -78,17 +78,9 @@ class Discovery:
 
 
 def discover(views: Sequence[View], raw: RawTracks, reference: int, rng: np.random.Generator) -> Discovery:
-    """Find poses, clocks and intrinsics of cameras from one-camera tracks.
+    """Find poses, clocks and intrinsics of cameras from one-camera tracks: raw pixels on each camera's own clock.
 
-    Parameters
-    ----------
-    views : sequence of View
-    raw : RawTracks
-        Tracks of every camera, raw pixels on the camera's own clock.
-    reference : int
-        The camera that is the origin, and whose clock is true.
-    rng : Generator
-        Chooses among hypotheses where there are too many.
+    The reference camera is the origin, and its clock is true; `rng` chooses among hypotheses where there are too many.
     """
     found = slope_tracks([view.camera for view in views], raw)
     if (reason := doubts_of_tracks(found, [view.camera.name for view in views])) is not None:

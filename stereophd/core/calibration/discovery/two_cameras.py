@@ -54,10 +54,7 @@ class PairResult:
 def find_pair(
     found: SlopeTracks, cameras: tuple[int, int], prior: PairPrior, reach: float, rng: np.random.Generator
 ) -> PairResult | None:
-    """Find two cameras from their tracks; None where no tracks pair.
-
-    `reach` is the largest offset of the second clock from its prior mean, s.
-    """
+    """Find two cameras from tracks, the second clock within `reach`, s, of its prior mean; None where none pair."""
     if min(len(found.of_camera(number)) for number in cameras) == 0:
         return None
     grid = make_grid(found, cameras, reach)

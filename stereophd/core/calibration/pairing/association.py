@@ -52,16 +52,9 @@ def inflated(event: Event, factor: float) -> Event:
 
 
 def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) -> TrackedDetections:
-    """Run a filter over events, and give each track the detections nearest to it.
+    """Run a filter with the cameras to be tried over events, and give each track the detections nearest to it.
 
-    Parameters
-    ----------
-    multi_filter : PmbFilter
-        With the cameras to be tried.
-    scans : Scans
-        With the detector's noise.
-    inflation : float
-        Factor on it.
+    The scans have the detector's noise, and `inflation` is a factor on it.
     """
     state = multi_filter.init()
     total = 0.0
@@ -136,24 +129,11 @@ def fitted_detections(
     padding: float,
     counts: Integers,
 ) -> tuple[Integers, Integers]:
-    """Give fitted trajectories their detections, those with the most so far first.
+    """Give fitted trajectories (knots with states (k, 2, 3)) their detections, those with the most so far first.
 
-    A piece of a track that another trajectory explains better is thus left without detections.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    scans : Scans
-    knots, states : Knots, array (k, 2, 3)
-    padding : float
-        A trajectory continues without noise for this time before its first and after its last detection, s.
-    counts : array (j,)
-        Detections of each trajectory so far.
-
-    Returns
-    -------
-    trajectories, detections : arrays (n,) of int
-        Sorted by trajectory and time.
+    A piece of a track that another trajectory explains better is thus left without detections. A trajectory continues
+    without noise for the time `padding`, s, before its first and after its last detection; `counts` (j,) are the
+    detections of each so far. Returns trajectories (n,) and detections (n,), sorted by trajectory and time.
     """
     owner = np.full(len(scans.points), -1)
     times, of_camera = scans.detection_times, scans.cameras[scans.event_of]

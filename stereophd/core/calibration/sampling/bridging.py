@@ -130,15 +130,15 @@ class BridgeSampler:
         """Move every particle once."""
         count, size = state.values.shape
         factors = state.step_size * OPTIMAL_STEP / np.sqrt(size) * self._proposal_factors(state.values)
-        here = self._mode_of(state.values)
+        mode = self._mode_of(state.values)
         noise = rng.standard_normal((count, size))
-        proposed = state.values + np.einsum("kab,kb->ka", factors[here], noise)
-        there = self._mode_of(proposed)
+        proposed = state.values + np.einsum("kab,kb->ka", factors[mode], noise)
+        proposed_mode = self._mode_of(proposed)
         begin, end = self.path.log_densities(proposed, state.stage, state.temperature < 1.0)
         change = _bridge(begin, end, state.temperature)
         change -= _bridge(state.log_begin, state.log_end, state.temperature)
         difference = proposed - state.values
-        change += _log_normal(difference, factors[there]) - _log_normal(difference, factors[here])
+        change += _log_normal(difference, factors[proposed_mode]) - _log_normal(difference, factors[mode])
         # a NaN is no reason to move
         accepted = np.log(rng.random(count)) < change
         acceptance = float(accepted.mean())

@@ -80,13 +80,13 @@ class Evidence:
         if self.scale_reference is not None:
             nominal = hypothesis_spaces(self.parameters, self.parameters.prior_mean[None], self.batch.template.rig)
             spaces = at_nominal_scale(spaces, nominal[0], self.scale_reference)
-        state, found = self.batch.init(len(values)), np.empty((len(counts), len(values)))
+        state, totals = self.batch.init(len(values)), np.empty((len(counts), len(values)))
         for number, event in enumerate(self.events[: counts[-1]]):
-            found[np.equal(counts, number)] = total
+            totals[np.equal(counts, number)] = total
             state, log_likelihoods = self.batch.step(state, inflated(event, inflation), spaces)
             total = total + log_likelihoods
-        found[np.equal(counts, counts[-1])] = total
-        return found
+        totals[np.equal(counts, counts[-1])] = total
+        return totals
 
 
 def log_density_of_scale(
@@ -96,8 +96,8 @@ def log_density_of_scale(
     if scale is None:
         return np.zeros(len(values))
     about = 0 if reference is None else reference
-    found = np.array([predicted(parameters, about, scale, row)[0] for row in values])
-    return np.asarray(-0.5 * ((found - scale.value) / scale.std) ** 2 - np.log(scale.std * np.sqrt(2.0 * np.pi)))
+    scales = np.array([predicted(parameters, about, scale, row)[0] for row in values])
+    return np.asarray(-0.5 * ((scales - scale.value) / scale.std) ** 2 - np.log(scale.std * np.sqrt(2.0 * np.pi)))
 
 
 def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Array:
@@ -129,9 +129,9 @@ def at_nominal_scale(spaces: Array, nominal: Array, reference: int) -> Array:
     cameras, their distance.
     """
     centers = spaces[:, :, CENTER : CENTER + 3]
-    whole, found = extent(nominal[:, CENTER : CENTER + 3], reference), extent(centers, reference)
+    whole, sizes = extent(nominal[:, CENTER : CENTER + 3], reference), extent(centers, reference)
     # cameras in one place have no scale
-    ratio = whole / np.where(found > 0.0, found, whole)
+    ratio = whole / np.where(sizes > 0.0, sizes, whole)
     scaled = spaces.copy()
     pivot = centers[:, reference, None]
     scaled[:, :, CENTER : CENTER + 3] = pivot + ratio[:, None, None] * (centers - pivot)

@@ -94,16 +94,16 @@ class RecordingEvidence:
     ) -> list[float]:
         template = self.template
         rig = make_rig(cameras, template.rig.baseline, template.rig.rectification, template.rig.region)
-        one = replace(template, rig=rig, sets=self._sets, settings=self._settings)
-        state, total, found = one.init(), 0.0, []
+        conditional = replace(template, rig=rig, sets=self._sets, settings=self._settings)
+        state, total, totals = conditional.init(), 0.0, []
         for number, event in enumerate(Scans.of(self.recording, cameras, frames).events):
-            found += [total] * list(counts).count(number)
+            totals += [total] * list(counts).count(number)
             elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
             births = template.expected_births(state.undetected, elapsed, event)
             event = inflated(event, inflation)
-            state, info = one.update(state, one.predict(state, event, births), event)
+            state, info = conditional.update(state, conditional.predict(state, event, births), event)
             total += info.log_likelihood + _log_density_of_lost(event, cameras[event.camera])
-        return found + [total] * list(counts).count(len(frames))
+        return totals + [total] * list(counts).count(len(frames))
 
     @cached_property
     def _sets(self) -> SampleSets:
@@ -120,12 +120,12 @@ class RecordingEvidence:
         reference = self.scale_reference
         if reference is None:
             return cameras
-        whole, found = (
-            float(extent(np.array([camera.pose.center for camera in one]), reference))
-            for one in (self.parameters.cameras, cameras)
+        whole, size = (
+            float(extent(np.array([camera.pose.center for camera in rig]), reference))
+            for rig in (self.parameters.cameras, cameras)
         )
         # cameras in one place have no scale
-        return enlarged(cameras, reference, whole / found) if found > 0.0 else cameras
+        return enlarged(cameras, reference, whole / size) if size > 0.0 else cameras
 
 
 def _log_density_of_lost(event: Event, camera: Camera) -> float:

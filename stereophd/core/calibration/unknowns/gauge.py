@@ -30,16 +30,8 @@ KEPT_WITHIN = 1.0
 def depth_ratio(task: Task, fit: Fit, within: float = 0.0) -> float:
     """Factor on all lengths at which the objects of a fit lie at the depths that the filter's birth prior expects.
 
-    Parameters
-    ----------
-    task, fit : Task, Fit
-    within : float
-        Standard deviations of the prior's disparity within which the median object may stay where it is.
-
-    Returns
-    -------
-    float
-        1 where the scale is not free.
+    The median object may stay where it is `within` so many standard deviations of the prior's disparity. 1 where the
+    scale is not free.
     """
     if not _rescalable(task):
         return 1.0

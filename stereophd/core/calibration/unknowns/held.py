@@ -58,13 +58,7 @@ class EnlargedSet:
 def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
     """Return the unknowns of a calibration and, under wide priors, what it holds of lenses, images and clocks.
 
-    Parameters
-    ----------
-    parameters : ParameterSet
-    reference : int
-        Index of the reference camera, whose clock fixes that of the results.
-    periods : array (c,)
-        Median time between two frames of each camera, s.
+    The clock of the reference camera fixes that of the results; `periods` (c,) are median times between two frames, s.
     """
     cameras, extra, groups = [], list[Parameter](), list[HeldGroup]()
     size, without_lens = parameters.size, set[str]()

@@ -96,7 +96,7 @@ def observability(
 def laplace_draws(
     parameters: ParameterSet, reference: int, values: Array, covariance: Array, count: int, rng: np.random.Generator
 ) -> Array:
-    """Draw from the posterior of an optimum and its covariance, which is normal except along the scale.
+    """Draw (count, m) from the posterior of an optimum and its covariance, which is normal except along the scale.
 
     If the scale is free, the data determine the directions of the cameras, and the centres lie in a cone: at a larger
     scale they are spread as much wider. A step z ~ N(0, S) is split, with the gradient g of log s, into a part that
@@ -105,19 +105,6 @@ def laplace_draws(
         z = a S g / (g^T S g) + w,    a = g^T z,    g^T w = 0,
 
     and the part of w that moves centres is multiplied by the factor 1 + a on the scale.
-
-    Parameters
-    ----------
-    parameters : ParameterSet
-    reference : int
-        Index of the reference camera.
-    values, covariance : arrays (m,), (m, m)
-    count : int
-    rng : Generator
-
-    Returns
-    -------
-    array (count, m)
     """
     steps = rng.standard_normal((count, parameters.size)) @ covariance_factor(covariance).T
     _, gradient = log_scale(parameters, reference, values)

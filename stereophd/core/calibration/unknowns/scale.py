@@ -45,15 +45,7 @@ def scale_is_free(parameters: ParameterSet) -> bool:
 
 
 def log_scale(parameters: ParameterSet, reference: int, values: Array) -> tuple[float, Array]:
-    """Logarithm of s and its gradient (m,); zero where the scale is not free.
-
-    Parameters
-    ----------
-    parameters : ParameterSet
-    reference : int
-        Index of the reference camera.
-    values : array (m,)
-    """
+    """Logarithm of s at values (m,), and its gradient (m,); zero where the scale is not free."""
     gradient = np.zeros(parameters.size)
     if not scale_is_free(parameters):
         return 0.0, gradient
@@ -77,37 +69,19 @@ def log_scale(parameters: ParameterSet, reference: int, values: Array) -> tuple[
 
 
 def collapse(parameters: ParameterSet, reference: int, values: Array) -> str | None:
-    """Why the cameras lie too near together for the prior; None if they do not, or if their scale is not free.
-
-    Parameters
-    ----------
-    parameters, reference, values
-        As for `log_probability_of_nearness`.
-    """
+    """Why the cameras lie too near together for the prior; None if they do not, or if their scale is not free."""
     if log_probability_of_nearness(parameters, reference, values) >= np.log(LEAST_PROBABILITY_OF_NEARNESS):
         return None
     return "the cameras lie together in one place, nearer than the prior allows"
 
 
 def log_probability_of_nearness(parameters: ParameterSet, reference: int, values: Array) -> float:
-    """Logarithm of the prior probability that the cameras lie as near to the reference, or nearer.
+    """Logarithm of the prior probability that the cameras of values (m,) lie as near to the reference, or nearer.
 
     Where two cameras are in one place every detection of one meets some of the other, at no depth: an adjustment that
     began at wrong pairs may end there. A prior of d coordinates of centres with the density p gives the ball of the
     radius R about the reference the probability p V_d R^d, with V_d the volume of the unit ball (for R small against
-    the prior's standard deviations).
-
-    Parameters
-    ----------
-    parameters : ParameterSet
-    reference : int
-        Index of the reference camera.
-    values : array (m,)
-
-    Returns
-    -------
-    float
-        0 where the scale is not free, or a coordinate of another camera's centre is known.
+    the prior's standard deviations). 0 where the scale is not free, or another camera's centre has a known coordinate.
     """
     if not scale_is_free(parameters):
         return 0.0

@@ -61,10 +61,7 @@ def default_stages(parameters: ParameterSet) -> tuple[UnknownSet, ...]:
 def stages_named(parameters: ParameterSet, stages: Sequence[Sequence[str]]) -> tuple[UnknownSet, ...]:
     """Stages that free the named components or quantities one after the other, and at last all.
 
-    Raises
-    ------
-    ValueError
-        A name is no unknown; the message lists them.
+    Raises ValueError when a name is no unknown; the message lists them.
     """
     known = {p.name for p in parameters.parameters} | {p.quantity.name for p in parameters.parameters}
     free = np.zeros(parameters.size, dtype=np.bool_)

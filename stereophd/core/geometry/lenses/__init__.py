@@ -18,5 +18,5 @@ from stereophd.core.settings import members
 @cache
 def lens_models() -> Mapping[str, LensModel]:
     """Return every lens model by its name, in the order of the codes."""
-    found = members(__name__, "LENS")
-    return {name: found[name] for name in sorted(found, key=lambda name: found[name].code)}
+    lenses = members(__name__, "LENS")
+    return {name: lenses[name] for name in sorted(lenses, key=lambda name: lenses[name].code)}

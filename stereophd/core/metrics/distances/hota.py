@@ -51,12 +51,12 @@ def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
     for row, threshold in enumerate(THRESHOLDS):
         matched = similarity >= threshold - ROUNDING
         together = np.bincount(number[matched], minlength=count).astype(np.float64)
-        found = int(np.count_nonzero(matched))
+        n_matched = int(np.count_nonzero(matched))
         points = len(truth.label) + len(estimates.label)
         parts[row] = (
-            found / max(points - found, 1),
-            float((together * together / np.maximum(either - together, 1.0)).sum()) / max(found, 1),
-            float(similarity[matched].mean()) if found else 1.0,
+            n_matched / max(points - n_matched, 1),
+            float((together * together / np.maximum(either - together, 1.0)).sum()) / max(n_matched, 1),
+            float(similarity[matched].mean()) if n_matched else 1.0,
         )
     detection, association, localisation = parts.T
     return Hota(np.sqrt(detection * association), detection, association, localisation)

@@ -54,10 +54,10 @@ def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanSco
     if estimates.confirmed is not None:
         pairs = pairs[estimates.confirmed[scores.pair_estimate]]
     # Pairs are in order of scan.
-    found, first = np.unique(target[scores.pair_truth[pairs]], return_index=True)
+    tracked, first = np.unique(target[scores.pair_truth[pairs]], return_index=True)
     first = pairs[first]
     confirmed = time_s[scores.pair_scan[first]]
     reported = reports.of(estimates.label[scores.pair_estimate[first]], confirmed)
-    start = appears[found]
-    never = len(labels) - len(found)
+    start = appears[tracked]
+    never = len(labels) - len(tracked)
     return Waits(confirmed - start, np.clip(reported - start, 0.0, confirmed - start), never)

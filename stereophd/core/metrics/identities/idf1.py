@@ -46,24 +46,24 @@ def _most_common_scans(pairs: Couples) -> int:
     Objects and tracks that no chain of pairs connects are assigned apart, so that the work does not grow with the
     number of all objects times that of all tracks.
     """
-    one, other, count = pairs.objects, pairs.tracks, np.bincount(pairs.number)
-    if len(one) == 0:
+    objects, tracks_of, count = pairs.objects, pairs.tracks, np.bincount(pairs.number)
+    if len(objects) == 0:
         return 0
     from scipy.sparse import coo_array  # costly to import
     from scipy.sparse.csgraph import connected_components
 
-    tracks = int(other.max()) + 1
-    nodes = int(one.max()) + 1 + tracks
-    ones = np.ones(len(one), dtype=np.int8)
-    graph = coo_array((ones, (one, other + nodes - tracks)), shape=(nodes, nodes))
-    part = connected_components(graph, directed=False)[1][one]
+    tracks = int(tracks_of.max()) + 1
+    nodes = int(objects.max()) + 1 + tracks
+    ones = np.ones(len(objects), dtype=np.int8)
+    graph = coo_array((ones, (objects, tracks_of + nodes - tracks)), shape=(nodes, nodes))
+    part = connected_components(graph, directed=False)[1][objects]
     order = np.argsort(part, kind="stable")
     total = 0
     for rows in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
-        row, column = (np.unique(names[rows], return_inverse=True)[1] for names in (one, other))
+        row, column = (np.unique(names[rows], return_inverse=True)[1] for names in (objects, tracks_of))
         table = np.zeros((1, row.max() + 1, column.max() + 1))
         table[0, row, column] = count[rows]
         partner = optimal_assignment(-table)[0]
-        found = partner >= 0
-        total += int(table[0, found, partner[found]].sum())
+        paired = partner >= 0
+        total += int(table[0, paired, partner[paired]].sum())
     return total

@@ -90,13 +90,13 @@ def match_within(
     if distance == cutoff:
         return follow(estimates, truth, scores, near, order), near
     optimal = score_scans(estimates, truth, order, distance, mahalanobis=mahalanobis)
-    found = follow(estimates, truth, optimal, near, order)
+    followed = follow(estimates, truth, optimal, near, order)
     pairs = replace(
         scores,
-        n_matched=found.n_matched,
-        pair_scan=found.pair_scan,
-        pair_estimate=found.pair_estimate,
-        pair_truth=found.pair_truth,
+        n_matched=followed.n_matched,
+        pair_scan=followed.pair_scan,
+        pair_estimate=followed.pair_estimate,
+        pair_truth=followed.pair_truth,
     )
     return pairs, near
 
@@ -113,9 +113,9 @@ def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, m
     np.minimum.at(nearest, matchable.estimate, matchable.ratio)
     partner = np.full(len(estimates.label), NEVER, dtype=np.int64)
     partner[scores.pair_estimate] = scores.pair_truth
-    own = matchable.take(partner[matchable.estimate] == matchable.truth)
-    beside = own.ratio > BESIDE * nearest[own.estimate]
-    named = np.stack([truth.label[own.truth], estimates.label[own.estimate]])
+    matched = matchable.take(partner[matchable.estimate] == matchable.truth)
+    beside = matched.ratio > BESIDE * nearest[matched.estimate]
+    named = np.stack([truth.label[matched.truth], estimates.label[matched.estimate]])
     couple = np.unique(named, axis=1, return_inverse=True)[1].ravel()
     pairs, wrong = np.bincount(couple), np.bincount(couple, weights=beside)
     return int(wrong[2 * wrong > pairs].sum())
@@ -183,8 +183,8 @@ def _last_before(run: _Run, target: Integers, scan: Integers | int) -> Integers:
     if len(run.known) == 0:
         return np.full(len(target), NEVER, dtype=np.int64)
     place = np.searchsorted(run.known_key, target * len(run.start) + scan) - 1
-    found = run.known[np.maximum(place, 0)]
-    return np.where((place >= 0) & (run.target[found] == target), found, NEVER)
+    last = run.known[np.maximum(place, 0)]
+    return np.where((place >= 0) & (run.target[last] == target), last, NEVER)
 
 
 def _memory_before(run: _Run, scan: int) -> _Memory:
@@ -218,5 +218,5 @@ def _assign(run: _Run, rows: Integers, memory: _Memory) -> Integers:
     kept = kept[np.sort(np.unique(run.near.estimate[kept], return_index=True)[1])]
     kept = kept[np.unique(run.target[kept], return_index=True)[1]]
     free = ~(np.isin(run.near.estimate[rows], run.near.estimate[kept]) | np.isin(target, run.target[kept]))
-    left = rows[free]
-    return np.concatenate([kept, left[most_gain(run.near.take(left), run.gain[left])]])
+    remaining = rows[free]
+    return np.concatenate([kept, remaining[most_gain(run.near.take(remaining), run.gain[remaining])]])

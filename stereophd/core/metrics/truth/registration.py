@@ -90,13 +90,13 @@ def register(time_s: Array, positions: Array, truth: Truth, max_gap_s: float, fr
     chosen = np.unique(np.linspace(0, len(time_s) - 1, min(len(time_s), MOST_ESTIMATES)).astype(np.int64))
     time_s, positions = time_s[chosen], positions[chosen]
     middle = float(np.median(time_s)) if len(time_s) else 0.0
-    found = Registration(np.eye(3), np.zeros(3), 1.0, middle, 0.0, 1.0, 0)
+    registration = Registration(np.eye(3), np.zeros(3), 1.0, middle, 0.0, 1.0, 0)
     columns = freedom.columns
     for number in range(MOST_STEPS):
-        rows, targets, velocities = _nearest(found, time_s, positions, truth, max_gap_s)
+        rows, targets, velocities = _nearest(registration, time_s, positions, truth, max_gap_s)
         if len(rows) < LEAST_ESTIMATES:
             raise ValueError(f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, found {len(rows)}")
-        moved = found.positions(positions[rows])
+        moved = registration.positions(positions[rows])
         center, errors = moved.mean(axis=0), targets - moved
         distances = np.linalg.norm(errors, axis=1)
         reach = max(2.0 * float(np.median(distances)), 1e-12)
@@ -111,23 +111,23 @@ def register(time_s: Array, positions: Array, truth: Truth, max_gap_s: float, fr
         )[0]
         step = np.zeros(9)
         step[columns] = solved / sizes
-        found = _stepped(found, step, center, len(rows))
+        registration = _stepped(registration, step, center, len(rows))
         change = np.abs(jacobian @ step[columns]).max()
         if number >= EQUAL_STEPS and change <= TOLERANCE * reach:
             break
-    return found
+    return registration
 
 
 def _nearest(
-    found: Registration, time_s: Array, positions: Array, truth: Truth, max_gap_s: float
+    registration: Registration, time_s: Array, positions: Array, truth: Truth, max_gap_s: float
 ) -> tuple[Integers, Array, Array]:
     """Estimates (r,) that have true objects at their times, and position and velocity (r, 3) of the nearest."""
-    aligned = align_truth(truth, found.times(time_s), max_gap_s)
+    aligned = align_truth(truth, registration.times(time_s), max_gap_s)
     starts = aligned.points.start
     counts = np.where(aligned.outside | aligned.gap, 0, np.diff(starts))
     rows = np.repeat(np.arange(len(time_s)), counts)
     places = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts) + starts[:-1][rows]
-    moved = found.positions(positions)
+    moved = registration.positions(positions)
     distances = ((aligned.points.position[places] - moved[rows]) ** 2).sum(axis=1)
     order = np.lexsort((distances, rows))
     _, first = np.unique(rows[order], return_index=True)

@@ -71,6 +71,6 @@ def leave_out_unseen(
     keep = np.ones(len(estimates.label), dtype=bool)
     keep[scores.pair_estimate[~seen[scores.pair_truth]]] = False
     fewer_estimates, fewer_truth = estimates.keep_points(keep), truth.keep_points(seen)
-    left = fewer_estimates.counts + fewer_truth.counts
-    emptied = (left == 0) & (truth.counts > 0)
+    remaining = fewer_estimates.counts + fewer_truth.counts
+    emptied = (remaining == 0) & (truth.counts > 0)
     return fewer_estimates, fewer_truth, emptied

@@ -67,7 +67,8 @@ class FilterBatch:
     The same as `predict` and `update` of the filter for each hypothesis (to the rounding of sums), without
     `extract`: no object is ever reported, so that none is protected from being forgotten for having been. All
     components are moved by samples, regardless of the template's method: a rule that gives way to another at a
-    threshold would make the likelihood jump.
+    threshold would make the likelihood jump. In a region, new objects of all hypotheses have the depths inside it along
+    the rays of the template's cameras.
 
     Raises
     ------

@@ -53,7 +53,9 @@ def test_a_batch_is_one_filter_for_each_hypothesis(
 ) -> None:
     events = make_events(parameters.cameras, 30)
     template = make_template(parameters.cameras, kind, motion, 64, region, **settings)
-    values = np.concatenate([np.zeros((1, 6)), parameters.sample(np.random.default_rng(1), 3)])
+    # in a region, births have the depths along the rays of the template: only hypotheses equal to it have these
+    drawn = parameters.sample(np.random.default_rng(1), 3)
+    values = np.concatenate([np.zeros((1, 6)), drawn if region is None else np.zeros((1, 6))])
     batch = FilterBatch(template)
     spaces = hypothesis_spaces(parameters, values, template.rig)
     single = [with_cameras(template, parameters, row) for row in values]

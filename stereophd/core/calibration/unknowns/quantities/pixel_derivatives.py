@@ -12,17 +12,10 @@ from stereophd.core.geometry.rotations import cross_matrices, rotations
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
-    """Project points of trajectories into a camera.
+    """Project points of trajectories, world positions and velocities (n, 3) at the times of detections, into a camera.
 
-    Parameters
-    ----------
-    camera : Camera
-    world, velocities : arrays (n, 3)
-        Positions and velocities of the objects at the times of the detections.
-    times, log_times : arrays (n,)
-        True times, and times on the camera's clock, s.
-    rows : array (n,)
-        Row of each detection over the height of the image.
+    `times` (n,) are true ones and `log_times` (n,) those on the camera's clock, s; `rows` (n,) are those of the
+    detections over the height of the image.
     """
     pose = camera.pose
     elapsed = times - pose.time_s
@@ -82,11 +75,7 @@ def row_product(rows: Array, matrices: Array) -> Array:
 def turned(view: CameraView, axes: Array) -> Array:
     """Derivative (n, 2, 3) of the pixels for turns of the point's coordinates: point -> point - [point]_x axes d.
 
-    Parameters
-    ----------
-    view : CameraView
-    axes : array (3, 3) or (n, 3, 3)
-        Its columns turn with the three values.
+    The columns of `axes`, (3, 3) or (n, 3, 3), turn with the three values.
     """
     out = np.empty((len(view.points), 2, 3))
     x, y, z = view.points[:, 0], view.points[:, 1], view.points[:, 2]

@@ -33,13 +33,7 @@ def quantities() -> tuple[Quantity, ...]:
 
 @cache
 def quantity_of(component: str) -> Quantity:
-    """Return the quantity that has a component.
-
-    Raises
-    ------
-    KeyError
-        No quantity has it.
-    """
+    """Return the quantity that has a component; raises KeyError where none has it."""
     for quantity in quantities():
         if component in quantity.components:
             return quantity

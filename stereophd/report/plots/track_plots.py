@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.columns import Paths
 from stereophd.report.page.frames import camera_residuals, paths_of_run
-from stereophd.report.scene_plots import draw_camera_views, view_axes
-from stereophd.report.style import BLUE, ORANGE, STYLE, TRACK_COLOURS, dash_of, marker_of
-from stereophd.report.views import SceneView, views
+from stereophd.report.plots.scene_plots import draw_camera_views, view_axes
+from stereophd.report.plots.views import SceneView, views
+from stereophd.report.style import BLUE, ORANGE, STYLE, TRACK_COLOURS, dash_of, marker_of, plots_named, save_figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,13 +42,7 @@ def write_track_plots(run: Run, paths: Mapping[str, Path]) -> None:
         "residuals": lambda: _draw_residuals(run, tracks),
     }
     with mpl.rc_context(STYLE):
-        figures: dict[str, Figure] = {}
-        for name, path in paths.items():
-            plot, kind = name.rsplit(".", 1)
-            if plot not in figures:
-                figures[plot] = makers[plot]()
-            metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
-            figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.15)
+        save_figures({plot: makers[plot]() for plot in plots_named(paths)}, paths)
 
 
 def _positions(tracks: Paths) -> NDArray[np.float64]:
@@ -106,17 +100,17 @@ def _draw_timelines(tracks: Paths) -> Figure:
 
 def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     """Draw detection minus reprojected track over time, one panel per camera, with means."""
-    found = camera_residuals(run, tracks, MOST_RESIDUALS) or []
-    figure = Figure(figsize=(9.0, 0.9 + 1.7 * max(len(found), 1)), layout="constrained")
+    by_camera = camera_residuals(run, tracks, MOST_RESIDUALS) or []
+    figure = Figure(figsize=(9.0, 0.9 + 1.7 * max(len(by_camera), 1)), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(max(len(found), 1), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, camera, (times, values, _) in zip(grid, run.cameras, found, strict=False):
+    grid = figure.subplots(max(len(by_camera), 1), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, camera, (times, values, _) in zip(grid, run.cameras, by_camera, strict=False):
         _draw_camera_residuals(axes, times, values)
         rms = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
         axes.set_title(f"{camera.name}: root mean square {rms:.2f} px", fontsize=10)
         axes.set_ylabel("px")
     grid[-1].set_xlabel("time [s]")
-    if not found:
+    if not by_camera:
         grid[-1].text(0.5, 0.5, "no associations were kept", transform=grid[-1].transAxes, ha="center")
     return figure
 

@@ -48,8 +48,8 @@ def draw_moves(results: Results) -> Figure:
 
 
 def _value(cell: Cell, quantity: str, statistic: str) -> float:
-    one = next(one for one in cell.summaries if one.quantity == quantity)
-    return float(getattr(one, statistic)[0])
+    summary = next(summary for summary in cell.summaries if summary.quantity == quantity)
+    return float(getattr(summary, statistic)[0])
 
 
 def _ellipse(cell: Cell, plane: tuple[str, str], statistic: str) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.pipeline.calibration.outcome import Outcome
-from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS, marker_of
+from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS, marker_of, plots_named, save_figures
 
 # Half-width of a 90 % band in standard deviations.
 NINETY = 1.645
@@ -85,13 +85,7 @@ def write_calibration_plots(pictures: CalibrationPictures, paths: Mapping[str, P
     """Draw the plots ``history``, ``posterior`` and ``residuals`` that `paths` names (as png or svg)."""
     makers = {"history": draw_history, "posterior": draw_posterior, "residuals": draw_residuals}
     with mpl.rc_context(STYLE):
-        figures: dict[str, Figure] = {}
-        for name, path in paths.items():
-            plot, kind = name.rsplit(".", 1)
-            if plot not in figures:
-                figures[plot] = makers[plot](pictures)
-            metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
-            figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.15)
+        save_figures({plot: makers[plot](pictures) for plot in plots_named(paths)}, paths)
 
 
 def _grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, NDArray[Any]]:

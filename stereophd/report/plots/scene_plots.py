@@ -13,6 +13,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors.consistency import UNLABELLED
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import in_window
+from stereophd.report.plots.views import SceneView, field_of_view, limits, viewing_depth, views
 from stereophd.report.style import (
     BLUE,
     CAMERA_COLOUR,
@@ -25,7 +26,6 @@ from stereophd.report.style import (
     legend_right,
     unit_text,
 )
-from stereophd.report.views import SceneView, field_of_view, limits, viewing_depth, views
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from stereophd.core.arrays import Array
-from stereophd.report.experiment_moves import draw_moves
-from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right
+from stereophd.report.plots.experiment_moves import draw_moves
+from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right, plots_named, save_figures
 from stereophd.wording import counted
 
 if TYPE_CHECKING:
@@ -72,11 +72,7 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
         moved = results.config.scenario.kind == "move"
         figure = draw_moves(results) if moved else _draw(results)
         _add_title(figure, results)
-        for name, path in paths.items():
-            kind = name.rsplit(".", 1)[1]
-            # Metadata of the files (date, program) would differ between runs.
-            metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
-            figure.savefig(path, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.12, dpi=DPI)
+        save_figures(dict.fromkeys(plots_named(paths), figure), paths, pad_inches=0.12, dpi=DPI)
 
 
 def _draw(results: Results) -> Figure:
@@ -118,14 +114,14 @@ def _add_title(figure: Figure, results: Results) -> None:
 def _quantities(results: Results) -> list[str]:
     if results.config.figure.quantities is not None:
         return list(results.config.figure.quantities)
-    summaries = [one for cell in results.cells for one in cell.summaries]
-    varying = [one.quantity for one in summaries if one.times_s is not None]
-    return list(dict.fromkeys(varying or [one.quantity for one in summaries]))
+    summaries = [summary for cell in results.cells for summary in cell.summaries]
+    varying = [summary.quantity for summary in summaries if summary.times_s is not None]
+    return list(dict.fromkeys(varying or [summary.quantity for summary in summaries]))
 
 
 def _vary_with_time(results: Results, quantities: Sequence[str]) -> bool:
-    found = [one for cell in results.cells for one in cell.summaries if one.quantity in quantities]
-    return any(one.times_s is not None for one in found)
+    summaries = [summary for cell in results.cells for summary in cell.summaries if summary.quantity in quantities]
+    return any(summary.times_s is not None for summary in summaries)
 
 
 def _groups(results: Results, over: str | None) -> dict[str, list[Cell]]:
@@ -147,19 +143,19 @@ def _kinds_of_panel(results: Results, quantity: str, over: str | None) -> tuple[
     """Return whether panels of a quantity show it, or its ratio to the bound: both in a sweep with a bound."""
     if over is None or _numbers(results, over) is None:
         return (False,)
-    summaries = [one for cell in results.cells for one in cell.summaries if one.quantity == quantity]
-    known = any(one.times_s is None and np.isfinite(one.bound).any() for one in summaries)
+    summaries = [summary for cell in results.cells for summary in cell.summaries if summary.quantity == quantity]
+    known = any(summary.times_s is None and np.isfinite(summary.bound).any() for summary in summaries)
     return (False, True) if known else (False,)
 
 
 def _draw_ratios(axes: Axes, lines: Sequence[_Line]) -> None:
     """Draw what the methods reach as multiples of the bound."""
     ratios = [
-        _Line(one.label, one.x, one.mean / one.bound, one.low / one.bound, one.high / one.bound, one.bound / one.bound)
-        for one in lines
+        _Line(line.label, line.x, *(getattr(line, name) / line.bound for name in ("mean", "low", "high", "bound")))
+        for line in lines
     ]
     _draw_curves(axes, ratios, marked=True)
-    values = np.concatenate([one.mean for one in ratios])
+    values = np.concatenate([line.mean for line in ratios])
     if np.nanmax(values) > LARGEST_LINEAR_RATIO:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(_PlainNumbers())
@@ -170,13 +166,13 @@ def _panel(
     axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], over: str | None, ratio: bool = False
 ) -> str:
     """Draw one panel, of a quantity or of its ratio to the bound, and return the unit of the quantity."""
-    unit = next((one.unit for cell in cells for one in cell.summaries if one.quantity == quantity), "")
+    unit = next((summary.unit for cell in cells for summary in cell.summaries if summary.quantity == quantity), "")
     if over is None:
         lines = [
-            _Line(cell.method, one.times_s, one.mean, one.ci_low, one.ci_high, one.bound)
+            _Line(cell.method, summary.times_s, summary.mean, summary.ci_low, summary.ci_high, summary.bound)
             for cell in cells
-            for one in cell.summaries
-            if one.quantity == quantity and one.times_s is not None
+            for summary in cell.summaries
+            if summary.quantity == quantity and summary.times_s is not None
         ]
         _draw_curves(axes, lines)
     else:
@@ -214,20 +210,20 @@ def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: st
     position = list(results.config.cases).index(over)
     places = {name: i for i, (name, _) in enumerate(results.config.cases[over].points())}
     numbers = _numbers(results, over)
-    found: dict[str, list[tuple[float, Summary]]] = {}
+    by_method: dict[str, list[tuple[float, Summary]]] = {}
     for cell in cells:
         place = places[cell.settings[position]]
         x = float(place) if numbers is None else float(numbers[place])
-        for one in cell.summaries:
-            if one.quantity == quantity and one.times_s is None:
-                found.setdefault(cell.method, []).append((x, one))
+        for summary in cell.summaries:
+            if summary.quantity == quantity and summary.times_s is None:
+                by_method.setdefault(cell.method, []).append((x, summary))
     return [
         _Line(
             method,
             np.array([x for x, _ in points]),
-            *(np.array([getattr(one, name)[0] for _, one in points]) for name in STATISTICS),
+            *(np.array([getattr(summary, name)[0] for _, summary in points]) for name in STATISTICS),
         )
-        for method, points in found.items()
+        for method, points in by_method.items()
     ]
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.pipeline.tracking.explained import CameraSums, Explained
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.losses import Losses
+from stereophd.pipeline.tracking.run_figures.explained import CameraSums, Explained
+from stereophd.pipeline.tracking.run_figures.losses import Losses
 
 
 @dataclass
