@@ -26,10 +26,7 @@ class CameraTree:
 def read_camera_tree(path: Path) -> CameraTree:
     """Read a file of cameras, native or of another program.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or its format is unknown.
+    Raises InputError when the file cannot be read, or its format is unknown.
     """
     refused: InputError | None = None
     native: CameraTree | None = None

@@ -166,14 +166,8 @@ def _did_you_mean(names: list[str]) -> str:
 def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[str, Any]) -> str:
     """Return one line for each error: ``FILE:LINE: key.path: expected ..., found ...``.
 
-    Parameters
-    ----------
-    errors
-        As `pydantic.ValidationError.errors` returns them.
-    tree
-        The data that were validated, with their places.
-    schema
-        JSON schema of the model, for the known keys.
+    The errors are as `pydantic.ValidationError.errors` returns them. The tree has the data that were validated, with
+    their places; the model's JSON schema has the known keys.
     """
     data = tree.data
     by_path: dict[KeyPath, list[Mapping[str, Any]]] = {}

@@ -231,17 +231,8 @@ def _as_data(value: Any) -> Any:
 def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any]]]) -> LoadedConfig:
     """Return a configuration with some values changed.
 
-    Parameters
-    ----------
-    loaded
-        The configuration.
-    settings
-        Where a change is written (for messages), and dotted key path -> value; later ones win.
-
-    Raises
-    ------
-    InputError
-        As `load_config`.
+    Each of the settings is where a change is written (for messages), and dotted key path -> value; later ones win.
+    Raises InputError as `load_config`.
     """
     tree = copy.deepcopy(loaded.tree)
     for where, changes in settings:
@@ -253,13 +244,10 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
 
 
 def load_cameras(path: Path | str) -> CamerasFile:
-    """Load a file of cameras without a configuration: a ``cameras.yaml``, or a file of another program, recognised by
-    its content.
+    """Load a file of cameras without a configuration.
 
-    Raises
-    ------
-    InputError
-        As `load_config`.
+    It is a ``cameras.yaml``, or a file of another program, recognised by its content. Raises InputError as
+    `load_config`.
     """
     tree = read_camera_tree(Path(path)).tree
     _inline_trajectories(tree, Path(path).parent)
@@ -271,10 +259,7 @@ def read_camera_file(
 ) -> tuple[dict[str, CameraConfig], str, list[str]]:
     """Return the cameras of a native or foreign file, their unit of length, and what was assumed.
 
-    Raises
-    ------
-    InputError
-        As `load_cameras`, or of the foreign format.
+    Raises InputError as `load_cameras`, or of the foreign format.
     """
     # Imported here: configurations with native cameras do not need the other formats.
     from stereophd.io.interchange.camera_files import read_foreign_cameras

@@ -218,21 +218,10 @@ class _Builder:
 
 
 def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
-    """Parse one YAML document.
+    """Parse one YAML document from a file (or option), the `source` that messages name.
 
-    Parameters
-    ----------
-    text
-        The document.
-    source
-        File (or option) it comes from, for the messages.
-    numbered
-        Whether lines are worth naming (not for the value of an option).
-
-    Raises
-    ------
-    InputError
-        Not YAML, not text, several documents, a duplicate key, or a value that is not plain.
+    `numbered` says whether lines are worth naming (not for the value of an option). Raises InputError for text that is
+    not YAML or not text, several documents, a duplicate key, or a value that is not plain.
     """
     try:
         node = compose_yaml(text, source, _CoreLoader)
@@ -261,10 +250,7 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
 def read_yaml(path: Path, what: str = CONFIGURATION) -> tuple[Tree, bytes]:
     """Read a YAML file, which should be a `what`, and return it with its bytes.
 
-    Raises
-    ------
-    InputError
-        The file is not there or not readable, or a table; or as `parse_yaml`.
+    Raises InputError when the file is not there or not readable, or a table; or as `parse_yaml`.
     """
     try:
         refuse_unsettled(path)

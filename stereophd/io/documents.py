@@ -42,13 +42,7 @@ def most_bytes(packed: int) -> int:
 
 
 def check_claim(claimed: int, present: int, where: str) -> None:
-    """Refuse data of `claimed` bytes of which the file holds only `present`.
-
-    Raises
-    ------
-    InputError
-        The claim is beyond `most_bytes`.
-    """
+    """Refuse, by an InputError, data that claim more bytes than the `present` ones may expand to (`most_bytes`)."""
     if claimed > most_bytes(present):
         raise InputError(
             f"{where}: expected data that the file holds, found {present} bytes that claim to be {claimed}"
@@ -56,13 +50,7 @@ def check_claim(claimed: int, present: int, where: str) -> None:
 
 
 def read_bytes(path: Path, most: int = MAX_DOCUMENT_BYTES) -> bytes:
-    """Return the bytes of a document.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or holds more than `most` bytes.
-    """
+    """Return the bytes of a document; InputError if it cannot be read, or holds more than `most` bytes."""
     try:
         with open(path, "rb") as stream:
             content = stream.read(most + 1)
@@ -76,21 +64,8 @@ def read_bytes(path: Path, most: int = MAX_DOCUMENT_BYTES) -> bytes:
 def compose_yaml(content: str | bytes, where: str, loader: type[Any]) -> yaml.Node | None:
     """Return the nodes of a YAML document that is finite when its aliases and merges are expanded.
 
-    Parameters
-    ----------
-    content
-        The document.
-    where
-        The file, for messages.
-    loader
-        PyYAML's class of loaders.
-
-    Raises
-    ------
-    yaml.YAMLError
-        The text is not YAML.
-    InputError
-        The document expands beyond `MAX_NODES` values, or is nested deeper than `MAX_DEPTH`.
+    `where` is the file, for messages; `loader` is PyYAML's class of loaders. Raises `yaml.YAMLError` when the text is
+    not YAML, and InputError when it expands beyond `MAX_NODES` values, or is nested deeper than `MAX_DEPTH`.
     """
     depth = 0
     for event in yaml.parse(content, Loader=loader):
@@ -128,13 +103,7 @@ def _count_expanded(node: yaml.Node, where: str, counts: dict[int, int], above: 
 
 
 def check_instant(count: int, time_s: float, where: str) -> None:
-    """Refuse a frame of more detections than any camera makes.
-
-    Raises
-    ------
-    InputError
-        `count` exceeds `MAX_DETECTIONS_AT_ONCE`.
-    """
+    """Refuse, by an InputError, a frame of more than `MAX_DETECTIONS_AT_ONCE` detections: no camera makes as many."""
     if count > MAX_DETECTIONS_AT_ONCE:
         raise InputError(
             f"{where}: expected at most {MAX_DETECTIONS_AT_ONCE} detections at one time, found more at {time_s:.9g}"
@@ -151,10 +120,7 @@ def load_yaml(content: str | bytes, where: str, loader: type[Any] = SAFE_LOADER)
 def load_npz(path: Path) -> dict[str, Any]:
     """Return the arrays of a NumPy archive whose headers claim no more than the archive holds.
 
-    Raises
-    ------
-    InputError
-        The file is not such an archive.
+    Raises InputError when the file is not such an archive.
     """
     try:
         with open_archive(path) as archive:
@@ -177,13 +143,7 @@ def _load_npy(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> An
 
 @contextmanager
 def open_archive(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open a zip archive of at most `MAX_MEMBERS` members.
-
-    Raises
-    ------
-    InputError
-        It is no archive, damaged, or has more members.
-    """
+    """Open a zip archive; InputError if it is none, is damaged, or has more than `MAX_MEMBERS` members."""
     try:
         with zipfile.ZipFile(path) as archive:
             if len(archive.infolist()) > MAX_MEMBERS:
@@ -196,10 +156,7 @@ def open_archive(path: Path) -> Iterator[zipfile.ZipFile]:
 def read_member(path: Path, name: str) -> bytes | None:
     """Return a member of an archive as a document, or its ``.gz``, unpacked; None if there is neither.
 
-    Raises
-    ------
-    InputError
-        The archive is damaged, or the member expands beyond `MAX_DOCUMENT_BYTES`.
+    Raises InputError when the archive is damaged, or the member expands beyond `MAX_DOCUMENT_BYTES`.
     """
     with open_archive(path) as archive:
         names = set(archive.namelist())
@@ -214,10 +171,7 @@ def read_member(path: Path, name: str) -> bytes | None:
 def open_packed_table(path: Path, name: str) -> Iterator[IO[bytes]]:
     """Open a gzipped member of an archive as a stream that ends in an error where it expands beyond `most_bytes`.
 
-    Raises
-    ------
-    InputError
-        The archive has no such member, or is damaged; while reading: the member expands too far.
+    Raises InputError when the archive lacks the member, or is damaged; while reading, when the member expands too far.
     """
     with open_archive(path) as archive:
         if name not in archive.namelist():
@@ -249,13 +203,7 @@ def _bounded(stream: IO[bytes], most: int, where: str) -> IO[bytes]:
 
 
 def check_hdf5(file: Any, path: Path) -> None:
-    """Refuse an HDF5 file (h5py) whose datasets claim more than the file holds.
-
-    Raises
-    ------
-    InputError
-        A dataset claims bytes that were never written.
-    """
+    """Refuse, by an InputError, an HDF5 file (h5py) in which a dataset claims bytes that were never written."""
 
     def check(name: str, item: Any) -> None:
         if hasattr(item, "nbytes"):
@@ -265,13 +213,7 @@ def check_hdf5(file: Any, path: Path) -> None:
 
 
 def check_parquet(metadata: Any, path: Path | str) -> None:
-    """Refuse a Parquet file whose footer claims far more values than its bytes can hold.
-
-    Raises
-    ------
-    InputError
-        See `check_claim`.
-    """
+    """Refuse a Parquet file whose footer claims far more values than its bytes can hold, as `check_claim` does."""
     packed = sum(
         metadata.row_group(i).column(k).total_compressed_size
         for i in range(metadata.num_row_groups)

@@ -42,16 +42,9 @@ def newborn_bodies(
 ) -> Newborns:
     """Return the new bodies that explain boxes.
 
-    Parameters
-    ----------
-    boxes : Boxes
-    camera : Camera
-        At the time of the event.
-    shape : EllipsoidSettings
-    velocity_std : float
-        Standard deviation of each component of the velocity of new objects, length/s.
-    region : array (8,), optional
-        Where objects can be (`stereophd.core.disparity.events.Rig.region`).
+    The camera is that at the time of the event. `velocity_std` is the standard deviation of each component of the
+    velocity of new objects, length/s; objects can be in the `region` (8,) only
+    (`stereophd.core.disparity.events.Rig.region`).
     """
     up = shape.direction
     log_mean, log_covariance = shape.log_axes()

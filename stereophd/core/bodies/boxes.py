@@ -49,19 +49,7 @@ class Boxes:
 
 
 def boxes_of(event: Event, camera: Camera) -> Boxes:
-    """Return the boxes of an event, whose `sizes` are known.
-
-    Parameters
-    ----------
-    event : Event
-    camera : Camera
-        Its camera.
-
-    Raises
-    ------
-    InputError
-        A detection has no box.
-    """
+    """Return the boxes of an event of this camera, whose `sizes` are known; InputError when a detection has no box."""
     pixels = event.points if event.pixels is None else event.pixels
     sizes = np.full_like(pixels, np.nan) if event.sizes is None else event.sizes
     if np.isnan(sizes).any():
@@ -111,16 +99,10 @@ def _undistorted(camera: Camera, sides: tuple[Array, Array], sizes: Array) -> tu
 
 
 def box_variances(heights: Array, scales: Array, parts: Array) -> Array:
-    """Variances (..., 4) of the values of boxes, px^2.
+    """Variances (..., 4) of the values of boxes, px^2, for bodies whose images have heights (...), px.
 
-    Parameters
-    ----------
-    heights : array (...)
-        Of the images of the bodies, px.
-    scales : array (..., 4)
-        As those of `Boxes`.
-    parts : array (4,)
-        Standard deviations as parts of the height (`Detector.box_noise`).
+    Scales (..., 4) are as in `Boxes`; `parts` (4,) are standard deviations as parts of the height
+    (`Detector.box_noise`).
     """
     return np.asarray((parts * heights[..., None]) ** 2 + (FLOOR_PX * scales) ** 2)
 

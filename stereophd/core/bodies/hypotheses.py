@@ -43,22 +43,8 @@ def reduce_hypotheses(
 ) -> tuple[Hypotheses, Integers]:
     """Drop, merge and bound the hypotheses of tracks, and let the tracks exclude each other.
 
-    Parameters
-    ----------
-    hypotheses : Hypotheses
-        In any order.
-    reported : array (t,) of bool
-        Whether each track has been reported.
-    settings : PmbSettings
-    up : array (3,)
-        Axis of the bodies.
-
-    Returns
-    -------
-    Hypotheses
-        Of the tracks that are kept, numbered anew.
-    array (t,) of int
-        Those tracks.
+    The hypotheses are in any order; `reported` (t,) says whether each track has been reported, and `up` (3,) is the
+    axis of the bodies. Returns the hypotheses of the tracks that are kept, numbered anew, and those tracks.
     """
     owners, weights, n_tracks = hypotheses.owners, hypotheses.weights, len(reported)
     existence = np.bincount(owners, weights, n_tracks).astype(np.float64)

@@ -24,14 +24,7 @@ CUT_SHARE = 0.5
 def detection_probabilities(boxes: Array, hidden: Array, camera: Camera, shape: EllipsoidSettings) -> Array:
     """Return the probabilities of detection (n,) of bodies: less for what other bodies or the image's border hide.
 
-    Parameters
-    ----------
-    boxes : array (n, 4)
-        As `stereophd.core.bodies.outline.outline_boxes` returns them.
-    hidden : array (n,)
-        Shares of them that are hidden (`hidden_shares`).
-    camera : Camera
-    shape : EllipsoidSettings
+    Boxes (n, 4) are as `stereophd.core.bodies.outline.outline_boxes` returns them, `hidden` (n,) their `hidden_shares`.
     """
     whole = np.minimum(share_in_image(boxes, camera) / WHOLE_SHARE, 1.0)
     return np.asarray(camera.detector.p_detect * whole * (1.0 - shape.hidden_loss * hidden**shape.hidden_power))
@@ -40,16 +33,9 @@ def detection_probabilities(boxes: Array, hidden: Array, camera: Camera, shape: 
 def hidden_shares(boxes: Array, states: Array, covariances: Array, existence: Array, camera: Camera) -> Array:
     """Return the share (n,) of the box of each body that nearer bodies are expected to hide.
 
-    Each other body hides the part of the box that both share, with the probability that it exists and is nearer.
-
-    Parameters
-    ----------
-    boxes : array (n, 4)
-        As `stereophd.core.bodies.outline.outline_boxes` returns them.
-    states, covariances : arrays (n, 8), (n, 8, 8)
-    existence : array (n,)
-    camera : Camera
-        At the time of the states.
+    Each other body hides the part of the box that both share, with the probability that it exists and is nearer. Boxes
+    (n, 4) are as `stereophd.core.bodies.outline.outline_boxes` returns them, of states (n, 8) with covariances (n, 8,
+    8) and probabilities of existence (n,), in the camera at the time of the states.
     """
     half = boxes[:, WIDTH] / 2.0
     across = _overlaps(boxes[:, U] - half, boxes[:, U] + half)
@@ -74,14 +60,7 @@ def exclusive_existence(existence: Array, states: Array, covariances: Array, rep
 
     Of a pair whose axes are closer than `CLOSEST` allows with probability 1 - q, both exist with a probability reduced
     by the factor q. Each body in turn, the least probable first, takes what that leaves of it and of the other one.
-
-    Parameters
-    ----------
-    existence : array (n,)
-    states, covariances : arrays (n, 8), (n, 8, 8)
-    reported : array (n,) of bool
-        Whether each has been reported.
-    up : array (3,)
+    States are (n, 8), their covariances (n, 8, 8); `reported` (n,) says whether each has been reported; `up` is (3,).
     """
     if len(existence) < 2:
         return existence

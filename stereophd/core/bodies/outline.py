@@ -23,23 +23,11 @@ U, TOP, BOTTOM, WIDTH = range(4)
 
 
 def outline_boxes(states: Array, camera: Camera, up: Array) -> tuple[Array, Array]:
-    """Project ellipsoids of revolution into boxes.
+    """Project ellipsoids of revolution about `up` (3,), a unit vector in the world, into boxes.
 
-    Parameters
-    ----------
-    states : array (n, 8)
-        World frame, length, length/s and logarithms of lengths.
-    camera : Camera
-        At the time of the states.
-    up : array (3,)
-        Unit vector of the axis of revolution, world frame.
-
-    Returns
-    -------
-    boxes : array (n, 4)
-        Middle u, top v, bottom v and width in undistorted px; NaN for a body that is not wholly before the camera.
-    jacobian : array (n, 4, 8)
-        Derivative with respect to the states.
+    States (n, 8) are in the world frame, length, length/s and logarithms of lengths; the camera is that at their time.
+    Returns boxes (n, 4), middle u, top v, bottom v and width in undistorted px, NaN for a body that is not wholly
+    before the camera, and their derivative (n, 4, 8) with respect to the states.
     """
     matrix = camera.projection_matrix
     m = matrix[:, :3]

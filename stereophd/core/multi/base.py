@@ -221,17 +221,7 @@ class DisparityFilter(ABC):
     def forecast(self, state: FilterState, info: Info, time_s: float) -> tuple[Info, Estimates]:
         """Predict the objects of a state to a later time at which no camera reported.
 
-        Parameters
-        ----------
-        state, info : FilterState, Info
-            After the last event.
-        time_s : float
-
-        Returns
-        -------
-        Info
-            That of the event, faded, with log-likelihood 0.
-        Estimates
+        State and info are those after the last event; the info returned is faded, with log-likelihood 0.
         """
         assert state.time_s is not None
         faded = self.settings.survival_per_s ** max(time_s - state.time_s, 0.0)

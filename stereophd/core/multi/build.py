@@ -22,18 +22,10 @@ SETTINGS = "stereophd.core.multi.filter_settings"
 def make_filter(
     settings: FilterSettings, rig: Rig, motion: Motion, sets: SampleSets, threads: int = 1
 ) -> DisparityFilter:
-    """Return the filter of these settings.
+    """Return the filter that the `kind` of the settings names.
 
-    Parameters
-    ----------
-    settings : FilterSettings
-        Their `kind` names the filter.
-    rig : Rig
-    motion : Motion
-    sets : SampleSets
-        Samples that carry Gaussians between disparity spaces.
-    threads : int
-        Threads that carry them; the estimates do not depend on it.
+    `sets` hold the samples that carry Gaussians between disparity spaces. The threads share this work; the estimates do
+    not depend on their number.
     """
     home = module_names(SETTINGS)[settings.kind]
     home = home.replace(SETTINGS, "stereophd.core.multi", 1) if home.startswith(f"{SETTINGS}.") else home

@@ -62,25 +62,10 @@ def select_objects(
     another object (two objects were merged while they were close), and gets a label of its own. An object at infinity
     has no position, and is left out.
 
-    Parameters
-    ----------
-    mixture : GaussianMixture
-        After an event.
-    hysteresis : Hysteresis
-        Thresholds.
-    counters : Counters
-    homes : array (n, 30)
-        Packed home space of each component.
-    motion : MotionArrays
-        From the time of each component to that of the report.
-    samples : array (rows, s)
-        The same as in `stereophd.core.disparity.moments.world_moments`.
-    split : bool
-        Whether a label may represent several objects, as in a PHD; hypotheses of one track exclude each other.
-
-    Returns
-    -------
-    Selection
+    The mixture is that after an event; `homes` (n, 30) has the packed home space of each component. The motion is from
+    the time of each component to that of the report, and `samples` (rows, s) are as in
+    `stereophd.core.disparity.moments.world_moments`. With `split`, a label may represent several objects, as in a PHD;
+    hypotheses of one track exclude each other.
     """
     # filled in place: a compiled function that returns arrays wraps each of them
     changed = Identities(mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy())

@@ -16,13 +16,7 @@ from stereophd.io.tables.trajectories import pack_poses
 
 
 def camera_config(camera: Camera) -> CameraConfig:
-    """Return the configuration that builds a camera.
-
-    Raises
-    ------
-    InputError
-        A value lies outside what a configuration allows.
-    """
+    """Return the configuration that builds a camera; InputError if a value lies outside what a configuration allows."""
     lens = {name: getattr(camera.lens, name) for name in PARAMETERS[camera.lens.model]}
     values = {
         "image_size_px": [camera.width, camera.height],

@@ -22,15 +22,8 @@ def cameras_text(
 ) -> str:
     """Return the text of a ``cameras.yaml``; reading it gives back equal cameras, to the last bit.
 
-    Parameters
-    ----------
-    cameras : mapping of str to CameraConfig
-        By name, in order.
-    length_unit : str
-        Unit of the camera centres.
-    provenance : mapping, optional
-        As `stereophd.io.outputs.provenance.provenance` returns it; version, command, seed and hash of the
-        configuration go into a comment.
+    Cameras are by name, in order; centres are in `length_unit`. A comment gives version, command, seed and hash of the
+    configuration from the provenance, which is as `stereophd.io.outputs.provenance.provenance` returns it.
     """
     text = CONVENTIONS
     if provenance is not None:

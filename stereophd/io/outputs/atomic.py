@@ -50,24 +50,12 @@ def temporary_beside(path: Path) -> Path:
 def atomic_write(path: Path | str, replace: bool = True) -> Iterator[Path]:
     """Give a temporary path beside `path`; at a clean exit it replaces `path`, else it is removed.
 
-    Parameters
-    ----------
-    path
-        The file to write. Its folder must exist. One process at a time may write it: the temporary name follows from
-        the file's, so that the next call removes what a killed process left.
-    replace
-        Whether an existing file is replaced, also one that came during the block.
+    The temporary file is already there, empty, to be opened and written by the caller; the folder must exist. One
+    process at a time may write a file: the temporary name follows from the file's, so that the next call removes what a
+    killed process left. With `replace` an existing file is replaced, also one that came during the block.
 
-    Yields
-    ------
-    Path
-        The temporary file (already there, empty), to be opened and written by the caller.
-
-    Raises
-    ------
-    InputError
-        The place cannot be written to (disk full, no permission, ...), another process is writing it, or it is there
-        already and must not be replaced.
+    Raises InputError when the place cannot be written to (disk full, no permission, ...), another process is writing
+    it, or it is there already and must not be replaced.
     """
     target = Path(path)
     temporary: Path | None = None
@@ -123,26 +111,12 @@ def _matches(relative: Path, names: Iterable[str]) -> bool:
 def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
     """Check that an output folder, which is locked, may be used, and create it if missing.
 
-    Parameters
-    ----------
-    path
-        The folder.
-    force
-        Whether outputs of an earlier run may be replaced.
-    names
-        The files that the command writes, relative to the folder; each part may be a pattern
-        (``run-*/truth.parquet``).
+    `force` says whether outputs of an earlier run may be replaced; `names` are the files that the command writes,
+    relative to the folder, where each part may be a pattern (``run-*/truth.parquet``). Returns the files of an earlier
+    run that are there now, relative to the folder; empty folders do not count.
 
-    Returns
-    -------
-    list of Path
-        The files of an earlier run that are there now, relative to the folder. Empty folders do not count.
-
-    Raises
-    ------
-    InputError
-        It is not a folder, holds files that are not ours, has a folder in the place of a file, holds an earlier run
-        and `force` is not given, or cannot be made or written to.
+    Raises InputError when it is not a folder, holds files that are not ours, has a folder in the place of a file, holds
+    an earlier run and `force` is not given, or cannot be made or written to.
     """
     folder = Path(path)
     names = list(names)
@@ -191,10 +165,7 @@ def _remove_leftovers(folder: Path) -> None:
 def tidy(path: Path | str) -> None:
     """Finish or remove what a killed run left in an output folder, if anything.
 
-    Raises
-    ------
-    InputError
-        A run is writing to the folder, or the folder cannot be written to.
+    Raises InputError when a run is writing to the folder, or the folder cannot be written to.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -219,19 +190,9 @@ class OutputFolder:
     that were made. If even that fails (a disk that refuses every move), nothing is removed, and the next run that
     writes to the folder finishes what was begun.
 
-    Parameters
-    ----------
-    path
-        The output folder; created if missing.
-    names
-        Every file that the command may write, as in `output_folder`.
-    force
-        Whether the outputs of an earlier run may be replaced.
-
-    Raises
-    ------
-    InputError
-        As `output_folder`; and, from inside the block, when a write fails because of the disk.
+    The folder is created if missing. `names` are all files that the command may write, as in `output_folder`; `force`
+    says whether the outputs of an earlier run may be replaced. Raises InputError as `output_folder`; and, from inside
+    the block, when a write fails because of the disk.
     """
 
     def __init__(self, path: Path | str, names: Iterable[str], force: bool = False) -> None:

@@ -58,23 +58,12 @@ def is_folder(path: Path) -> bool:
 
 
 def commit(staged: Path, folder: Path, is_ours: Callable[[Path], bool]) -> None:
-    """Put the staged files in the place of the earlier ones.
+    """Put the files staged inside the folder, as above, in the place of the earlier ones; `staged` is gone afterwards.
 
-    Parameters
-    ----------
-    staged
-        As above, inside `folder`; gone afterwards.
-    folder
-        The output folder, locked; the lock stays valid.
-    is_ours
-        Whether a file, relative to `folder`, is one that this command writes: other files stay.
-
-    Raises
-    ------
-    OSError
-        A move failed. The folder is as it was before, unless taking back failed too: then `settle` does it.
-    InputError
-        A folder that has to go holds a file of somebody else, which has come since the run began.
+    The folder is locked, and the lock stays valid. `is_ours` says whether a file, relative to the folder, is one that
+    this command writes: other files stay. Raises OSError when a move failed: the folder is as it was before, unless
+    taking back failed too; then `settle` does it. Raises InputError when a folder that has to go holds a file of
+    somebody else, which has come since the run began.
     """
     place = folder.resolve()
     foreign = [path for path in files_below(place) if not is_ours(path) and not is_folder(place / path)]
@@ -186,15 +175,8 @@ def _waiting(folder: Path) -> tuple[Path, list[str]] | None:
 def refuse_unsettled(path: Path | str) -> None:
     """Refuse to read a file whose folder is between two runs, since it may be of the one or of the other.
 
-    Parameters
-    ----------
-    path
-        A file of an output folder, or the folder itself.
-
-    Raises
-    ------
-    InputError
-        A run was killed while it moved its files into that folder, or is moving them now.
+    The path is a file of an output folder, or the folder itself. Raises InputError when a run was killed while it moved
+    its files into that folder, or is moving them now.
     """
     for folder in (Path(path), *list(Path(path).parents)[:2]):
         with contextlib.suppress(OSError):
@@ -208,10 +190,7 @@ def refuse_unsettled(path: Path | str) -> None:
 def settle(folder: Path) -> None:
     """Finish or take back the moves of a run that was killed while it made them; the folder is locked.
 
-    Raises
-    ------
-    InputError
-        They cannot be finished: the folder cannot be written to, or something has taken their places.
+    Raises InputError when they cannot be finished: the folder is not writable, or something has taken their places.
     """
     try:
         while (found := _waiting(folder)) is not None:

@@ -42,17 +42,8 @@ _HELD: set[str] = set()
 def output_lock(path: Path | str) -> Iterator[None]:
     """Make an output folder if need be, and keep other runs out of it.
 
-    At the end the folders that were made for it, and hold nothing, are removed.
-
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Raises
-    ------
-    InputError
-        Another run is writing to it, it is a file, or it cannot be made or written to.
+    At the end the folders that were made for it, and hold nothing, are removed. Raises InputError when another run is
+    writing to it, it is a file, or it cannot be made or written to.
     """
     folder = Path(path)
     if "\0" in str(folder):
@@ -90,26 +81,10 @@ def output_lock(path: Path | str) -> Iterator[None]:
 
 
 def lock_file(path: Path, what: str, remedy: str) -> int:
-    """Open a file that only one process may write, made if missing, and lock it.
+    """Open a file that only one process may write, made if missing, and lock it; its content stays.
 
-    Parameters
-    ----------
-    path
-        The file. Its content stays.
-    what, remedy
-        For the message where another run has locked it.
-
-    Returns
-    -------
-    int
-        Its descriptor; the lock lasts until it is closed.
-
-    Raises
-    ------
-    InputError
-        Another run has locked it, or it is not a file: a link, for instance.
-    OSError
-        It cannot be made.
+    Returns its descriptor; the lock lasts until it is closed. Raises InputError when another run has locked it (`what`
+    and `remedy` are for this message), or it is not a file (a link, for instance), and OSError when it cannot be made.
     """
     while True:
         try:

@@ -33,13 +33,7 @@ class ConfigRecord:
 
 
 def file_sha256(path: Path | str) -> str:
-    """Return the SHA-256 of a file, read in pieces.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    """
+    """Return the SHA-256 of a file, read in pieces; InputError if the file cannot be read."""
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -91,27 +85,14 @@ def provenance(
     inputs: Mapping[str, Path | str] | None = None,
     length_unit: str | None = None,
 ) -> dict[str, Any]:
-    """Return the provenance of a run.
+    """Return the provenance of a run of the command of this name, such as ``track``.
 
-    Parameters
-    ----------
-    command
-        Name of the command, such as ``track``.
-    configuration
-        The record of the loaded configuration, or (of commands without one) their options as JSON-able values.
-    seed
-        Seed of the run; default that of the configuration.
-    inputs
-        Role -> path of the files that were read besides the configuration's own; only their hashes
-        are kept.
-    length_unit
-        Default the configuration's.
+    The configuration is the record of the loaded one, or (of commands without one) their options as JSON-able values;
+    it gives the defaults of the seed and the unit of length. `inputs`, role -> path, are the files that were read
+    besides the configuration's own; only their hashes are kept.
 
-    Returns
-    -------
-    dict
-        ``version, command, config, config_sha256, seed, inputs {role: sha256}, origins {role: {command, sha256}},
-        units {length}``; an origin is the command that made an input, and the hash of the provenance that it carries.
+    Returns ``version, command, config, config_sha256, seed, inputs {role: sha256}, origins {role: {command, sha256}},
+    units {length}``; an origin is the command that made an input, and the hash of the provenance that it carries.
     """
     hashes = {role: file_sha256(path) for role, path in (inputs or {}).items()}
     origins = {role: origin(path) for role, path in (inputs or {}).items()}

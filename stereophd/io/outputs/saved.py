@@ -47,15 +47,10 @@ encode: Callable[[Any], bytes] = _ENCODER.encode
 
 
 def decoder(kind: Any, given: Mapping[type, Any] | None = None) -> Callable[[bytes], Any]:
-    """Return what turns the bytes of an object back into it.
+    """Return what turns the bytes of an object back into it, its `kind` being its type as an annotation.
 
-    Parameters
-    ----------
-    kind
-        Its type, as an annotation.
-    given
-        Type -> object that stands wherever this type is annotated, whatever the file holds: what the reader knows
-        anyway.
+    `given`, type -> object, stands wherever this type is annotated, whatever the file holds: the reader knows it
+    anyway.
     """
 
     def decode_array(wanted: Any, value: Any) -> Any:
@@ -74,13 +69,7 @@ def decoder(kind: Any, given: Mapping[type, Any] | None = None) -> Callable[[byt
 
 
 def decode(content: bytes, read: Callable[[bytes], Any], path: Path) -> Any:
-    """Return what a frame of a file holds; `read` is of `decoder`.
-
-    Raises
-    ------
-    InputError
-        It holds something else.
-    """
+    """Return what a frame of a file holds; `read` comes from `decoder`. InputError if it holds something else."""
     try:
         return read(content)
     except (ValueError, TypeError, OverflowError, RecursionError) as error:  # msgspec's are ValueError
@@ -120,12 +109,9 @@ def write_saved(path: Path, identity: str, value: Any) -> None:
 
 
 def read_saved(path: Path, identity: str, read: Callable[[bytes], Any]) -> Any:
-    """Return the object of a file that `write_saved` wrote; `read` is of `decoder`.
+    """Return the object of a file that `write_saved` wrote; `read` comes from `decoder`.
 
-    Raises
-    ------
-    InputError
-        The file is missing, damaged, or one of another run.
+    Raises InputError when the file is missing, damaged, or one of another run.
     """
     frames = list(read_frames(path, identity))
     if len(frames) != 1:
@@ -136,10 +122,7 @@ def read_saved(path: Path, identity: str, read: Callable[[bytes], Any]) -> Any:
 def read_frames(path: Path, identity: str, length: int | None = None) -> Iterator[bytes]:
     """Yield the contents of the frames of a file, as far as `length` bytes (default: all).
 
-    Raises
-    ------
-    InputError
-        The file is missing, a link, damaged, shorter than that, or one of another run.
+    Raises InputError when the file is missing, a link, damaged, shorter than that, or one of another run.
     """
     head = _head(identity)
     if not is_saved(path):
@@ -161,14 +144,9 @@ def read_frames(path: Path, identity: str, length: int | None = None) -> Iterato
 
 
 class GrowingFile:
-    """A file of an unfinished run that grows frame by frame.
+    """A file of an unfinished run, its `identity`, that grows frame by frame.
 
-    Parameters
-    ----------
-    path, identity
-        The file, and its run.
-    length
-        Bytes of an earlier process that count; what follows them is dropped. None: the file begins anew.
+    `length` bytes of an earlier process count, and what follows them is dropped; with None the file begins anew.
     """
 
     def __init__(self, path: Path, identity: str, length: int | None = None) -> None:

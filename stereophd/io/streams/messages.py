@@ -73,21 +73,10 @@ class Message:
 
 
 def parse_line(line: bytes | str, where: str, arrived_s: float | None = None) -> Message:
-    """Return the frame of a line of JSON.
+    """Return the frame of a line of JSON that arrived at `arrived_s` (`time.perf_counter`; default now).
 
-    Parameters
-    ----------
-    line
-        The line.
-    where
-        The source and the number of the line, for messages.
-    arrived_s
-        When it came (`time.perf_counter`); default now.
-
-    Raises
-    ------
-    InputError
-        The line is no frame; the message names the key, what was expected and what was found.
+    `where` is the source and the number of the line, for messages. Raises InputError when the line is no frame; the
+    message names the key, what was expected and what was found.
     """
     arrived_s = perf_counter() if arrived_s is None else arrived_s
     try:
@@ -134,10 +123,7 @@ def _shown(value: object) -> str:
 def messages_of_rows(batch: pa.RecordBatch, where: str) -> Iterator[Message]:
     """Yield the frames of rows of a log; rows of one (camera, frame) that follow each other are one frame.
 
-    Raises
-    ------
-    InputError
-        A required column is missing or null, or a column is of another type.
+    Raises InputError when a required column is missing or null, or a column is of another type.
     """
     missing = [name for name in ("time_s", "camera", "frame", "u_px", "v_px") if name not in batch.schema.names]
     if missing:

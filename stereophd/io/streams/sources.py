@@ -31,10 +31,7 @@ Arrivals = Iterator[Message | None]
 def from_stream(stream: BinaryIO, name: str = "standard input") -> Arrivals:
     """Yield the frames of a stream of JSON lines or of Arrow IPC, told apart by the first bytes.
 
-    Raises
-    ------
-    InputError
-        The stream is neither.
+    Raises InputError when the stream is neither.
     """
     buffered = cast(io.BufferedReader, stream if hasattr(stream, "peek") else io.BufferedReader(cast(Any, stream)))
     if buffered.peek(4)[:4] == _ARROW_HEAD:
@@ -92,12 +89,8 @@ def follow(path: Path) -> Arrivals:
     """Yield the frames of a file of JSON lines or an Arrow stream that grows, or of a folder of Parquet parts.
 
     A folder is read in the order of the names of its files; a part must come into it whole (written elsewhere and
-    renamed). A file or folder is followed until an interrupt.
-
-    Raises
-    ------
-    InputError
-        It is not there, or holds something else.
+    renamed). A file or folder is followed until an interrupt. Raises InputError when it is not there, or holds
+    something else.
     """
     if path.is_dir():
         return _parts(path)
@@ -158,10 +151,7 @@ def _parts(folder: Path) -> Arrivals:
 def listen(address: str) -> Arrivals:
     """Yield the frames that arrive at a ZeroMQ address (PULL, bound here): one JSON document a message.
 
-    Raises
-    ------
-    InputError
-        ZeroMQ is not installed (extra ``live``), or the address cannot be bound.
+    Raises InputError when ZeroMQ is not installed (extra ``live``), or the address cannot be bound.
     """
     try:
         import zmq

@@ -23,25 +23,11 @@ def newborn_prior(space: Array, prior: BirthPrior, region: Array | None) -> Firs
 def birth_moments(
     event: Event, space: Array, prior: BirthPrior, size: int, region: Array | None = None
 ) -> tuple[Array, Array]:
-    """Gaussians of the objects that the detections of an event may have given birth to.
+    """Gaussians of the objects that the detections of an event may have given birth to, given the detection.
 
-    Parameters
-    ----------
-    event : Event
-        Detections of one camera.
-    space : array (30,)
-        Packed space of that camera.
-    prior : BirthPrior
-        Prior of depth and velocity.
-    size : int
-        6, or 3 for static objects.
-    region : array (8,), optional
-        Where objects can be (`stereophd.core.disparity.events.Rig.region`): depths along a ray are those inside it.
-
-    Returns
-    -------
-    means, covariances : arrays (m, d), (m, d, d)
-        In the camera's disparity space, given the detection.
+    Means (m, d) and covariances (m, d, d) are in the camera's packed disparity space (30,); `size`, their d, is 6, or 3
+    for static objects. In a `region` (8,) (`stereophd.core.disparity.events.Rig.region`), where objects can be, depths
+    along a ray are those inside it.
     """
     first = newborn_prior(space, prior, region)
     return initial_moments(event.points, event.covariances, first, size, event.readings(space))

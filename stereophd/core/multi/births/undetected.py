@@ -66,13 +66,7 @@ class Undetected:
 def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
     """Return the detections of a frame beyond those of known objects where they are a burst of clutter, else 0.
 
-    Parameters
-    ----------
-    event : Event
-    known : float
-        Expected number of detections of known objects.
-    prior : BirthPrior
-        Its `max_per_frame` is the most that is no burst.
+    `known` is the expected number of detections of known objects; up to the prior's `max_per_frame` is no burst.
     """
     surplus = len(event.points) - known
     return math.ceil(surplus) if surplus > prior.max_per_frame else 0
@@ -81,13 +75,7 @@ def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
 def room_for(event: Event, known: float, detector: Detector) -> float:
     """Return how many undetected objects the detections of a frame allow, at least `UNCHECKED_BIRTHS`.
 
-    Parameters
-    ----------
-    event : Event
-    known : float
-        Expected number of detections of known objects.
-    detector : Detector
-        Detector of the event's camera.
+    `known` is the expected number of detections of known objects; the detector is that of the event's camera.
     """
     found = len(event.points)
     surplus = found - detector.clutter_per_frame - known + math.sqrt(found)
@@ -106,22 +94,10 @@ def expected_births(
 ) -> tuple[float, Undetected]:
     """Expected number of undetected objects in view of an event, and what the event leaves of them.
 
-    Parameters
-    ----------
-    before : Undetected or None
-        After the last event; None before the first.
-    prior : BirthPrior
-    left : array (c,)
-        For each camera, the share of the objects in its view that the frame leaves: a column of `undetected_shares`.
-    elapsed : float
-        Time since the last event, s.
-    event : Event
-    detector : Detector
-        Detector of the event's camera.
-    burst : int
-        `burst_of` the event: nothing is born from a burst of clutter, and the objects remain undetected.
-    known : float
-        Expected number of detections of known objects.
+    `before` is what the last event left (None before the first), `elapsed` the time since then, s. `left` (c,), a
+    column of `undetected_shares`, has for each camera the share of the objects in its view that the frame leaves. The
+    detector is that of the event's camera; `known` is the expected number of detections of known objects. Nothing is
+    born from a burst of clutter (`burst_of` the event), and the objects remain undetected.
     """
     before = before or Undetected(np.zeros(len(left)), np.ones(len(left)), np.zeros(len(left)))
     if prior.per_frame is not None:
@@ -167,15 +143,8 @@ def reduction_for_births(reduction: Reduction, births: float, detector: Detector
 def peak_births(before: Undetected | None, births: float, camera: int) -> float:
     """Return the largest number of undetected objects expected in view of a camera since its last frame.
 
-    Of cameras that take their frames at one time the first expects all new objects, and the last next to none.
-
-    Parameters
-    ----------
-    before : Undetected or None
-        After the last event.
-    births : float
-        Expected number at the event, a frame of this camera.
-    camera : int
+    Of cameras that take their frames at one time the first expects all new objects, and the last next to none. `before`
+    is what the last event left; `births` is the expected number at the event, a frame of this camera.
     """
     return births if before is None else max(births, float(before.peaks[camera]))
 
@@ -188,15 +157,7 @@ def reduction_in_crowd(reduction: Reduction, births: float, detector: Detector, 
     detection of a new object will. Among thousands of detections it would never end: each event shares it out among
     those that are near by chance, and every share is another component.
 
-    Parameters
-    ----------
-    reduction : named tuple
-        With `prune_weight` and `recycle_below`.
-    births : float
-        `peak_births` of the camera.
-    detector : Detector
-    weights : array (n,)
-        Of the components before the event.
+    `births` is `peak_births` of the camera; weights (n,) are those of the components before the event.
     """
     values: Any = reduction
     born = detector.p_detect * births

@@ -64,16 +64,11 @@ class BatchState:
 class FilterBatch:
     """Filters conditional on camera hypotheses.
 
-    The same as `predict` and `update` of the filter for each hypothesis (to the rounding of sums), without
-    `extract`: no object is ever reported, so that none is protected from being forgotten for having been. All
-    components are moved by samples, regardless of the template's method: a rule that gives way to another at a
-    threshold would make the likelihood jump. In a region, new objects of all hypotheses have the depths inside it along
-    the rays of the template's cameras.
-
-    Raises
-    ------
-    ValueError
-        Cameras move.
+    The same as `predict` and `update` of the filter for each hypothesis (to the rounding of sums), without `extract`:
+    no object is ever reported, so that none is protected from being forgotten for having been. All components are moved
+    by samples, regardless of the template's method: a rule that gives way to another at a threshold would make the
+    likelihood jump. In a region, new objects of all hypotheses have the depths inside it along the rays of the
+    template's cameras. Raises ValueError when cameras move.
     """
 
     # At the nominal cameras. Hypotheses share its intrinsics, lenses and detectors: only poses differ.
@@ -96,18 +91,8 @@ class FilterBatch:
     def step(self, state: BatchState, event: Event, spaces: Array) -> tuple[BatchState, Array]:
         """Predict and update every hypothesis for one event.
 
-        Parameters
-        ----------
-        state : BatchState
-        event : Event
-        spaces : array (k, c, 30)
-            Packed disparity spaces of the cameras of each hypothesis.
-
-        Returns
-        -------
-        state : BatchState
-        log_likelihoods : array (k,)
-            Log-likelihood of the event's detections.
+        Packed disparity spaces (k, c, 30) are those of the cameras of each hypothesis. Returns the state, and
+        log-likelihoods (k,) of the event's detections.
         """
         template, mixture = self.template, state.mixture
         births, undetected, burst = template.expected_births(state.undetected, _elapsed(state, event), event)

@@ -159,15 +159,13 @@ def reduce_mixture(
     max_components : int
         The heaviest are kept.
     mutual : bool
-        Require the distance in the covariance of the heavier component as well. Without it, as in the
-        textbook, a component of known depth absorbs every light one of unknown depth, and its own
-        depth is then unknown too.
+        Require the distance in the covariance of the heavier component as well. Without it, as in the textbook, a
+        component of known depth absorbs every light one of unknown depth, and its own depth is then unknown too.
 
     Returns
     -------
     mixture : GaussianMixture
-        In order of falling weight of the heaviest part; a merged component keeps the identity of its
-        heaviest part.
+        In order of falling weight of the heaviest part; a merged component keeps the identity of its heaviest part.
     left_out : int
         Number of components that `max_components` left out.
     """
