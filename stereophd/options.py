@@ -121,10 +121,7 @@ def _paragraph(text: str) -> list[str]:
 def numbers_by_key(flag: str, words: Sequence[str]) -> dict[str, float]:
     """Return {key: number} of the words KEY=VALUE of an option, such as ``fail_above``.
 
-    Raises
-    ------
-    InputError
-        A word has another form, or a key is there twice.
+    Raises InputError if a word has another form, or a key is there twice.
     """
     numbers: dict[str, float] = {}
     for word in words:

@@ -26,15 +26,9 @@ def are_many(paths: Sequence[Path]) -> bool:
 
 
 def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = False) -> None:
-    """Print the summary of a batch, and exit with its code: 2 where an input failed.
+    """Print the summary of a batch, as `stereophd.pipeline.batch.run.run_batch` returns it, and exit with its code.
 
-    Parameters
-    ----------
-    session : Session
-    found : mapping
-        What `stereophd.pipeline.batch.run.run_batch` returns.
-    strict : bool
-        Whether the exit code is 1 if a check warns.
+    The code is 2 where an input failed; if `strict`, it is 1 where a check warns.
     """
     rows = found["logs"]
     if session.json:

@@ -33,12 +33,9 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def build_motion(config: Config, path: Path | str) -> Motion:
-    """Return the motion model of a configuration.
+    """Return the motion model of a configuration that was read from `path`.
 
-    Raises
-    ------
-    InputError
-        Objects move, and the configuration (read from `path`) does not state how much they accelerate.
+    Raises InputError if objects move, and the configuration does not state how much they accelerate.
     """
     try:
         return config.motion.build()
@@ -47,12 +44,9 @@ def build_motion(config: Config, path: Path | str) -> Motion:
 
 
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
-    """Return the multi-object filter that a configuration describes.
+    """Return the multi-object filter that a configuration, read from `path`, describes.
 
-    Raises
-    ------
-    InputError
-        The configuration (read from `path`) has no ``filter`` section, or not one for many objects.
+    Raises InputError if it has no ``filter`` section, or not one for many objects.
     """
     settings = config.filter
     if settings is None:
