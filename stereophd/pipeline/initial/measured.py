@@ -47,12 +47,7 @@ def measure_with_filter(
 ) -> SceneFigures | None:
     """Track stretches of a log, and return what the tracks show; None where hardly any are found.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        Complete settings, wide enough to track with.
-    cameras : tuple of Camera
-    parts : sequence of sequences of Event
+    The settings must be complete, and wide enough to track with.
     """
     estimator = build_labelled_filter(loaded.config, cameras, loaded.path, 1)
     centers = np.array([camera.pose.center for camera in cameras])

@@ -28,15 +28,9 @@ class Step:
 
 
 class RewindingRun:
-    """A run of an estimator that late events can join.
+    """A run of an estimator that late events can join, up to `span_s` of true time before the newest event.
 
-    Parameters
-    ----------
-    estimator : Estimator
-    times : ReportTimes
-        When estimates are reported.
-    span_s : float
-        How far back an event may be, in true time before the newest one, s.
+    Estimates are reported at `times`.
     """
 
     def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float) -> None:
@@ -52,10 +46,7 @@ class RewindingRun:
     def work(self, event: Event) -> Sequence[Step]:
         """Work an event, and those after it again; return their steps, the event's own first.
 
-        Raises
-        ------
-        ValueError
-            The event `is_too_late`.
+        Raises ValueError if the event `is_too_late`.
         """
         if self.is_too_late(event):
             raise ValueError(f"event at {event.time_s} s is before the states that are kept")
