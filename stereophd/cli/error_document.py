@@ -33,8 +33,7 @@ def error_document(message: str, kind: str, code: int) -> dict[str, Any]:
     """Return the document of an error: ``error`` with ``kind, exit_code, message`` and the parts of its first line.
 
     The message has one line for each error. The parts of the first are ``file, line, place, expected, found``; further
-    lines are in ``others``. The kind is `usage`, `input`, `gate`, `interrupted` or `internal`; `code` is the exit code
-    of the process.
+    lines are in ``others``. The kind is `usage`, `input`, `gate`, `interrupted` or `internal`; `code` is the exit code.
     """
     first, *others = message.splitlines() or [""]
     parts = _usage_parts(first) if kind == "usage" else _parts(first)

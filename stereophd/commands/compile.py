@@ -17,8 +17,8 @@ LOGGER = logging.getLogger("stereophd")
 def compile_kernels(jobs: int = 1) -> dict[str, Any]:
     """Compile the kernels of all filters for many objects, in `jobs` processes, where they are not kept already.
 
-    Returns ``folder``, where new kernels are kept, and ``filters``, the names of the filters. Raises InputError if no
-    folder can be written to.
+    Returns ``folder``, where new kernels are kept, and ``filters``, their names; InputError if no folder can be
+    written.
     """
     place = place_to_keep()
     if place is None:

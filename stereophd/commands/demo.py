@@ -29,8 +29,7 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
     The folder gets ``config.yaml``, the folders ``simulated``, ``tracked`` and ``evaluated``, and ``report.html``, for
     which the extra ``report`` must be installed. `progress` is called with the steps done and their number. Returns
     ``folder``, ``config``, ``page`` (null if plotly is not installed), ``tracks``, ``ospa_m`` and ``median_error_m``.
-    Raises InputError if the folder cannot be written to, or holds an earlier demonstration, whose outputs only `force`
-    lets it replace.
+    Raises InputError if the folder cannot be written to, or holds an earlier demonstration and `force` is not given.
     """
     folder = Path(out_dir)
     config = folder / "config.yaml"

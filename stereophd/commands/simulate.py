@@ -121,8 +121,7 @@ def play_frames(loaded: LoadedConfig) -> Iterator[str]:
 def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
     """Return the section ``simulate``, before anything is written.
 
-    Raises InputError if there is no such section, or no camera; or if the section ``calibration`` does not fit the
-    cameras.
+    Raises InputError if there is no such section or no camera, or the section ``calibration`` does not fit the cameras.
     """
     settings = loaded.config.simulate
     if settings is None:

@@ -159,12 +159,8 @@ def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) ->
 def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
     """Write recorded frames (lines of JSON) as a detection log, in order of time.
 
-    A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out.
-
-    Raises
-    ------
-    InputError
-        A line is no frame (a last line that a killed run left incomplete is passed over).
+    A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out. Raises
+    InputError if a line is no frame; a last line that a killed run left incomplete is passed over.
     """
     columns = _columns_of(recording)
     schema = functools.reduce(lambda schema, name: schema.append(FIELDS[name]), columns, DETECTIONS)

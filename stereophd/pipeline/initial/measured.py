@@ -45,10 +45,7 @@ class SceneFigures:
 def measure_with_filter(
     loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]]
 ) -> SceneFigures | None:
-    """Track stretches of a log, and return what the tracks show; None where hardly any are found.
-
-    The settings must be complete, and wide enough to track with.
-    """
+    """Track stretches of a log with complete and wide enough settings; return what tracks show, None if hardly any."""
     estimator = build_labelled_filter(loaded.config, cameras, loaded.path, 1)
     centers = np.array([camera.pose.center for camera in cameras])
     depths, speeds, counted = [], [], []

@@ -73,10 +73,7 @@ def counts_of_scene(loaded: LoadedConfig) -> SceneCounts:
 
 
 def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -> Size:
-    """Estimate the size of `runs` simulated scenes, whose files are written if `kept`.
-
-    The configuration has a ``simulate`` section and cameras.
-    """
+    """Estimate the size of `runs` scenes of a ``simulate`` section with cameras; their files are written if `kept`."""
     scene = counts_of_scene(loaded)
     states = scene.frames * scene.alive
     share = min(1.0, INSTANTS_PER_WINDOW / max(scene.frames, 1.0))

@@ -41,7 +41,7 @@ def can_resume(out: Path | str) -> bool:
 
 
 class UnfinishedRun:
-    """The unfinished run of an output folder `out`.
+    """The folder of an unfinished run, whose output folder is `out`.
 
     Its identity is the SHA-256 of what decides about the results: configuration, inputs, version.
     """
@@ -113,8 +113,8 @@ class UnfinishedRun:
     def read(self, name: str, kind: Any, given: Mapping[type, Any] | None = None) -> Any:
         """Return the content of a whole file, of the type `kind`; None if there is no such file.
 
-        `given` is that of `stereophd.io.outputs.saved.decoder`. Raises InputError if the file is damaged, or of another
-        run.
+        `given` is that of `stereophd.io.outputs.saved.decoder`. Raises InputError if the file is damaged, or another
+        run's.
         """
         path = self._whole(name)
         return read_saved(path, self.identity, decoder(kind, given)) if path.exists() else None

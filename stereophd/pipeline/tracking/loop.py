@@ -246,10 +246,7 @@ def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Esti
 def _forecasts(
     estimator: Estimator[State], run: RunState[State], times: ReportTimes, until_s: float
 ) -> Iterator[Record]:
-    """Yield the objects after the last event at the times of the grid before `until_s`.
-
-    Raises InputError if there are too many times, with an object at each.
-    """
+    """Yield objects after the last event at grid times before `until_s`; InputError if too many have an object."""
     last = run.last
     if last is None or times.grid_s is None:
         return

@@ -182,10 +182,7 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
 
 
 def usable_clocks(geometry: Geometry) -> list[int]:
-    """Return the cameras whose clocks can be examined, those whose rays meet least first.
-
-    A camera needs a pair with another one, and some frames.
-    """
+    """Return cameras whose clocks can be examined (in a pair, with some frames), those whose rays meet least first."""
     cameras = range(len(geometry.samples))
     of_camera = [_pairs_with(geometry, c) for c in cameras]
     usable = [c for c in cameras if of_camera[c] and len(geometry.samples[c].times) >= LEAST_CLOCK_FRAMES]

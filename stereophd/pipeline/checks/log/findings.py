@@ -35,10 +35,7 @@ WIDEST_VIEW_DEG = 150.0
 
 
 def check_files(samples: list[CameraSample], whole: bool = True) -> Iterator[Finding]:
-    """Yield the findings about frames, pixels and detectors of every camera.
-
-    A camera without frames is a finding only if the samples are the `whole` log.
-    """
+    """Yield findings on frames, pixels and detectors of every camera; having no frames is one only in a `whole` log."""
     for sample in samples:
         if not len(sample.times):
             if not whole:
