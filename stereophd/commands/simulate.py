@@ -103,10 +103,7 @@ def simulate(
 
 
 def play_frames(loaded: LoadedConfig) -> Iterator[str]:
-    """Yield the frames of run 0 as messages (`stereophd.io.streams.messages`), each at its time in the scene.
-
-    Raises InputError as `simulate` does.
-    """
+    """Yield frames of run 0 as `stereophd.io.streams.messages`, each at its time in the scene; errors as `simulate`."""
     check_simulation(loaded)
     scene = build_scene(loaded.config, loaded.build_cameras(), RUN_OBJECTS.seed(loaded.config.seed, 0))
     began_s: float | None = None

@@ -113,8 +113,7 @@ class UnfinishedRun:
     def read(self, name: str, kind: Any, given: Mapping[type, Any] | None = None) -> Any:
         """Return the content of a whole file, of the type `kind`; None if there is no such file.
 
-        `given` is that of `stereophd.io.outputs.saved.decoder`. Raises InputError if the file is damaged, or another
-        run's.
+        `given` is that of `stereophd.io.outputs.saved.decoder`; InputError if the file is damaged, or of another run.
         """
         path = self._whole(name)
         return read_saved(path, self.identity, decoder(kind, given)) if path.exists() else None
