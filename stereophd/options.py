@@ -119,13 +119,7 @@ def _paragraph(text: str) -> list[str]:
 
 
 def numbers_by_key(flag: str, words: Sequence[str]) -> dict[str, float]:
-    """Return {key: number} of the words KEY=VALUE of an option, such as ``fail_above``.
-
-    Raises
-    ------
-    InputError
-        A word has another form, or a key is there twice.
-    """
+    """Return {key: number} of the words KEY=VALUE of an option; InputError for another form or a repeated key."""
     numbers: dict[str, float] = {}
     for word in words:
         key, separator, value = word.partition("=")

@@ -33,15 +33,8 @@ GROUPS = {
 def module_names(package: str) -> Mapping[str, str]:
     """Return the full names of the modules of a package and of its plug-ins, by word, sorted; imports none of them.
 
-    Parameters
-    ----------
-    package : str
-        Full name of the package; one that is no key of `GROUPS` takes no plug-ins.
-
-    Raises
-    ------
-    InputError
-        Two plug-ins have the same name, or one has that of a module of the package.
+    A package, by its full name, that is no key of `GROUPS` takes no plug-ins. Raises InputError if two plug-ins have
+    the same name, or one has that of a module of the package.
     """
     names = {info.name: f"{package}.{info.name}" for info in pkgutil.iter_modules(import_module(package).__path__)}
     for entry in _entries(package):
@@ -54,13 +47,7 @@ def module_names(package: str) -> Mapping[str, str]:
 
 
 def import_member(package: str, word: str) -> ModuleType:
-    """Import the module of a word of `module_names`.
-
-    Raises
-    ------
-    InputError
-        The module is a plug-in, and cannot be imported.
-    """
+    """Import the module of a word of `module_names`; raises InputError if it is a plug-in that cannot be imported."""
     name = module_names(package)[word]
     if name.startswith(f"{package}."):
         return import_module(name)

@@ -5,11 +5,5 @@ SITE = "https://stereophd.github.io/stereophd/"
 
 
 def page(name: str) -> str:
-    """Return the address of a page of the documentation.
-
-    Parameters
-    ----------
-    name : str
-        Its place in ``docs/``, such as ``reference/formats``.
-    """
+    """Return the address of a page of the documentation by its place in ``docs/``, such as ``reference/formats``."""
     return f"{SITE}{name}/"

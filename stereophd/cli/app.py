@@ -92,13 +92,7 @@ def root(
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
-
-    Parameters
-    ----------
-    arguments
-        Words after the program's name; default those of this process.
-    """
+    """Run the command line, by default with the words after the name of this process, and return its exit code."""
     session = Session()
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
@@ -146,17 +140,8 @@ def _interrupted(session: Session | None = None, code: int = EXIT_INTERRUPTED) -
 def _report_error(text: str, kind: str, code: int, session: Session | None, message: str | None = None) -> None:
     """Print an error on stderr, and with --json as a document on stdout unless a report is there already.
 
-    Parameters
-    ----------
-    text : str
-        The line for stderr.
-    kind : str
-        `usage`, `input`, `gate`, `interrupted` or `internal`.
-    code : int
-        Exit code.
-    session : Session, optional
-    message : str, optional
-        The sentence of the document; default `text`.
+    `text` is the line for stderr, `message` the sentence of the document (default `text`). The kind is `usage`,
+    `input`, `gate`, `interrupted` or `internal`.
     """
     print(text, file=sys.stderr)
     if session is not None and session.json and not session.printed:

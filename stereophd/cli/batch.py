@@ -26,16 +26,7 @@ def are_many(paths: Sequence[Path]) -> bool:
 
 
 def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = False) -> None:
-    """Print the summary of a batch, and exit with its code: 2 where an input failed.
-
-    Parameters
-    ----------
-    session : Session
-    found : mapping
-        What `stereophd.pipeline.batch.run.run_batch` returns.
-    strict : bool
-        Whether the exit code is 1 if a check warns.
-    """
+    """Print the summary that `run_batch` returns, and exit: 2 if an input failed; if `strict`, 1 if a check warns."""
     rows = found["logs"]
     if session.json:
         print_data(to_json(found))

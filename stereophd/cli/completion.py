@@ -11,14 +11,8 @@ from typing import Any
 def complete_set(incomplete: str) -> list[str]:
     """Return what may stand in place of an unfinished ``KEY=VALUE``; nothing where that cannot be found out.
 
-    Parameters
-    ----------
-    incomplete : str
-        Such as ``filter.bi`` or ``motion.model=``.
-
-    Notes
-    -----
-    The configuration on the same line gives the names of the cameras and the kinds of sections.
+    Unfinished is, for example, ``filter.bi`` or ``motion.model=``. The configuration on the same line gives the names
+    of the cameras and the kinds of sections.
     """
     from stereophd.config.known_keys import branches_at, known_keys
     from stereophd.config.loading import json_schema

@@ -30,22 +30,10 @@ _EXTRA = re.compile(r"^Got unexpected extra arguments?(?:\(s\))? \((?P<found>.+)
 
 
 def error_document(message: str, kind: str, code: int) -> dict[str, Any]:
-    """Return the document of an error.
+    """Return the document of an error: ``error`` with ``kind, exit_code, message`` and the parts of its first line.
 
-    Parameters
-    ----------
-    message : str
-        One line for each error.
-    kind : str
-        `usage`, `input`, `gate`, `interrupted` or `internal`.
-    code : int
-        Exit code of the process.
-
-    Returns
-    -------
-    dict
-        ``error`` with ``kind, exit_code, message`` and the parts of the first line, ``file, line, place, expected,
-        found``; further lines are in ``others``.
+    The message has one line for each error. The parts of the first are ``file, line, place, expected, found``; further
+    lines are in ``others``. The kind is `usage`, `input`, `gate`, `interrupted` or `internal`; `code` is the exit code.
     """
     first, *others = message.splitlines() or [""]
     parts = _usage_parts(first) if kind == "usage" else _parts(first)

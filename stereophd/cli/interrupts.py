@@ -74,15 +74,9 @@ def check() -> None:
 def outside_kernels(frame: FrameType | None, action: Callable[[], None]) -> None:
     """Call what raises an exception in a signal handler, now or at the next instruction outside a kernel.
 
-    Python calls the handler of a signal that came while a kernel worked at the first instruction of Python after it.
-    A kernel that returns a named tuple gets its class and makes it by Python code, and takes for granted that this
-    succeeds.
-
-    Parameters
-    ----------
-    frame : FrameType or None
-        The frame that the signal interrupted, as a handler is given it.
-    action : callable
+    Python calls the handler of a signal that came while a kernel worked at the first instruction of Python after it. A
+    kernel that returns a named tuple gets its class and makes it by Python code, and takes for granted that this
+    succeeds. `frame` is the one that the signal interrupted, as a handler is given it.
     """
     caller = _caller_of_kernel(frame)
     if caller is None:

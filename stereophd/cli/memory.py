@@ -15,10 +15,7 @@ LEAST_ADDRESS_SPACE = 3 << 29
 def prepare() -> None:
     """Check the limit on the address space, if there is one, and allocate the buffers of the linear algebra.
 
-    Raises
-    ------
-    InputError
-        The limit is too low to begin.
+    Raises InputError if the limit is too low to begin.
     """
     try:
         import resource

@@ -29,11 +29,8 @@ class _CommonWords:
 def command(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that typer turns into a command.
 
-    Parameters
-    ----------
-    function : callable
-        Its first parameter is the `Session`. One whose type is a dataclass becomes the fields of that class, and the
-        function is given an object of it; the others are annotated as typer wants it.
+    The first parameter of the given function is the `Session`. One whose type is a dataclass becomes the fields of that
+    class, and the function is given an object of it; the others are annotated as typer wants it.
     """
     hints = get_type_hints(function, include_extras=True)
     _, *others = inspect.signature(function).parameters.values()

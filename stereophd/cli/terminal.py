@@ -125,10 +125,7 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 @contextlib.contextmanager
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
-    """Yield a function (done, total) for the steps of a run: it moves a bar on stderr if that is a terminal.
-
-    The bar shows the time that remains, and the time since the start.
-    """
+    """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal."""
     if session.quiet or not sys.stderr.isatty():
         yield lambda done, total: interrupts.check()
         return

@@ -19,20 +19,10 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def refuse(session: Session, names: Sequence[str], use: str) -> None:
-    """Refuse parameters that the user states, and that act only in another use.
+    """Refuse parameters of a command, by name, that the user states, and that act only in another use.
 
-    Parameters
-    ----------
-    session : Session
-    names : sequence of str
-        Names of parameters of the command.
-    use : str
-        Continues the sentence "--option: expected only ...", such as "with --out DIR, found none".
-
-    Raises
-    ------
-    InputError
-        One of them is on the command line.
+    `use` continues the sentence "--option: expected only ...", such as "with --out DIR, found none". Raises InputError
+    if one of them is on the command line.
     """
     for option in _stated(session, names):
         raise InputError(f"{option}: expected only {use}")

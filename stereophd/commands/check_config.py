@@ -12,18 +12,9 @@ if TYPE_CHECKING:
 
 
 def check_config(loaded: LoadedConfig, command: str | None = None) -> None:
-    """Check a configuration for a command.
+    """Check a configuration for one of `COMMANDS`; without one, only its section ``experiment``, if there is one.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-    command : str, optional
-        One of `COMMANDS`; None checks only the section ``experiment``, if there is one.
-
-    Raises
-    ------
-    InputError
-        Something that the command needs is missing, or does not fit the rest of the configuration.
+    Raises InputError if something that the command needs is missing, or does not fit the rest of the configuration.
     """
     if command is not None:
         COMMANDS[command](loaded)

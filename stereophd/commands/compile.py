@@ -15,22 +15,10 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def compile_kernels(jobs: int = 1) -> dict[str, Any]:
-    """Compile the kernels of all filters for many objects, where they are not kept already.
+    """Compile the kernels of all filters for many objects, in `jobs` processes, where they are not kept already.
 
-    Parameters
-    ----------
-    jobs : int
-        Processes.
-
-    Returns
-    -------
-    dict
-        ``folder``: where new kernels are kept; ``filters``: the names of the filters.
-
-    Raises
-    ------
-    InputError
-        No folder can be written to.
+    Returns ``folder``, where new kernels are kept, and ``filters``, their names; InputError if no folder can be
+    written.
     """
     place = place_to_keep()
     if place is None:

@@ -26,26 +26,10 @@ CUTOFF_M = 1.0
 def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = None) -> dict[str, Any]:
     """Run the quickstart in a folder.
 
-    Parameters
-    ----------
-    out_dir : path
-        Folder of ``config.yaml``, of the folders ``simulated``, ``tracked`` and ``evaluated``, and of ``report.html``,
-        for which the extra ``report`` must be installed.
-    force : bool
-        Whether the outputs of an earlier demonstration may be replaced.
-    progress : callable, optional
-        Called with the steps done and their number.
-
-    Returns
-    -------
-    dict
-        ``folder``, ``config``, ``page`` (null if plotly is not installed), ``tracks``, ``ospa_m`` and
-        ``median_error_m``.
-
-    Raises
-    ------
-    InputError
-        The folder holds an earlier demonstration and `force` is not given, or cannot be written to.
+    The folder gets ``config.yaml``, the folders ``simulated``, ``tracked`` and ``evaluated``, and ``report.html``, for
+    which the extra ``report`` must be installed. `progress` is called with the steps done and their number. Returns
+    ``folder``, ``config``, ``page`` (null if plotly is not installed), ``tracks``, ``ospa_m`` and ``median_error_m``.
+    Raises InputError if the folder cannot be written to, or holds an earlier demonstration and `force` is not given.
     """
     folder = Path(out_dir)
     config = folder / "config.yaml"

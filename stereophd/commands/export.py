@@ -28,30 +28,13 @@ def export(
 ) -> dict[str, Any]:
     """Export tracks or cameras; the content of the source decides which.
 
-    Parameters
-    ----------
-    form
-        Name of the format, a module of `stereophd.io.formats`.
-    source
-        A ``tracks.parquet``, a native or foreign file of cameras, or an output folder that holds one of them.
-    out
-        The file (a folder where the format is one), written whole or not at all.
-    options
-        Which tracks, and at which rate.
-    force
-        Whether an existing file may be replaced.
+    The form is the name of a module of `stereophd.io.formats`. The source is a ``tracks.parquet``, a native or foreign
+    file of cameras, or an output folder that holds one of them. `out` is a file (a folder where the format is one),
+    written whole or not at all; the options say which tracks, and at which rate. Returns ``format``, ``what``
+    (``tracks`` or ``cameras``), ``file``, ``notes`` (sentences about what the format cannot hold) and ``provenance``.
 
-    Returns
-    -------
-    dict
-        ``format``, ``what`` (``tracks`` or ``cameras``), ``file``, ``notes`` (sentences about what the format cannot
-        hold) and ``provenance``.
-
-    Raises
-    ------
-    InputError
-        An unknown format or one that holds no such thing; an unusable source; an option for which the format has no
-        use; an existing target without `force`.
+    Raises InputError for an unknown format or one that holds no such thing, an unusable source, an option for which the
+    format has no use, and an existing target without `force`.
     """
     options = options or ExportOptions()
     written = find(form)

@@ -47,32 +47,15 @@ def import_recording(
 ) -> dict[str, Any]:
     """Import detections, cameras, or both.
 
-    Parameters
-    ----------
-    form
-        Name of the format, a module of `stereophd.io.formats`.
-    sources
-        Files or folders, as the format has them.
-    out_dir
-        Folder for ``detections.parquet`` and ``cameras.yaml`` (what the sources hold) and ``report.json``.
-    options
-        What the user states about the sources.
-    cameras_path
-        A native or foreign camera file, for sources that hold detections only.
-    force
-        Whether the outputs of an earlier run may be replaced.
+    The form is the name of a module of `stereophd.io.formats`; sources are files or folders, as the format has them,
+    and the options are what the user states about them. The output folder gets ``detections.parquet`` and
+    ``cameras.yaml`` (what the sources hold) and ``report.json``; outputs of an earlier run are replaced with `force`
+    only. `cameras_path` is a native or foreign camera file, for sources that hold detections only. Returns the report,
+    as in ``report.json``: counts by camera; ``assumed`` and ``warnings``: sentences about what the sources do not
+    state; ``checks``: the findings of `stereophd.pipeline.checks.log.findings`.
 
-    Returns
-    -------
-    dict
-        The report, as in ``report.json``: counts by camera; ``assumed`` and ``warnings``: sentences about what the
-        sources do not state; ``checks``: the findings of `stereophd.pipeline.checks.log.findings`.
-
-    Raises
-    ------
-    InputError
-        An unknown format, a source that is not of it, a statement that is missing or of no use for it, or an unusable
-        output folder.
+    Raises InputError for an unknown format, a source that is not of it, a statement that is missing or of no use for
+    it, and an unusable output folder.
     """
     options = options or ImportOptions()
     find(form, readable=True)  # an unknown format is named before a missing source

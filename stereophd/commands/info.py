@@ -21,18 +21,10 @@ TEXT = (".yaml", ".yml", ".json", ".toml", ".xml", ".txt")
 def info(path: Path | str) -> dict[str, Any]:
     """Describe a log, a table, a file of cameras, a configuration, a report, or an output folder.
 
-    Returns
-    -------
-    dict
-        ``path``, ``kind`` (``detections``, ``tracks``, ``truth``, ``cameras``, ``configuration``, ``report``,
-        ``folder``, or another kind of table), ``origin`` (command, version, seed, hashes; null if unknown), and values
-        that depend on the kind. For a folder, ``files`` describes each file in the same way, and ``origin`` is that of
-        its report.
-
-    Raises
-    ------
-    InputError
-        The file does not exist, or its kind is unknown.
+    Returns ``path``, ``kind`` (``detections``, ``tracks``, ``truth``, ``cameras``, ``configuration``, ``report``,
+    ``folder``, or another kind of table), ``origin`` (command, version, seed, hashes; null if unknown), and values that
+    depend on the kind. For a folder, ``files`` describes each file in the same way, and ``origin`` is that of its
+    report. Raises InputError if the file does not exist, or its kind is unknown.
     """
     source = Path(path)
     if not source.exists():

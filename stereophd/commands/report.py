@@ -22,29 +22,10 @@ def report(
 ) -> dict[str, Any]:
     """Write one self-contained HTML page about the runs in some output folders.
 
-    Parameters
-    ----------
-    folders : sequence of path
-        Output folders of `track`, `calibrate`, `evaluate` and `simulate`, in any order. What belongs together is found
-        by the hashes of the inputs.
-    out : path
-        The page.
-    logs, truths : sequences of path
-        Detection logs and truths that lie elsewhere.
-    title : str
-        Title of the page.
-    force : bool
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    dict
-        ``page``, ``bytes``, and for each run ``name``, ``command`` and ``verdict``.
-
-    Raises
-    ------
-    InputError
-        A folder holds nothing to report on, a log belongs to no run, the page exists, or plotly is not installed.
+    The folders are those of `track`, `calibrate`, `evaluate` and `simulate`, in any order: what belongs together is
+    found by the hashes of the inputs. `logs` and `truths` are detection logs and truths that lie elsewhere. Returns
+    ``page``, ``bytes``, and for each run ``name``, ``command`` and ``verdict``. Raises InputError if a folder holds
+    nothing to report on, a log belongs to no run, the page exists and `force` is not given, or plotly is not installed.
     """
     from stereophd.report.page.document import page
     from stereophd.report.summaries import verdict

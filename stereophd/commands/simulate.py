@@ -103,13 +103,7 @@ def simulate(
 
 
 def play_frames(loaded: LoadedConfig) -> Iterator[str]:
-    """Yield the frames of run 0 as messages (`stereophd.io.streams.messages`), each at its time in the scene.
-
-    Raises
-    ------
-    InputError
-        As `simulate`.
-    """
+    """Yield frames of run 0 as `stereophd.io.streams.messages`, each at its time in the scene; errors as `simulate`."""
     check_simulation(loaded)
     scene = build_scene(loaded.config, loaded.build_cameras(), RUN_OBJECTS.seed(loaded.config.seed, 0))
     began_s: float | None = None
@@ -124,10 +118,7 @@ def play_frames(loaded: LoadedConfig) -> Iterator[str]:
 def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
     """Return the section ``simulate``, before anything is written.
 
-    Raises
-    ------
-    InputError
-        There is no such section, or no camera; or the section ``calibration`` does not fit the cameras.
+    Raises InputError if there is no such section or no camera, or the section ``calibration`` does not fit the cameras.
     """
     settings = loaded.config.simulate
     if settings is None:

@@ -56,29 +56,12 @@ class LiveOutputs:
 
 
 def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: LiveOutputs) -> dict[str, Any]:
-    """Track frames as they arrive.
+    """Track frames as they arrive, by a configuration with a ``filter`` section of several objects and cameras.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a ``filter`` section of several objects and cameras.
-    arrivals : iterator of Message or None
-        See `stereophd.io.streams.sources`. An interrupt ends it like the end of the stream.
-    source : str
-        Its name, for messages.
-    outputs : LiveOutputs
-
-    Returns
-    -------
-    dict
-        Counts of frames, late, revised and bad ones, and ``latency_ms``: percentiles of the time from the arrival of a
-        frame to its row.
-
-    Raises
-    ------
-    InputError
-        The configuration is for whole logs only; a frame is bad and ``input.on_bad_row`` is ``error``; an output
-        cannot be written.
+    Arrivals come from a source as in `stereophd.io.streams.sources`, whose name serves messages; an interrupt ends them
+    like the end of the stream. Returns counts of frames, late, revised and bad ones, and ``latency_ms``: percentiles of
+    the time from the arrival of a frame to its row. Raises InputError if the configuration is for whole logs only, if a
+    frame is bad and ``input.on_bad_row`` is ``error``, or if an output cannot be written.
     """
     _check(loaded)
     if outputs.recording is not None and outputs.recording.exists():
@@ -176,12 +159,8 @@ def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) ->
 def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
     """Write recorded frames (lines of JSON) as a detection log, in order of time.
 
-    A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out.
-
-    Raises
-    ------
-    InputError
-        A line is no frame (a last line that a killed run left incomplete is passed over).
+    A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out. Raises
+    InputError if a line is no frame; a last line that a killed run left incomplete is passed over.
     """
     columns = _columns_of(recording)
     schema = functools.reduce(lambda schema, name: schema.append(FIELDS[name]), columns, DETECTIONS)

@@ -14,18 +14,8 @@ from stereophd.errors import InputError
 def within_arithmetic(place: str) -> Iterator[None]:
     """Turn a failure of the arithmetic in this block into an error of the configuration.
 
-    Keys have bounds, but values that are each possible may be so far apart that what is computed from them cannot be
-    represented: matrices become singular, numbers overflow.
-
-    Parameters
-    ----------
-    place : str
-        The file and the section, for the message.
-
-    Raises
-    ------
-    InputError
-        A matrix has no inverse or no factor, or a number overflows.
+    Keys have bounds, but values that are each possible may be too far apart to compute with. Raises InputError, at a
+    place (the file and the section), if a matrix has no inverse or no factor, or a number overflows.
     """
     try:
         yield

@@ -33,13 +33,7 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def build_motion(config: Config, path: Path | str) -> Motion:
-    """Return the motion model of a configuration.
-
-    Raises
-    ------
-    InputError
-        Objects move, and the configuration (read from `path`) does not state how much they accelerate.
-    """
+    """Motion model of a configuration, read from `path`; InputError if objects move at no stated acceleration."""
     try:
         return config.motion.build()
     except InputError as error:
@@ -47,13 +41,7 @@ def build_motion(config: Config, path: Path | str) -> Motion:
 
 
 def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int = 1) -> DisparityFilter:
-    """Return the multi-object filter that a configuration describes.
-
-    Raises
-    ------
-    InputError
-        The configuration (read from `path`) has no ``filter`` section, or not one for many objects.
-    """
+    """Return the filter for many objects of a configuration, read from `path`; raises InputError if it has none."""
     settings = config.filter
     if settings is None:
         raise InputError(f"{path}: filter: expected a filter section for track, found none")

@@ -44,20 +44,9 @@ def scene_motion(config: Config) -> Motion:
 
 
 def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedSequence) -> Scene:
-    """Return the scene of a configuration, its objects drawn.
+    """Return the scene of a configuration with a ``simulate`` section, its objects drawn with the seed.
 
-    Parameters
-    ----------
-    config : Config
-        With a ``simulate`` section.
-    cameras : sequence of Camera
-    seed : numpy.random.SeedSequence
-        For the objects.
-
-    Raises
-    ------
-    InputError
-        An object's death lies before its birth, or no object fits into the view.
+    Raises InputError if an object's death lies before its birth, or no object fits into the view.
     """
     settings = config.simulate
     assert settings is not None

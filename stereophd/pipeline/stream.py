@@ -35,16 +35,9 @@ MOST_DROPPED = 0.05
 class EventStream:
     """Iterate over the events of a log, or of frames in memory; every iteration starts anew.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        In the order that the frames number them.
-    frames : LogReader or sequence of Frame
-        In order of true time, ties in the order of the cameras.
-    progress : callable, optional
-        Called with the rows of the log that were read and their total.
-    from_s, until_s : float
-        Events before `from_s` are passed over, and the first one from `until_s` on is the last.
+    The cameras are in the order that the frames number them; the frames are in order of true time, ties in the order of
+    the cameras. `progress` is called with the rows of the log that were read and their total. Events before `from_s`
+    are passed over, and the first one from `until_s` on is the last.
     """
 
     def __init__(
@@ -129,17 +122,8 @@ class EventStream:
 def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> Iterator[Frame]:
     """Pass frames on while the trajectories of their cameras cover their times.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    frames : iterable of Frame
-    source : str
-        Name of the log, for messages.
-
-    Raises
-    ------
-    InputError
-        A frame, or a row of it, lies before the first or after the last pose of its camera.
+    `source` is the name of the log, for messages. Raises InputError if a frame, or a row of it, lies before the first
+    or after the last pose of its camera.
     """
     spans = [camera.pose.span for camera in cameras]
     for frame in frames:
@@ -159,19 +143,8 @@ def open_stream(
 ) -> EventStream:
     """Open a detection log with the settings of a configuration (section ``input``).
 
-    Parameters
-    ----------
-    config : Config
-    cameras : sequence of Camera
-    path : path
-        The log.
-    progress : callable, optional
-        The same as in `EventStream`.
-
-    Raises
-    ------
-    InputError
-        The log cannot be read (see `stereophd.io.logs.reading.LogReader`).
+    `progress` is that of `EventStream`. Raises InputError if the log cannot be read (see
+    `stereophd.io.logs.reading.LogReader`).
     """
     return EventStream(cameras, open_log(config.input, cameras, path), progress)
 

@@ -17,10 +17,7 @@ _WILD = frozenset("*?[")
 
 
 def expand(paths: Sequence[Path | str]) -> list[Path]:
-    """Return files, with patterns replaced by the files that fit them, in the order of their names.
-
-    Raises InputError when no file fits a pattern.
-    """
+    """Return files, each pattern replaced by the files that fit it, in order of name; InputError when none fits."""
     found: list[Path] = []
     for path in map(Path, paths):
         if path.exists() or not _WILD & set(str(path)):

@@ -48,10 +48,7 @@ class Item:
 
 
 def log_items(logs: Sequence[Path | str]) -> list[Item]:
-    """Return an item for each log, of which some may be patterns.
-
-    Raises InputError when no file fits a pattern, or one is given twice.
-    """
+    """Return an item for each log or file of a pattern; InputError when none fits a pattern or one is given twice."""
     paths = expand(logs)
     places = [(Path(os.path.abspath(path)),) for path in paths]
     return [Item(*item) for item in zip(folder_names(paths), map(str, paths), places, strict=True)]

@@ -34,26 +34,10 @@ def check_log(
 ) -> tuple[Finding, ...]:
     """Check whether a log fits the cameras and the settings of a configuration.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With cameras.
-    log_path : path
-        Detection log.
-    thorough : bool
-        Whether more of the log is read, and clock offsets are tried even where nothing is suspicious.
-    cameras : tuple of Camera, optional
-        Cameras in place of those of the configuration, such as calibrated ones.
-
-    Returns
-    -------
-    tuple of Finding
-        Findings about the log alone, about the geometry and about the settings, in this order.
-
-    Raises
-    ------
-    InputError
-        The configuration has no cameras; the log is not usable, or the known trajectory of a camera does not cover it.
+    Other cameras, such as calibrated ones, can take the place of those of the configuration. If `thorough`, more of the
+    log is read, and clock offsets are tried even where nothing is suspicious. Returns findings about the log alone,
+    about the geometry and about the settings, in this order. Raises InputError if the configuration has no cameras, the
+    log is not usable, or the known trajectory of a camera does not cover it.
     """
     cameras = loaded.build_cameras() if cameras is None else cameras
     reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=loaded.config.input.leave_out)

@@ -30,10 +30,7 @@ def normal_of(flag: str, words: Sequence[str]) -> tuple[float, float, float] | N
 
 
 def limits_by_axis(flag: str, words: Sequence[str]) -> dict[str, tuple[float, float]] | None:
-    """Return {axis: (from, to)} of the words AXIS=FROM:TO of an option.
-
-    Raises InputError when a word has another form, or an axis is there twice.
-    """
+    """Return {axis: (from, to)} of words AXIS=FROM:TO; raises InputError for another form or a repeated axis."""
     limits: dict[str, tuple[float, float]] = {}
     for word in words:
         axis, _, values = word.partition("=")

@@ -24,10 +24,7 @@ LOGGER = logging.getLogger("stereophd")
 
 
 def default_cutoff(base: str, unit: str | None, record: Mapping[str, Any] | None, tracks_path: Path) -> float:
-    """Return the cutoff of an evaluation that states none, from its base distance and the provenance of the tracks.
-
-    Raises InputError when nothing gives the scale of the scene.
-    """
+    """Return the default cutoff from the base distance and the tracks' provenance; InputError if none gives a scale."""
     if base != "euclidean":
         return PAPER_CUTOFF
     stated = (((record or {}).get("config") or {}).get("evaluation") or {}).get("cutoff")

@@ -79,18 +79,10 @@ def stretches(stream: EventStream) -> list[list[Event]]:
 def estimate_acceleration(
     loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]], start: float
 ) -> AccelerationEstimate:
-    """Return the acceleration of the objects.
+    """Return the acceleration of the objects, from stretches of a log and a value to begin with, length/s^2.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a filter for many objects; its own acceleration does not count.
-    cameras : tuple of Camera
-        Those of the events, with their detectors.
-    parts : sequence of sequences of Event
-        Stretches of the log.
-    start : float
-        The value to begin with, length/s^2.
+    The configuration has a filter for many objects; its own acceleration does not count. The cameras are those of the
+    events, with their detectors.
     """
     found: dict[float, Array] = {}
 
@@ -147,12 +139,8 @@ def _of_windows(found: dict[float, Array]) -> float:
 def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, dict[str, Any] | None]:
     """Return a configuration with the acceleration that the log shows, and what to report of it.
 
-    Without ``motion.acceleration_std: estimate`` the configuration comes back as it is.
-
-    Raises
-    ------
-    InputError
-        The filter is not one for many objects, or the log has too few frames.
+    Without ``motion.acceleration_std: estimate`` the configuration comes back as it is. Raises InputError if the filter
+    is not one for many objects, or the log has too few frames.
     """
     config = loaded.config
     if getattr(config.motion, "acceleration_std", None) != ESTIMATE:

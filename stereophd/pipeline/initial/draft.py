@@ -51,17 +51,8 @@ CAUSES_OF_DETECTORS = ("clutter", "sigma")
 def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     """Return a draft whose values follow from a log, where it is informative.
 
-    Parameters
-    ----------
-    draft : Draft
-        With cameras and the usual values of a kind of object.
-    log_path : path
-        Detection log of these cameras.
-
-    Raises
-    ------
-    InputError
-        The log is not usable, or is one of other cameras.
+    The given draft has the cameras of the log, and the usual values of a kind of object. Raises InputError if the log
+    is not usable, or is one of other cameras.
     """
     bare = loaded_draft(draft, str(log_path))
     cameras = bare.build_cameras()

@@ -45,15 +45,7 @@ class SceneFigures:
 def measure_with_filter(
     loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]]
 ) -> SceneFigures | None:
-    """Track stretches of a log, and return what the tracks show; None where hardly any are found.
-
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        Complete settings, wide enough to track with.
-    cameras : tuple of Camera
-    parts : sequence of sequences of Event
-    """
+    """Track stretches of a log with complete and wide enough settings; return what tracks show, None if hardly any."""
     estimator = build_labelled_filter(loaded.config, cameras, loaded.path, 1)
     centers = np.array([camera.pose.center for camera in cameras])
     depths, speeds, counted = [], [], []

@@ -28,15 +28,8 @@ SMOOTHING = (
 def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> str:
     """Return the text of a draft.
 
-    Parameters
-    ----------
-    draft : Draft
-    version : str
-        Version of the program.
-    source : str
-        Source of the values, in words.
-    cameras_file : str
-        Path of the cameras for a draft that holds none.
+    `version` is that of the program, `source` says in words where the values come from, and `cameras_file` is the path
+    of the cameras for a draft that holds none.
     """
     lines = [f"{MARK} {version}, {source}."]
     lines += _comment(

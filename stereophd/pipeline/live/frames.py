@@ -24,14 +24,8 @@ FRAME_KINDS = ("too_late", "repeated_frame")
 class FrameChecks:
     """Turn messages into frames, by the rules of `stereophd.io.logs.reading.LogReader`.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        In the configuration's order.
-    on_bad_row : str
-        ``error``: the first bad detection raises; ``drop``: bad ones are dropped and counted.
-    image_margin_px : float
-        How far outside the image a detection may be.
+    The cameras are in the configuration's order. If `on_bad_row` is ``error``, the first bad detection raises; if
+    ``drop``, bad ones are dropped and counted. `image_margin_px` is how far outside the image a detection may be.
     """
 
     def __init__(self, cameras: Sequence[Camera], on_bad_row: Literal["error", "drop"], image_margin_px: float) -> None:
@@ -45,10 +39,7 @@ class FrameChecks:
     def frame(self, message: Message, where: str) -> Frame | None:
         """Return the frame of a message on true time, or None if nothing of it can be used.
 
-        Raises
-        ------
-        InputError
-            Something is bad, and ``on_bad_row`` is ``error``.
+        Raises InputError if something is bad, and ``on_bad_row`` is ``error``.
         """
         camera = self._index.get(message.camera, -1)
         count = max(len(message.pixels), 1)

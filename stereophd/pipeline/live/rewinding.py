@@ -28,16 +28,7 @@ class Step:
 
 
 class RewindingRun:
-    """A run of an estimator that late events can join.
-
-    Parameters
-    ----------
-    estimator : Estimator
-    times : ReportTimes
-        When estimates are reported.
-    span_s : float
-        How far back an event may be, in true time before the newest one, s.
-    """
+    """An estimator's run, reported at `times`, that events up to `span_s` of true time before the newest can join."""
 
     def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float) -> None:
         self._estimator, self._times, self._span_s = estimator, times, span_s
@@ -50,13 +41,7 @@ class RewindingRun:
         return self._settled is not None and _key(event) < self._settled
 
     def work(self, event: Event) -> Sequence[Step]:
-        """Work an event, and those after it again; return their steps, the event's own first.
-
-        Raises
-        ------
-        ValueError
-            The event `is_too_late`.
-        """
+        """Work an event, and later ones again; return their steps, its own first. ValueError if it `is_too_late`."""
         if self.is_too_late(event):
             raise ValueError(f"event at {event.time_s} s is before the states that are kept")
         place = bisect_left(self._steps, _key(event), key=lambda step: step.key)

@@ -65,18 +65,7 @@ class LiveCounts:
 
 
 class LiveRun:
-    """Track messages as they arrive.
-
-    Parameters
-    ----------
-    estimator : Estimator
-    times : ReportTimes
-        When estimates are reported.
-    checks : FrameChecks
-    settings : LiveConfig
-    keep : callable
-        Called with each message that is used.
-    """
+    """Track messages as they arrive, and call `keep` with each that is used; estimates are reported at `times`."""
 
     def __init__(
         self,
@@ -96,10 +85,7 @@ class LiveRun:
     def records(self, arrivals: Arrivals, source: str) -> Iterator[LiveRecord]:
         """Yield the records of messages, and at the end of the stream those that are left.
 
-        Raises
-        ------
-        InputError
-            A message cannot be used, and the configuration does not drop such.
+        Raises InputError if a message cannot be used, and the configuration does not drop such.
         """
         for number, message in enumerate(arrivals, start=1):
             if message is not None:

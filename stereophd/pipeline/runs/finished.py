@@ -14,26 +14,10 @@ REPORT_FILE = "report.json"
 
 
 def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) -> dict[str, Any] | None:
-    """Return the report of a run that is finished.
+    """Return the report of a run that is finished in an output folder; None if there is none, or it is to be replaced.
 
-    Parameters
-    ----------
-    folder : path
-        Its output folder.
-    record : mapping
-        Provenance of the wanted run (`stereophd.io.outputs.provenance.provenance`).
-    force : bool
-        Whether results of another run may be replaced.
-
-    Returns
-    -------
-    dict or None
-        None: there is none, or it is to be replaced.
-
-    Raises
-    ------
-    InputError
-        The folder holds the results of another configuration or of other inputs, and `force` is not given.
+    `record` is the provenance of the wanted run (`stereophd.io.outputs.provenance.provenance`). Raises InputError if
+    the folder holds the results of another configuration or of other inputs, which only `force` lets a run replace.
     """
     path = Path(folder) / REPORT_FILE
     tidy(path.parent)

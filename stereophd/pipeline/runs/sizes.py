@@ -73,17 +73,7 @@ def counts_of_scene(loaded: LoadedConfig) -> SceneCounts:
 
 
 def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -> Size:
-    """Estimate the size of simulated scenes.
-
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a ``simulate`` section and cameras.
-    runs : int
-        Number of scenes.
-    kept : bool
-        Whether their files are written.
-    """
+    """Estimate the size of `runs` scenes of a ``simulate`` section with cameras; their files are written if `kept`."""
     scene = counts_of_scene(loaded)
     states = scene.frames * scene.alive
     share = min(1.0, INSTANTS_PER_WINDOW / max(scene.frames, 1.0))
@@ -97,13 +87,8 @@ def size_of_simulation(loaded: LoadedConfig, runs: int = 1, kept: bool = True) -
 def size_of_experiment(loaded: LoadedConfig, runs: int, parts: int, work_bytes: float = 0.0) -> Size:
     """Estimate the size of an experiment: its scenes, what its scenario does with them, and the bookkeeping.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-    runs, parts : int
-        Number of runs of each part, and of parts: methods in cases.
-    work_bytes : float
-        Memory that the work of a run needs besides making its scene.
+    `runs` is the number of runs of each part, `parts` that of the parts: methods in cases. `work_bytes` is the memory
+    that the work of a run needs besides making its scene.
     """
     total = runs * parts
     scenes = Size(0.0, 0.0, "1 run" if total == 1 else f"{total:.3g} runs")
@@ -115,22 +100,9 @@ def size_of_experiment(loaded: LoadedConfig, runs: int, parts: int, work_bytes: 
 def check_size(size: Size, where: str, folder: Path | str, confirmed: bool = True) -> None:
     """Refuse a run that does not fit, and one that fills much of the disk and is not confirmed.
 
-    Parameters
-    ----------
-    size : Size
-    where : str
-        The configuration, for the message.
-    folder : path
-        Output folder.
-    confirmed : bool
-        Whether the user accepts any disk space.
-
-    Raises
-    ------
-    InputError
-        It does not fit into the memory or on the disk.
-    SizeError
-        It is very large, and not confirmed.
+    `where` names the configuration, for the message; `folder` is that of the outputs. If `confirmed`, the user accepts
+    any disk space. Raises InputError if the run does not fit into the memory or on the disk, and SizeError if it is
+    very large and not confirmed.
     """
     memory, disk = available_memory(), free_disk(Path(folder))
     if size.memory_bytes > memory:

@@ -41,14 +41,9 @@ def can_resume(out: Path | str) -> bool:
 
 
 class UnfinishedRun:
-    """The folder of an unfinished run.
+    """The folder of an unfinished run, whose output folder is `out`.
 
-    Parameters
-    ----------
-    out : Path
-        Output folder.
-    identity : str
-        SHA-256 of what decides about the results: configuration, inputs, version.
+    Its identity is the SHA-256 of what decides about the results: configuration, inputs, version.
     """
 
     def __init__(self, out: Path, identity: str) -> None:
@@ -59,20 +54,11 @@ class UnfinishedRun:
         self._waiting: dict[str, Any] = {}
 
     def prepare(self, resume: bool, force: bool) -> None:
-        """Check what an earlier run left, and remove what is in the way where that is allowed; `out` is locked.
+        """Check what an earlier run left, and remove what is in the way where `force` allows it; `out` is locked.
 
-        Parameters
-        ----------
-        resume : bool
-            Whether this run continues it.
-        force : bool
-            Whether what belongs to other runs may be removed.
-
-        Raises
-        ------
-        InputError
-            There is an unfinished run, and neither `resume` nor `force` is given; it is one of another configuration
-            or log, and `force` is not given; or a folder of such a name holds other files.
+        With `resume` this run continues the earlier one. Raises InputError if there is an unfinished run, and neither
+        `resume` nor `force` is given; if it is one of another configuration or log, and `force` is not given; or if a
+        folder of such a name holds other files.
         """
         folders = sorted(path for path in self.out.glob(f"{UNFINISHED_PREFIX}*") if is_folder(path))
         for folder in folders:
@@ -127,16 +113,7 @@ class UnfinishedRun:
     def read(self, name: str, kind: Any, given: Mapping[type, Any] | None = None) -> Any:
         """Return the content of a whole file, of the type `kind`; None if there is no such file.
 
-        Parameters
-        ----------
-        name, kind
-        given : mapping, optional
-            As `stereophd.io.outputs.saved.decoder` takes it.
-
-        Raises
-        ------
-        InputError
-            The file is damaged, or of another run.
+        `given` is that of `stereophd.io.outputs.saved.decoder`; InputError if the file is damaged, or of another run.
         """
         path = self._whole(name)
         return read_saved(path, self.identity, decoder(kind, given)) if path.exists() else None

@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 def build_bodies(loaded: LoadedConfig, shape: EllipsoidSettings, cameras: tuple[Camera, ...]) -> BodyFilter:
     """Return the filter of bodies that a configuration describes.
 
-    Raises
-    ------
-    InputError
-        The filter is not `pmb`; objects do not move; estimates are smoothed; or a camera has a rolling shutter.
+    Raises InputError unless the filter is `pmb`, objects move, nothing is smoothed and no camera has a rolling shutter.
     """
     config, path = loaded.config, loaded.path
     where = "where object.shape is ellipsoid"
@@ -49,13 +46,7 @@ def build_bodies(loaded: LoadedConfig, shape: EllipsoidSettings, cameras: tuple[
 
 
 def with_boxes(stream: EventStream) -> Iterator[Event]:
-    """Yield the events of a log of boxes.
-
-    Raises
-    ------
-    InputError
-        The log has no columns ``width_px, height_px``, or a detection has no box.
-    """
+    """Yield the events of a log of boxes; InputError if ``width_px, height_px`` or a detection's box is missing."""
     if isinstance(stream.frames, LogReader) and not stream.frames.has_boxes:
         raise InputError(
             f"{stream.source}: expected the columns width_px and height_px (object.shape is ellipsoid), found none"

@@ -65,12 +65,7 @@ class RecordPart:
 
 
 class RecordFile:
-    """Records in a growing file, in order of time.
-
-    Parameters
-    ----------
-    file : GrowingFile
-    """
+    """Records in a growing file, in order of time."""
 
     def __init__(self, file: GrowingFile) -> None:
         self._file = file
@@ -108,16 +103,9 @@ def read_records(
     from_s: float = -math.inf,
     until_s: float = math.inf,
 ) -> Iterator[Record]:
-    """Yield the records of a growing file.
+    """Yield the records of a growing file, as far as `length` counts, from one time to before another, s.
 
-    Parameters
-    ----------
-    unfinished, name, length
-        The file, and how far it counts.
-    parts : sequence, optional
-        What was written, so that parts of other times are passed over.
-    from_s, until_s : float
-        Only the records from one time to before another, s.
+    With `parts`, what was written, parts of other times are passed over.
     """
     read = decoder(list[Record])
     for number, content in enumerate(unfinished.frames(name, length)):
@@ -129,16 +117,9 @@ def read_records(
 
 
 class Journal:
-    """What one run of `track` keeps.
+    """What one run of `track` keeps: its records if `keeps_records`, otherwise the rows of its tables.
 
-    Parameters
-    ----------
-    unfinished : UnfinishedRun
-        Where. Nothing is written before there is something to keep.
-    estimator : Estimator
-        What runs.
-    keeps_records : bool
-        Whether the records are kept, or the rows of the tables.
+    Nothing is written before there is something to keep.
     """
 
     def __init__(self, unfinished: UnfinishedRun, estimator: Estimator[Any], keeps_records: bool) -> None:
@@ -153,13 +134,7 @@ class Journal:
         self._saved: TrackingState[Any] | None = None
 
     def load(self) -> None:
-        """Read the last state that was kept, if any.
-
-        Raises
-        ------
-        InputError
-            The state is damaged, or of another run.
-        """
+        """Read the last state that was kept, if any; raises InputError if it is damaged, or of another run."""
         kind: Any = TrackingState
         self._saved = self._unfinished.read(STATE, kind[state_type(self._estimator.init())])
         if self._saved is not None and self._saved.writing is not None:
@@ -178,20 +153,11 @@ class Journal:
         return self._tables[name]
 
     def records(self, events: Iterable[Event], times: ReportTimes, keep_events: bool) -> Iterator[Record]:
-        """Run the estimator as `stereophd.pipeline.tracking.loop.run_estimator` does, from the last state on.
+        """Run the estimator on all events of a log, from the last state on, and yield its records.
 
-        Where tables are kept, what writes a record must have written it before the next one is asked for, or it waits
-        in `lasting`.
-
-        Parameters
-        ----------
-        events, times, keep_events
-            As in `run_estimator`; all events of the log.
-
-        Yields
-        ------
-        Record
-            Those that were kept, if records are, then those that follow.
+        The parameters are those of `stereophd.pipeline.tracking.loop.run_estimator`. Records that were kept, if any
+        are, come first, then those that follow. Where tables are kept, what writes a record must have written it before
+        the next one is asked for, or it waits in `lasting`.
         """
         rest = iter(events)
         run = RunState(self._estimator.init()) if self._saved is None else self._saved.run

@@ -183,22 +183,10 @@ def run_estimator(
 ) -> Iterator[Record]:
     """Run an estimator over events, in memory that does not depend on their number.
 
-    Parameters
-    ----------
-    estimator : Estimator
-    events : iterable of Event
-        In order of time, such as `stereophd.pipeline.stream.EventStream`; of the estimator's cameras.
-    times : ReportTimes, optional
-        When estimates are reported; default after every event.
-    keep_events : bool
-        Whether records carry their events.
-    run : RunState, optional
-        Where the run begins, and what it keeps up to date; default before the first event.
-
-    Yields
-    ------
-    Record
-        One per event, and one per time of the grid.
+    The events, such as those of `stereophd.pipeline.stream.EventStream`, are those of the estimator's cameras, in order
+    of time. Estimates are reported at `times`, by default after every event: one record per event, and one per time of
+    the grid; with `keep_events` records carry their events. `run` says where the run begins (default before the first
+    event), and is kept up to date.
     """
     times = times or ReportTimes()
     run = RunState(estimator.init()) if run is None else run
@@ -258,13 +246,7 @@ def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Esti
 def _forecasts(
     estimator: Estimator[State], run: RunState[State], times: ReportTimes, until_s: float
 ) -> Iterator[Record]:
-    """Yield the objects after the last event at the times of the grid before `until_s`.
-
-    Raises
-    ------
-    InputError
-        There are too many times, with an object at each.
-    """
+    """Yield objects after the last event at grid times before `until_s`; InputError if too many have an object."""
     last = run.last
     if last is None or times.grid_s is None:
         return

@@ -43,15 +43,8 @@ class Writing:
 class RecordWriter:
     """Writes what is to be reported as it comes, and counts the figures of the run.
 
-    Parameters
-    ----------
-    tables : Tables
-    cameras : sequence of Camera
-        In order, for the figures of each camera.
-    report : ReportConfig
-        Which estimates are written, and which columns.
-    writing : Writing, optional
-        Where the figures begin; kept up to date.
+    The cameras are in order, for the figures of each. `report` says which estimates are written, and which columns.
+    `writing` is where the figures begin, and is kept up to date.
     """
 
     def __init__(

@@ -40,10 +40,7 @@ class LogPiece:
 def overlap_of(length_s: float, overlap_s: float | None) -> float:
     """Return the overlap of pieces, s: as stated, else 60 s, or the length of shorter pieces.
 
-    Raises
-    ------
-    InputError
-        The length is not above 0, or the overlap is longer than a piece.
+    Raises InputError if the length is not above 0, or the overlap is longer than a piece.
     """
     if not 0.0 < length_s < math.inf:
         raise InputError(f"`pieces_s`: expected a length above 0 s, found {length_s:g}")
@@ -65,17 +62,8 @@ def plan_pieces(
 ) -> tuple[LogPiece, ...]:
     """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
 
-    Spans without a frame have no piece: a pause of the recording costs nothing.
-
-    Parameters
-    ----------
-    frames : iterable of Frame
-        Frames of the log, which is read once, with all its checks.
-    length_s, overlap_s : float
-    ahead : bool
-        Whether pieces continue beyond their spans too.
-    progress : callable, optional
-        Called now and then.
+    Spans without a frame have no piece: a pause of the recording costs nothing. The frames of the log are read once,
+    with all its checks, and `progress` is called now and then. With `ahead` pieces continue beyond their spans too.
     """
     first_s, last_s = math.nan, math.nan
     # Number of a span of the length, from the first frame on -> events before what is tracked with it.

@@ -67,12 +67,8 @@ def track_pieces(
 ) -> None:
     """Track the pieces that are not finished.
 
-    Raises
-    ------
-    InputError
-        The log is at fault, or no scheduler answers.
-    StereophdError
-        The worker of a piece dies again and again; finished pieces stay.
+    Raises InputError if the log is at fault, or no scheduler answers; StereophdError if the worker of a piece dies
+    again and again, and finished pieces stay.
     """
     todo = [piece for piece in pieces if _done(work, piece) is None]
     finished = len(pieces) - len(todo)

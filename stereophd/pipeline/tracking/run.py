@@ -75,10 +75,7 @@ class TrackingRun:
     def open_journal(self, unfinished: UnfinishedRun) -> Journal:
         """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
 
-        Raises
-        ------
-        InputError
-            What an earlier process kept is damaged.
+        Raises InputError if what an earlier process kept is damaged.
         """
         journal = Journal(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
         journal.load()
@@ -128,10 +125,7 @@ def reported_records(
 def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera, ...] | None = None) -> TrackingRun:
     """Return what tracks by a configuration, with its cameras or others, such as those with estimated detectors.
 
-    Raises
-    ------
-    InputError
-        The configuration has no filter or no cameras, or they do not fit each other.
+    Raises InputError if the configuration has no filter or no cameras, or they do not fit each other.
     """
     cameras = loaded.build_cameras() if cameras is None else cameras
     config = loaded.config
@@ -205,12 +199,7 @@ def write_tracks(
     """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
 
     With `extents` the tracks are those of bodies. With a `journal` that keeps tables and gives the `records`, the
-    tables begin with those of a killed run.
-
-    Returns
-    -------
-    dict
-        The figures of the run for ``report.json``.
+    tables begin with those of a killed run. Returns the figures of the run for ``report.json``.
     """
     columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
     schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)

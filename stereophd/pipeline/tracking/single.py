@@ -35,13 +35,10 @@ def estimator_settings(config: Config) -> EstimatorSettings:
 
 
 def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], path: Path | str) -> AnyEstimator:
-    """Return the single-object estimator that a configuration describes.
+    """Return the single-object estimator that a configuration, read from `path`, describes.
 
-    Raises
-    ------
-    InputError
-        The configuration (read from `path`) has no prior of the velocity of a moving object; or its cameras are
-        not rectified, and its estimator needs them to be.
+    Raises InputError if the configuration has no prior of the velocity of a moving object; or if its cameras are not
+    rectified, and its estimator needs them to be.
     """
     assert isinstance(config.filter, SingleSettings)
     prior = config.filter.prior
@@ -110,13 +107,7 @@ class SingleTracker:
 
 
 def at_most_one(stream: EventStream) -> Iterator[Event]:
-    """Yield the events of a log of one object.
-
-    Raises
-    ------
-    InputError
-        A frame has several detections.
-    """
+    """Yield the events of a log of one object; raises InputError if a frame has several detections."""
     for event in stream:
         count = len(event.points) + event.not_invertible
         if count > 1:

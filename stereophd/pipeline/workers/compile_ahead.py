@@ -23,8 +23,7 @@ _PATIENCE_S = 5.0
 def compiling_ahead(kind: str) -> Iterator[bool]:
     """Compile kernels of a kind of filter in a second process during the block.
 
-    Yields whether there is such a process: not where the kernels are kept already, where none can be kept, or where
-    there is one core.
+    Yields whether there is such a process: not if the kernels are kept already or cannot be, or there is one core.
     """
     from stereophd.core.multi.preparation import last_kernel
 

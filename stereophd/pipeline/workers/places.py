@@ -75,10 +75,7 @@ class Cores:
 
 
 class DaskWorkers:
-    """Workers of a Dask cluster, by the address of its scheduler, such as ``tcp://host:8786``.
-
-    Raises InputError when Dask is not installed, or no scheduler answers there.
-    """
+    """Dask workers, by their scheduler's address (such as ``tcp://host:8786``); InputError without Dask or answer."""
 
     remote = True
 

@@ -38,10 +38,7 @@ HEADER = 8
 
 
 class WorkerProcess:
-    """A worker, for the process that starts it.
-
-    Its libraries use this number of threads, where the environment does not state it.
-    """
+    """A worker, for the process that starts it; its libraries use this many threads if the environment states none."""
 
     def __init__(self, threads: int) -> None:
         options = [f"-W{option}" for option in sys.warnoptions]

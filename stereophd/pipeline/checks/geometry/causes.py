@@ -70,17 +70,9 @@ def best_explanation(
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
-    Every alternative is tried on a few detections, and the best of them on all.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    thorough : bool
-        Whether the first look takes more detections, and finer steps of the clock.
-    clocks_only : bool
-        Whether only clock offsets are tried.
-    tolerances : tuple of float
-        Tolerances of a meeting, in standard deviations.
+    Every alternative (with `clocks_only` only clock offsets) is tried on a few detections, and the best of them on all.
+    If `thorough`, the first look takes more detections, and finer steps of the clock. Tolerances are those of a
+    meeting, in standard deviations.
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
@@ -190,10 +182,7 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
 
 
 def usable_clocks(geometry: Geometry) -> list[int]:
-    """Return the cameras whose clocks can be examined, those whose rays meet least first.
-
-    A camera needs a pair with another one, and some frames.
-    """
+    """Return cameras whose clocks can be examined (in a pair, with some frames), those whose rays meet least first."""
     cameras = range(len(geometry.samples))
     of_camera = [_pairs_with(geometry, c) for c in cameras]
     usable = [c for c in cameras if of_camera[c] and len(geometry.samples[c].times) >= LEAST_CLOCK_FRAMES]

@@ -24,14 +24,7 @@ POWER, LARGEST_DEFICIT = 6.0, 3.5
 
 
 def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
-    """Yield a finding for every pair of cameras, and what explains the pairs that fail.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    thorough : bool
-        Whether clock offsets are tried even where nothing is suspicious.
-    """
+    """Yield a finding for every pair of cameras, and what explains failures; `thorough` always tries clock offsets."""
     yield from left_out(geometry)
     suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
     explanation = None

@@ -90,15 +90,9 @@ def pairs_of(count: int) -> list[tuple[int, int]]:
 
 
 def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: bool = True) -> Geometry:
-    """Measure how often rays of every pair of cameras meet.
+    """Measure how often rays of every pair of cameras meet, with more detections if `thorough`.
 
-    Parameters
-    ----------
-    samples : list of CameraSample
-    depths : (2,) floats
-        Depths between which objects are expected, length.
-    thorough : bool
-        Whether more detections are examined.
+    Objects are expected between the two depths, length.
     """
     pairs = []
     most = (400 if len(samples) < 4 else 200) if thorough else 120

@@ -210,12 +210,7 @@ def meeting(
 def expected_excess(found: Candidates, samples: list[CameraSample], depths: tuple[float, float]) -> float:
     """Return the excess that the configuration promises: objects among A's detections, in view of B and detected there.
 
-    Parameters
-    ----------
-    found : Candidates
-    samples : list of CameraSample
-    depths : (2,) floats
-        Depths before A between which objects are expected, length.
+    Objects are expected between the two depths before A, length.
     """
     first, second = samples[found.a], samples[found.b]
     rate = first.detections_per_frame

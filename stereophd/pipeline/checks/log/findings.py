@@ -35,14 +35,7 @@ WIDEST_VIEW_DEG = 150.0
 
 
 def check_files(samples: list[CameraSample], whole: bool = True) -> Iterator[Finding]:
-    """Yield the findings about frames, pixels and detectors of every camera.
-
-    Parameters
-    ----------
-    samples : list of CameraSample
-    whole : bool
-        Whether the samples are the whole log: only then a camera without frames is a finding.
-    """
+    """Yield findings on frames, pixels and detectors of every camera; having no frames is one only in a `whole` log."""
     for sample in samples:
         if not len(sample.times):
             if not whole:

@@ -182,17 +182,7 @@ def _by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
 def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...], most: int = MOST_FRAMES) -> list[CameraSample]:
     """Return the first frames of a log, at most `most` a camera on average.
 
-    Parameters
-    ----------
-    frames : iterable of Frame
-        In the order of true time.
-    cameras : tuple of Camera
-    most : int
-
-    Returns
-    -------
-    list of CameraSample
-        One per camera, in order; those of cameras without frames are empty.
+    The frames are in the order of true time. There is one sample per camera, in order; empty for one without frames.
     """
     kept: list[list[Frame]] = [[] for _ in cameras]
     for count, frame in enumerate(frames):

@@ -16,10 +16,7 @@ UNSURE = 0.4
 def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Finding]:
     """Yield a warning for each estimate that must be used with care.
 
-    Parameters
-    ----------
-    report : mapping or None
-        As `stereophd.pipeline.detectors.passes.estimate_detectors` returns it; None: nothing was estimated.
+    The report is that of `stereophd.pipeline.detectors.passes.estimate_detectors`; None: nothing was estimated.
     """
     if report is None:
         return

@@ -12,10 +12,7 @@ from stereophd.pipeline.checks.finding import Finding
 def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
     """Yield a warning if rows of a log are bad, so that a run refuses the log unless it drops them.
 
-    Parameters
-    ----------
-    counts : mapping
-        Counts of the rows that were read: ``rows`` and the kinds of bad rows.
+    The counts are those of the rows that were read: ``rows`` and the kinds of bad rows.
     """
     if bad := _bad_rows(counts):
         text = f"{_rows(bad, counts)} that were read are bad ({_each(bad)}): a run refuses the log, or drops them"
@@ -39,12 +36,8 @@ def _each(bad: Mapping[str, int]) -> str:
 def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Iterator[Finding]:
     """Yield a warning for each kind of data that a run left out.
 
-    Parameters
-    ----------
-    summary : mapping
-        Figures of the run, as in ``report.json``; ``events`` and ``left_out`` are used.
-    counts : mapping
-        Counts of the log: ``rows``, the kinds of bad rows, ``not_invertible``.
+    Of the figures of the run, as in ``report.json``, ``events`` and ``left_out`` are used. The counts are those of the
+    log: ``rows``, the kinds of bad rows, ``not_invertible``.
     """
     if dropped := _bad_rows(counts):
         text = f"{_rows(dropped, counts)} dropped ({_each(dropped)})"

@@ -27,13 +27,8 @@ def check_tracking(
 ) -> Iterator[Finding]:
     """Yield findings about the tracks of a run.
 
-    Parameters
-    ----------
-    summary : mapping
-        Figures of the run, as in ``report.json``; ``tracks.n_detections`` by camera, and ``left_out``, are used.
-    counts : mapping
-        Counts of the log: ``detections``, ``frames``.
-    cameras : tuple of Camera
+    Of the figures of the run, as in ``report.json``, ``tracks.n_detections`` by camera and ``left_out`` are used. The
+    counts are those of the log: ``detections``, ``frames``.
     """
     detections, frames = counts["detections"], counts["frames"]
     clutter = frames * float(np.mean([camera.detector.clutter_per_frame for camera in cameras]))
@@ -108,13 +103,8 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
 def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_in_log: bool) -> Iterator[Finding]:
     """Yield a finding for every camera: do the residuals of the tracks have the size that the stated noise promises?
 
-    Parameters
-    ----------
-    summary : mapping
-        Figures of the run, as in ``report.json``; ``cameras`` are used.
-    cameras : tuple of Camera
-    noise_in_log : bool
-        Whether the log states the noise of every detection, so that the detectors state none.
+    Of the figures of the run, as in ``report.json``, ``cameras`` are used. With `noise_in_log` the log states the noise
+    of every detection, so that the detectors state none.
     """
     for camera in cameras:
         figures = summary["cameras"][camera.name]

@@ -24,16 +24,8 @@ DERIVATIVE_STEP = 0.1
 def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> Array:
     """Return detections minus reprojected states (n, 2), in distorted pixels; NaN where a state is out of view.
 
-    Parameters
-    ----------
-    camera : Camera
-    times : array (n,)
-        Times of the frames, s.
-    states : array (n, 6)
-        Positions and velocities at these times. A rolling shutter reads a row later: the detection shows the object at
-        its position at that later time.
-    pixels : array (n, 2)
-        Detections as in the log.
+    Times of the frames are (n,), s; positions and velocities at these times (n, 6); pixels (n, 2) as in the log. A
+    rolling shutter reads a row later: the detection shows the object at its position at that later time.
     """
     delays = camera.row_delays(pixels[:, 1])
     if delays is None:
@@ -45,14 +37,8 @@ def expected_squares(camera: Camera, times: Array, states: Array, covariances: A
     """Return the squares (n,) of residuals, both axes together, that noise and uncertainty lead to expect, px^2.
 
     An estimate that has taken in a detection of noise R has residuals of the covariance R - H P H^T, with its own
-    covariance P: less than the noise, as the estimate has moved towards the detection.
-
-    Parameters
-    ----------
-    camera, times, states
-        As in `residuals_px`.
-    covariances : array (n, 3, 3)
-        Of the positions.
+    covariance P: less than the noise, as the estimate has moved towards the detection. Times and states are those of
+    `residuals_px`; the covariances (n, 3, 3) are those of the positions.
     """
     steps = DERIVATIVE_STEP * np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2) / 3.0, 1e-24))
     moved = states[:, None, :3] + np.eye(3) * steps[:, None, None]
@@ -80,14 +66,7 @@ class CameraSums:
 
 
 class Explained:
-    """Running figures of every camera.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    sums : dict, optional
-        Camera -> figures so far, which are kept up to date.
-    """
+    """Running figures of every camera; `sums`, camera -> figures so far, are kept up to date."""
 
     def __init__(self, cameras: Sequence[Camera], sums: dict[str, CameraSums] | None = None) -> None:
         self._cameras = {camera.name: camera for camera in cameras}

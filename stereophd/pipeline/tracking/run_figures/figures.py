@@ -46,12 +46,7 @@ class FigureSums:
 class RunFigures:
     """Figures of a run for ``report.json``, counted as its records come.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        In order, for the figures of each camera.
-    sums : FigureSums, optional
-        Where the figures begin; kept up to date.
+    The cameras are in order, for the figures of each. `sums` is where the figures begin, and is kept up to date.
     """
 
     def __init__(self, cameras: Sequence[Camera], sums: FigureSums | None = None) -> None:

@@ -12,17 +12,11 @@ from stereophd.pipeline.tracking.loop import Record
 
 
 def lasting(records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
-    """Yield records without the tracks that are shorter than a length.
+    """Yield records, in order of time, without the tracks that are shorter than a length.
 
-    Every record waits until the records are `min_length_s` past it: a track is known then to last that long, or not
-    to. A track that is not reported at that time, but again later, is left out before the gap.
-
-    Parameters
-    ----------
-    records : iterable of Record
-        In order of time.
-    min_length_s : float
-        Least time between the first and the last reported estimate, s.
+    The length is the least time between the first and the last reported estimate, s. Every record waits until the
+    records are `min_length_s` past it: a track is known then to last that long, or not to. A track that is not reported
+    at that time, but again later, is left out before the gap.
     """
     return LastingTracks(min_length_s).records(records)
 
