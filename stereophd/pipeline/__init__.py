@@ -1,1 +1,1 @@
-"""Configuration and streams to results in memory."""
+"""From configurations and logs to results, and the files that they are kept in."""

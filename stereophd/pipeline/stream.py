@@ -1,4 +1,4 @@
-"""The one way from frames to events: a detection log, or frames in memory, as events in order of true time.
+"""From frames to events: a detection log, or frames in memory, as events in order of true time.
 
 A *frame* is what one camera reports at one time, in distorted pixels, as a log holds it. An *event* is the same frame
 as estimators take it: undistorted, with its noise, on the true time. A *scan* is what `evaluate` scores once.

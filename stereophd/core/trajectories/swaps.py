@@ -2,11 +2,12 @@
 
 A filter decides from the past alone. Where objects are near one another and seldom seen it takes one for its neighbour
 for an event or two, above all at the first frames, when it knows neither depth nor velocity. The smoother knows what
-follows, but it keeps the decision. Here all detections of each track decide, by two proposals:
+follows, but it keeps the decision. (`core.multi.crosswise.exchange` decides the same while the filter
+runs.) Here all detections of each track decide, by two proposals:
 
 1. *Windows.* At every event each track is predicted from its detections before and after, without those in a window
-   about the event: first the event alone, then half an interval between frames to either side, for cameras that look
-   one after another can be wrong together. Tracks and detections are assigned at the greatest total gain
+   about the event: first the event alone, then half an interval between frames to either side, then a whole one, for
+   cameras that look one after another can be wrong together. Tracks and detections are assigned at the greatest total gain
    (`WholeRun.gains`). Changes that share tracks or detections within the window are one group. A group that does not
    explain the detections better is divided in time, down to single events.
 2. *Ends.* Once a round of all windows changes nothing, tracks that never change back to their own objects, so that no

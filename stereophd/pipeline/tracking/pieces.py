@@ -2,7 +2,7 @@
 
 A piece is tracked from some time before its own span, so that its filter has forgotten the beginning when the span
 begins. The tracks of two successive pieces are paired in that overlap by the probability that they are one object
-(`stereophd.core.trajectories.joining`); a pair that is more probable than not becomes one track. Smoothed pieces also
+(`stereophd.core.trajectories.joins`); a pair that is more probable than not becomes one track. Smoothed pieces also
 continue beyond their spans: the smoother looks ahead.
 
 A piece is finished when its whole file is there; what a piece holds does not depend on who made it, nor when.

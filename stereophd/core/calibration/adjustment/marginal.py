@@ -8,7 +8,7 @@ the terms of the volume,
     -2 log p(v, u | detections) = J(v, u) + log det A(v, u) + 12 k log s(v) + 12 l u + (u / std)^2 + constant,
 
 with the matrix A of the knots in the normal equations, the number k of knots, the number l of links between successive
-ones, and the scale s of the scene (`calibration.scale`).
+ones, and the scale s of the scene (`calibration.unknowns.scale`).
 
 **Noise of the motion.** It is stated in lengths, and the cost uses it in units of the scene: noise_std * s(v), s = 1 at
 the size that the prior expects. A scene that is truly larger by a factor f has objects that accelerate 1 / f times as

@@ -6,7 +6,7 @@ Minimised is half of
 
 with the reprojection error e_n of every detection, its precision P_n and weight w_n, the priors of the camera
 parameters, the motion model m(x) of the trajectories' knots x (positions and velocities have no prior), and the scale s
-of the scene (`calibration.scale`). The steps are those of Levenberg and Marquardt on the normal equations
+of the scene (`calibration.unknowns.scale`). The steps are those of Levenberg and Marquardt on the normal equations
 
     [ A   C ] [dx]   [a]
     [ C^T B ] [dv] = [b],     A banded (knots), B small (cameras),

@@ -102,7 +102,7 @@ def tracked_fit(
 ) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
-    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`calibration.tracking_scale`).
+    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`calibration.unknowns.gauge`).
     """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
@@ -132,7 +132,7 @@ def _annealed(task: Task) -> tuple[int, float]:
 def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
-    `weighted`: detections whose errors are shared count less (`calibration.shared_errors`), as the residuals of the
+    `weighted`: detections whose errors are shared count less (`adjustment.shared_errors`), as the residuals of the
     fit show. `last`: no other adjustment follows.
     """
     counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
@@ -235,7 +235,7 @@ def adjusted_to(
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
     What the fit held is held again, and the noise of the motion is that of the fit. Stretches that collapse into a
-    camera (`calibration.collapsed_stretches`) are left out, and the others are adjusted to again.
+    camera (`adjustment.collapsed_stretches`) are left out, and the others are adjusted to again.
     """
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
     knots = replace(_knots(task, observations, points, fit.adjustment.values), noise_std=fit.knots.noise_std)

@@ -59,7 +59,7 @@ class Evidence:
     events: Sequence[Event]  # The log, in order of time
     batch: FilterBatch  # The conditional filters
     # Number of the reference camera. Given, the cameras of a hypothesis are brought to the nominal scale
-    # (`at_nominal_scale`): for problems whose scale is free (`core.calibration.scale.scale_is_free`), if the objects'
+    # (`at_nominal_scale`): for problems whose scale is free (`unknowns.scale.scale_is_free`), if the objects'
     # priors shall not decide on it.
     scale_reference: int | None = None
     scale: ScaleMeasurement | None = None  # What else is known of the scale; its normal density is one more factor

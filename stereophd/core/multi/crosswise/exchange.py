@@ -10,6 +10,7 @@ both are filtered once more from their first kept detection on, as they are and 
 exchanged. The detections are the same, and so is the prior of a new object, so that the difference of the
 log-likelihoods is the logarithm of the odds of the two explanations (misses and clutter are the same in both). Where
 the exchange is ahead by more than a threshold, the tracks take its Gaussians, and their kept detections are exchanged.
+Track swaps that remain in a whole run are decided in `core.trajectories.swaps`.
 
 The cost is bounded: only pairs in one epipolar plane are tested, of which both crosswise intersections lie before the
 cameras (`multi.crosswise.epipolar_pairs`); both explanations are followed from the last detections backwards, and
