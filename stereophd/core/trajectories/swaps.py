@@ -8,8 +8,8 @@ runs.) Here all detections of each track decide, by two proposals:
 1. *Windows.* At every event each track is predicted from its detections before and after, without those in a window
    about the event: first the event alone, then half an interval between frames to either side, then a whole one, for
    cameras that look one after another can be wrong together. Tracks and detections are assigned at the greatest total
-   gain (`WholeRun.gains`). Changes that share tracks or detections within the window are one group. A group that does not
-   explain the detections better is divided in time, down to single events.
+   gain (`WholeRun.gains`). Changes that share tracks or detections within the window are one group. A group that does
+   not explain the detections better is divided in time, down to single events.
 2. *Ends.* Once a round of all windows changes nothing, tracks that never change back to their own objects, so that no
    window is long enough, exchange their ends. At a cut the state of track a from its detections before, predicted over
    a window to the first event after it, is compared with that of track b from its detections from there on. With the
