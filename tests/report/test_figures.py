@@ -165,6 +165,7 @@ def report(**changes) -> dict:
         "cardinality": {"bias": -0.125, "mae": 0.25, "mean_truth": 6.0, "mean_estimates": 5.875},
         "pairs": {"matched": 42, "missed": 3, "false": 1},
         "identity_switches": 2,
+        "clear_mot": {"mota": 0.87, "motp": 0.7, "mostly_tracked": 5, "mostly_lost": 1},
         "idf1": 0.93,
         "id_precision": 0.95,
         "id_recall": 0.91,
