@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import heapq
-import logging
 import math
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -41,8 +40,6 @@ LOG_FILE = "detections.parquet"
 # Optional columns of a log, as the filters read them.
 FIELDS = {name: pa.field(name, kind, nullable=True) for name, kind in OPTIONAL.items()}
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

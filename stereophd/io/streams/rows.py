@@ -8,7 +8,6 @@ from typing import Any
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.io.tables.schemas import CONFIRMED, TENTATIVE
 
-VERSION = 1
 STATE = ("x", "y", "z", "vx", "vy", "vz")
 
 
