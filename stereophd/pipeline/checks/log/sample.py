@@ -45,6 +45,7 @@ class CameraSample:
     frames: Integers  # (f,) of int: Frame numbers
     first: Integers  # The detections of frame k are those from ``first[k]`` to ``first[k + 1]``
     pixels: Array  # (n, 2): Distorted pixels
+    boxes: bool = False  # Whether these are the middles of boxes
 
     @property
     def detections_per_frame(self) -> float:
@@ -202,6 +203,7 @@ def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
         np.array([frame.frame for frame in frames], dtype=np.int64),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         np.concatenate([frame.pixels for frame in frames]) if frames else np.empty((0, 2)),
+        any(frame.sizes is not None for frame in frames),
     )
 
 
