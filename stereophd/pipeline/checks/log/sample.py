@@ -89,10 +89,10 @@ class CameraSample:
         now = index[~linked & (self.frame_of < intervals)]
         later = index[~reached & (self.frame_of > 0)]
         return (
-            _by_interval(self.frame_of[carried], self.pixels[carried], intervals),
-            _by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
-            _by_interval(self.frame_of[now], self.pixels[now], intervals),
-            _by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
+            by_interval(self.frame_of[carried], self.pixels[carried], intervals),
+            by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
+            by_interval(self.frame_of[now], self.pixels[now], intervals),
+            by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
         )
 
     @property
@@ -171,7 +171,7 @@ class CameraSample:
         return tuple(found)
 
 
-def _by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
+def by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
     """Return pixels (n, 2) in rows by their interval, (count, most, 2), NaN where a row has fewer; n in order."""
     sizes = np.bincount(intervals, minlength=count)
     table = np.full((count, max(1, int(sizes.max(initial=0))), 2), np.nan)
