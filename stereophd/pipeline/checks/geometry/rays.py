@@ -140,7 +140,8 @@ def pixels_near(sample: CameraSample, times: Array) -> Array:
     """Return the detections (n, k, 2) of a camera in its frames next to times (n,), s; NaN where there are fewer."""
     right = np.searchsorted(sample.times, times).clip(1, len(sample.times) - 1)
     nearer = right - (times - sample.times[right - 1] <= sample.times[right] - times)
-    return by_interval(sample.frame_of, sample.pixels, len(sample.times))[nearer]
+    table = by_interval(sample.frame_of, sample.pixels, len(sample.times))
+    return np.asarray(table[nearer])
 
 
 def _wide(table: Array, width: int) -> Array:
