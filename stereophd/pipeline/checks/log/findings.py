@@ -154,9 +154,11 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             detector.clutter_per_frame, round(rate, 3), camera.name,
             "state the false detections of a frame, or estimate them (detector: estimate)", "clutter",
         )  # fmt: skip
-    isolated = sample.isolated_per_frame
-    # where noise or motion outrun the chains, what they leave over are objects
-    follows = (sample.continued_share or 0.0) >= LEAST_CONTINUED * detector.p_detect
+    # where noise or motion outrun the chains, what they leave over are objects; so is what is missed before and after
+    continued = sample.continued_share or 0.0
+    follows = continued >= LEAST_CONTINUED * detector.p_detect
+    missed = max(rate - detector.clutter_per_frame, 0.0) * (1.0 - continued) ** 2
+    isolated = sample.isolated_per_frame - missed
     many = isolated > max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame) and isolated > 0.15 * rate
     if follows and many:
         yield Finding(
