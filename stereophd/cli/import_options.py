@@ -19,6 +19,9 @@ Sources = Annotated[
     list[Path], typer.Argument(metavar="SOURCE", help="Files or folders of that format.", show_default=False)
 ]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras, native or foreign, if the source has none.")]
+Truth = Annotated[
+    Path | None, option("--truth", "FILE", "The program's points in space, of the same format: truth.parquet.")
+]
 Columns = Annotated[
     list[str] | None,
     option("--column", "NAME=COLUMN", "Read a native column from a column of the table: u_px=x (repeatable)."),
