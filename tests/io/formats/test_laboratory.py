@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
 from stereophd.io.interchange.cameras import take_apart
+from stereophd.pipeline.batch.names import expand
 
 from .conftest import assert_same_cameras, cameras_of, log_rows, rig
 
@@ -76,7 +77,7 @@ def test_a_braidz_with_its_calibration(tmp_path: Path, imported: Import, shift: 
         camera = cameras[name].build(name)
         flat = camera.lens.undistort((np.array([[u, v]]) - [camera.cx, camera.cy]) / [camera.fx, camera.fy])[0]
         found = flat[0] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-        np.testing.assert_allclose(found, pinhole(camera, POINTS)[frame - 100], atol=0.02 if shift else 1e-6)
+        np.testing.assert_allclose(found, pinhole(camera, POINTS)[frame - 100], atol=0.05 if shift else 1e-6)
     assert any("trigger" in sentence for sentence in report["assumed"])
     assert any("residual" in sentence for sentence in report["assumed"]) == bool(shift)
 
@@ -230,3 +231,9 @@ def test_myptv(tmp_path: Path, imported: Import) -> None:
     assert truth["object_id"] == [3, 3, 4]
     assert truth["time_s"] == [0.0, 0.04, 0.04]
     assert truth["x"] == [6.5, 6.6, 1.0]
+
+
+def test_an_imported_folder_is_a_log(tmp_path: Path, imported: Import) -> None:
+    (tmp_path / "blobs_left").write_text("181.10\t377.85\t3\t3\t144\t0\n")
+    _, out = imported("myptv", tmp_path / "blobs_left", rates=50.0)
+    assert expand([out, out / "detections.parquet", tmp_path]) == [out / "detections.parquet"] * 2 + [tmp_path]
