@@ -27,7 +27,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
-from stereophd.core.calibration.sampling.modes import Modes
+from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.numerics.resampling import systematic
 from stereophd.core.numerics.weights import (
     effective_sample_size,
