@@ -29,9 +29,8 @@ from stereophd.pipeline.checks.run_figures.estimated_detectors import check_esti
 from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_noise, check_tracking
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
-from stereophd.pipeline.runs.finished import finished_report
 from stereophd.pipeline.runs.progress import Progress
-from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces

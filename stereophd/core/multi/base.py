@@ -6,6 +6,7 @@ three in a row that an event takes. The filters differ in their update.
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,8 +30,19 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.swaps.history import History
-from stereophd.core.numerics.memory import machine_memory
 from stereophd.core.numerics.samples import SampleSets
+
+# Assumed where the system does not report it, bytes.
+DEFAULT_MEMORY = 4e9
+
+
+def machine_memory() -> float:
+    """Return the memory of the machine, bytes."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return DEFAULT_MEMORY
+
 
 # Upper bound on the memory of one component, its moved forms and its updated forms, bytes.
 _COMPONENT_BYTES = 4096

@@ -33,8 +33,7 @@ from stereophd.io.interchange.documents.text_tables import (
     separator_of,
     split_line,
 )
-from stereophd.io.interchange.pixels import ORIGINS
-from stereophd.io.interchange.points import point_rows
+from stereophd.io.interchange.pixels import ORIGINS, point_rows
 from stereophd.io.interchange.projection import MIRROR, Decomposed, decompose, is_left_handed, triangulate
 
 COEFFICIENTS = 11

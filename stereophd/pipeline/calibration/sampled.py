@@ -12,7 +12,7 @@ from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
 from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
-from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence, LogEvidence
 from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState

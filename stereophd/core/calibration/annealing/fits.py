@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.collapsed_stretches import collapsed
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.lone_detections import lone
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
+from stereophd.core.calibration.adjustment.rejected import collapsed, lone
 from stereophd.core.calibration.adjustment.shared_errors import shared_errors
 from stereophd.core.calibration.adjustment.solver import adjust, posterior_covariance
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -34,7 +33,7 @@ from stereophd.core.calibration.pairing.association import (
 )
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
-from stereophd.core.calibration.pairing.meeting import meeting_points
+from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced

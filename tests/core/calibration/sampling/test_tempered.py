@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.sampling import bridging
-from stereophd.core.calibration.sampling.bridging import BridgeSampler, temperature_rise
-from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeState
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState, temperature_rise
 from stereophd.core.calibration.sampling.likelihood import Evidence
 from stereophd.core.calibration.sampling.tempered import LogLikelihood, TemperedPath, tempered_sampler
 from stereophd.core.calibration.settings import TemperedSettings
