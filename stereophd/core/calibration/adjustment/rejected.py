@@ -1,9 +1,9 @@
 """What an adjustment rejects: detections that stand alone, and stretches that have collapsed into a camera.
 
 Lone detections. Where only one camera sees an object, its depth is known by its motion only. A false detection of
-another camera that happens to lie on the epipolar line then fits a fitted trajectory, which bends towards it, and the cameras with it. An
-object in view would have been detected in the frames before and after as well. Where two other cameras see the object,
-they confirm the detection.
+another camera that happens to lie on the epipolar line then fits a fitted trajectory, which bends towards it, and the
+cameras with it. An object in view would have been detected in the frames before and after as well. Where two other
+cameras see the object, they confirm the detection.
 
 Collapsed stretches. The joint optimum of cameras and trajectories weighs the acceleration of objects in lengths. Where
 only one camera sees an object for long, the nearer the object is, the less it has to accelerate for the same motion in
