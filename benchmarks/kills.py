@@ -167,7 +167,7 @@ def cases(folder: Path) -> dict[str, Case]:
     from stereophd.config.loading import load_config
     from stereophd.io.tables import writing as table_writing
     from stereophd.pipeline.runs import unfinished
-    from stereophd.pipeline.tracking import checkpoint
+    from stereophd.pipeline.tracking import unfinished as checkpoint
 
     table_writing.ROW_GROUP_ROWS = ROW_GROUP_ROWS
     unfinished.KEEP_EVERY_S, unfinished.MOST_SHARE = OFTEN_S, 1e9

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.live import LiveConfig
+from stereophd.config.tracking import LiveConfig
 from stereophd.core.arrays import Integers
 from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.geometry.camera import Camera

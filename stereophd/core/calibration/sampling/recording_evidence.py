@@ -25,10 +25,9 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.sampling.likelihood import extent, log_density_of_scale
-from stereophd.core.calibration.unknowns.gauge import enlarged
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import TIMES
-from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, enlarged
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
@@ -114,7 +113,7 @@ class RecordingEvidence:
     def _settings(self) -> FilterSettings:
         settings = self.template.settings
         # nothing is reported, so that no pair of tracks would be tested for an exchange
-        return replace(settings, exchange_above=math.inf) if isinstance(settings, PmbSettings) else settings
+        return replace(settings, swap_above=math.inf) if isinstance(settings, PmbSettings) else settings
 
     def _at_nominal_scale(self, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
         reference = self.scale_reference

@@ -15,8 +15,8 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
-from stereophd.core.multi.crosswise.history import DeferredPairs
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.swaps.history import DeferredPairs
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import stable_order
 
@@ -60,7 +60,7 @@ class TrackPlaces(NamedTuple):
 
 
 @compiled
-def crosswise_pairs(
+def swap_candidates(
     mixture: GaussianMixture,
     homes: Array,
     cameras: tuple[int, int],

@@ -1,4 +1,4 @@
-"""Two tracks that are paired crosswise: a test that exchanges the detections of one camera between them (ours).
+"""Two tracks that are paired crosswise: a test that swaps the detections of one camera between them (ours).
 
 Two objects in one epipolar plane of two cameras have two explanations: the detections of the one camera may be paired
 with those of the other in two ways, and the wrong way gives two objects as well, at other depths. The tracks of the PMB
@@ -7,14 +7,14 @@ needs detections that the other claims, and a product of two small marginals fal
 
 The decision is therefore taken for both tracks together, from the detections that they claimed in the last events:
 both are filtered once more from their first kept detection on, as they are and with the detections of one camera
-exchanged. The detections are the same, and so is the prior of a new object, so that the difference of the
+swapped. The detections are the same, and so is the prior of a new object, so that the difference of the
 log-likelihoods is the logarithm of the odds of the two explanations (misses and clutter are the same in both). Where
-the exchange is ahead by more than a threshold, the tracks take its Gaussians, and their kept detections are exchanged.
+the swap is ahead by more than a threshold, the tracks take its Gaussians, and their kept detections are swapped.
 Track swaps that remain in a whole run are decided in `core.trajectories.swaps`.
 
 The cost is bounded: only pairs in one epipolar plane are tested, of which both crosswise intersections lie before the
 cameras (`multi.crosswise.epipolar_pairs`); both explanations are followed from the last detections backwards, and
-given up once the exchange is `LATEST` nats behind; a pair that is far from an exchange is left alone for a while; at
+given up once the swap is `LATEST` nats behind; a pair that is far from a swap is left alone for a while; at
 most `MOST_TESTS` an event.
 """
 
@@ -34,33 +34,33 @@ from stereophd.core.disparity.sample_move import Look
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.crosswise.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, crosswise_pairs
-from stereophd.core.multi.crosswise.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
-from stereophd.core.multi.crosswise.history import ClaimedRows, History, no_deferred_pairs
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
+from stereophd.core.multi.swaps.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, swap_candidates
+from stereophd.core.multi.swaps.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
+from stereophd.core.multi.swaps.history import ClaimedRows, History, no_deferred_pairs
 
-# Fewest kept detections of each track in the camera whose detections are exchanged, and in all others together.
+# Fewest kept detections of each track in the camera whose detections are swapped, and in all others together.
 LEAST_DETECTIONS = 3
 # Most pairs that one event tests. With hundreds of objects, a pair is due at almost every event.
 MOST_TESTS = 1
-# Events until a pair is tested again: SOONEST, and one more for each nat by which the exchange is behind, up to LATEST.
+# Events until a pair is tested again: SOONEST, and one more for each nat by which the swap is behind, up to LATEST.
 SOONEST, LATEST = 2, 64.0
-# Events that a test looks at first: most often the last ones decide against an exchange.
+# Events that a test looks at first: most often the last ones decide against a swap.
 RECENT = 20
 # Fewest samples in view for the fit of a Gaussian. Few are enough: a detection shows that the track is in view.
 FEWEST = 2
 
 
 @dataclass(frozen=True)
-class CrosswiseTest:
+class SwapTest:
     """The test, and what it takes of a filter."""
 
     rig: Rig
     motion: Motion
     samples: Array  # (rows, s): Samples of the moves
     birth: BirthPrior
-    threshold: float  # Log-odds above which detections are exchanged
+    threshold: float  # Log-odds above which detections are swapped
 
     @cached_property
     def tolerances(self) -> list[float]:
@@ -90,15 +90,15 @@ class CrosswiseTest:
         views, none, one = self.rig.views(0.0), np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
         prior, homes = self.prior(views), self.rig.spaces(none, np.empty(0))
         empty, nothing = empty_mixture(self.motion.state_size), no_deferred_pairs()
-        crosswise_pairs(empty, homes, (0, 0), views, prior, 1.0, Past(0.0, 0.0), nothing, 0, MOST_TESTS)
+        swap_candidates(empty, homes, (0, 0), views, prior, 1.0, Past(0.0, 0.0), nothing, 0, MOST_TESTS)
         self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
 
     def put_right(
         self, mixture: GaussianMixture, history: History, camera: int, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
-        """Return a mixture after an event of a camera, and the history, with exchanges of tracks paired crosswise.
+        """Return a mixture after an event of a camera, and the history, with swaps of tracks paired crosswise.
 
-        The camera is the one whose detections are exchanged, with each camera before it in turn.
+        The camera is the one whose detections are swapped, with each camera before it in turn.
         """
         if camera == 0:
             return mixture, history
@@ -107,19 +107,19 @@ class CrosswiseTest:
         prior = self.prior(views) if self.rig.moving else self._prior_at_rest
         began = history.sightings[max(-RECENT, -len(history.sightings))].time_s if history.sightings else time_s
         past = Past(time_s - began, self._acceleration_std)
-        pairs = crosswise_pairs(
+        pairs = swap_candidates(
             mixture, homes, cameras, views, prior, self.tolerances[camera], past, history.deferred, event, MOST_TESTS
         )
         if not len(pairs):
             return mixture, history
         deferred = history.deferred.after(event)
         for first, second in pairs.tolist():
-            odds, exchanged = self.explain(history, first, second, camera, prior)
-            if exchanged is not None:
-                turned = self._is_nearer_turned(mixture, homes, (first, second), exchanged, time_s)
-                mixture = _replaced(mixture, first, second, exchanged[::-1] if turned else exchanged)
-                history = history.exchanged(first, second, camera, others=turned)
-            behind = abs(odds) if exchanged is not None else max(-odds, 0.0)
+            odds, swapped = self.explain(history, first, second, camera, prior)
+            if swapped is not None:
+                turned = self._is_nearer_turned(mixture, homes, (first, second), swapped, time_s)
+                mixture = _replaced(mixture, first, second, swapped[::-1] if turned else swapped)
+                history = history.swapped(first, second, camera, others=turned)
+            behind = abs(odds) if swapped is not None else max(-odds, 0.0)
             deferred = deferred.add((first, second, camera), event + SOONEST + round(min(behind, LATEST)))
         return mixture, replace(history, deferred=deferred)
 
@@ -144,10 +144,10 @@ class CrosswiseTest:
     def explain(
         self, history: History, first: int, second: int, camera: int, prior: NewObjects
     ) -> tuple[float, tuple[Track, Track] | None]:
-        """Return by how many nats two tracks explain their detections better with those of a camera exchanged.
+        """Return by how many nats two tracks explain their detections better with those of a camera swapped.
 
-        With it both tracks after an exchange that is ahead by more than the threshold; 0 where too little is known, and
-        some number below ``-LATEST`` for all exchanges that are further behind.
+        With it both tracks after a swap that is ahead by more than the threshold; 0 where too little is known, and
+        some number below ``-LATEST`` for all swaps that are further behind.
         """
         if len(history.sightings) > RECENT:
             odds, _ = self._compare(history.rows_of(first, second, RECENT), first, camera, prior)
@@ -168,8 +168,8 @@ class CrosswiseTest:
         owners = np.stack([other, other ^ there]).astype(np.int64)
         found = self._explain(rows, owners, prior)
         # as Python's floats: infinities of both give NaN, without a warning of NumPy
-        (mine_as_is, other_as_is), (mine_exchanged, other_exchanged) = found.log_likelihoods.tolist()
-        odds = -mine_as_is + mine_exchanged - other_as_is + other_exchanged
+        (mine_as_is, other_as_is), (mine_swapped, other_swapped) = found.log_likelihoods.tolist()
+        odds = -mine_as_is + mine_swapped - other_as_is + other_swapped
         if not odds > self.threshold:
             return (0.0 if math.isnan(odds) else odds), None
         forwards = [np.flatnonzero(found.fits[1] & (owners[1] == track))[::-1] for track in (0, 1)]

@@ -18,8 +18,8 @@ from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
-from stereophd.core.multi.crosswise.epipolar_pairs import NewObjects
-from stereophd.core.multi.crosswise.history import ClaimedRows
+from stereophd.core.multi.swaps.epipolar_pairs import NewObjects
+from stereophd.core.multi.swaps.history import ClaimedRows
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian
 

@@ -116,7 +116,7 @@ def read_records(
                 yield record
 
 
-class Journal:
+class UnfinishedTracking:
     """What one run of `track` keeps: its records if `keeps_records`, otherwise the rows of its tables.
 
     Nothing is written before there is something to keep.

@@ -9,18 +9,13 @@ the objects lie where its prior expects them, and its estimates are brought back
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.task import Fit, Task
-from stereophd.core.calibration.unknowns.scale import scale_is_free
+from stereophd.core.calibration.unknowns.scale import can_be_enlarged, scale_is_free
 from stereophd.core.disparity.trips import disparity_scale
-from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.pose import Pose
 
 # While tracking, the cameras keep their scale if the median object is within this many standard deviations of the
 # prior's mean disparity.
@@ -67,27 +62,3 @@ def _rescalable(task: Task) -> bool:
     """Whether nothing but the prior fixes the scale of the cameras, about a reference that stands still."""
     can = can_be_enlarged(task.parameters.cameras, task.reference)
     return can and task.scale is None and scale_is_free(task.parameters)
-
-
-def can_be_enlarged(cameras: Sequence[Camera], reference: int) -> bool:
-    """Whether the reference stands still and no camera follows a known trajectory, whose scale is known."""
-    return cameras[reference].pose.is_static and all(camera.pose.path is None for camera in cameras)
-
-
-def enlarged(cameras: Sequence[Camera], reference: int, ratio: float) -> tuple[Camera, ...]:
-    """Return cameras whose distances from the reference camera, and velocities, are multiplied by a factor."""
-    if ratio == 1.0:
-        return tuple(cameras)
-    origin = cameras[reference].pose.center
-
-    def moved(pose: Pose) -> Pose:
-        center = origin + ratio * (pose.center - origin)
-        return Pose(pose.rotation, center, ratio * pose.velocity, pose.rotation_rate, pose.time_s)
-
-    return tuple(replace(camera, pose=moved(camera.pose)) for camera in cameras)
-
-
-def reduced(points: Array, cameras: Sequence[Camera], reference: int, ratio: float) -> Array:
-    """Return points (n, 3) before `enlarged` cameras as points before the cameras themselves."""
-    origin = cameras[reference].pose.center
-    return np.asarray(origin + (points - origin) / ratio) if ratio != 1.0 else points

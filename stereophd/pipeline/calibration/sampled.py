@@ -1,4 +1,4 @@
-"""The samplers of `calibrate`: method sequential, and posterior smc."""
+"""What `calibrate` samples: method sequential, and posterior smc."""
 
 from __future__ import annotations
 
@@ -12,22 +12,18 @@ from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
 from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
-from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeResult, BridgeState
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence, LogEvidence
-from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState
 from stereophd.core.calibration.sampling.tempered import TemperedPath, tempered_sampler
-from stereophd.core.calibration.unknowns.gauge import can_be_enlarged
-from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
+from stereophd.core.calibration.unknowns.modes import Modes
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, can_be_enlarged, scale_is_free
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
-from stereophd.pipeline.calibration.filters import phd_filter, pmb_filter
-from stereophd.pipeline.calibration.inputs import annealed_task
-from stereophd.pipeline.calibration.outcome import Outcome
-from stereophd.pipeline.calibration.run import CalibrationRun
+from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task, phd_filter, pmb_filter
 
 # What an unfinished run keeps of a sampler: its state, and its steps so far.
 BRIDGE = tuple[BridgeState, list[BridgeInfo]]

@@ -19,7 +19,7 @@ from stereophd.io.outputs.saved import decoder, encode
 from stereophd.io.tables import writing
 from stereophd.pipeline.runs import unfinished
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.tracking import checkpoint
+from stereophd.pipeline.tracking import unfinished as checkpoint
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.loop import RunState
 

@@ -1,4 +1,4 @@
-"""Crosswise pairs: the test that exchanges detections, against plain NumPy, and the history that it reads."""
+"""Crosswise pairs: the test that swaps detections, against plain NumPy, and the history that it reads."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.multi.crosswise import exchange as crosswise_module
-from stereophd.core.multi.crosswise.epipolar_pairs import NewObjects, Past, crosswise_pairs
-from stereophd.core.multi.crosswise.exchange import CrosswiseTest
-from stereophd.core.multi.crosswise.history import (
+from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.core.multi.swaps import swap_test as swap_module
+from stereophd.core.multi.swaps.epipolar_pairs import NewObjects, Past, swap_candidates
+from stereophd.core.multi.swaps.history import (
     KEPT_EVENTS,
     ClaimedDetections,
     ClaimedRows,
@@ -26,7 +26,7 @@ from stereophd.core.multi.crosswise.history import (
     History,
     no_deferred_pairs,
 )
-from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.core.multi.swaps.swap_test import SwapTest
 from stereophd.io.outputs.saved import decoder, encode
 from tests.core.multi.pmb.test_pmb import Frames, Step, gaussian, make_pmb, run
 from tests.core.multi.scenes import make_mixture
@@ -48,8 +48,8 @@ def frames_of(multi_filter: PmbFilter, seconds: int = 14) -> Frames:
 
 @pytest.fixture(scope="module")
 def steps() -> list[Step]:
-    """A run of a filter that exchanges nothing."""
-    return run(make_pmb(exchange_above=1e9), frames_of(make_pmb()))
+    """A run of a filter that swaps nothing."""
+    return run(make_pmb(swap_above=1e9), frames_of(make_pmb()))
 
 
 def crosswise(steps: list[Step], multi_filter: PmbFilter) -> tuple[History, tuple[int, int]]:
@@ -58,31 +58,31 @@ def crosswise(steps: list[Step], multi_filter: PmbFilter) -> tuple[History, tupl
     assert state.history is not None
     assert len(estimates.labels) == 2
     first, second = sorted(estimates.labels.tolist())
-    return state.history.exchanged(first, second, 1), (first, second)
+    return state.history.swapped(first, second, 1), (first, second)
 
 
-def exchange_of(multi_filter: PmbFilter) -> CrosswiseTest:
-    return multi_filter.crosswise_test
+def swap_test_of(multi_filter: PmbFilter) -> SwapTest:
+    return multi_filter.swap_test
 
 
-@pytest.mark.parametrize("kernel", ["crosswise_pairs", "explain_rows"])
+@pytest.mark.parametrize("kernel", ["swap_candidates", "explain_rows"])
 def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
     steps: list[Step], kernel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     types: list[tuple[Any, ...]] = []
-    called = getattr(crosswise_module, kernel)
+    called = getattr(swap_module, kernel)
 
     def noted(*arguments: Any) -> Any:
         types.append(tuple(map(numba.typeof, arguments)))
         return called(*arguments)
 
-    monkeypatch.setattr(crosswise_module, kernel, noted)
+    monkeypatch.setattr(swap_module, kernel, noted)
     multi_filter = make_pmb()
-    exchange_of(multi_filter).compile()
+    swap_test_of(multi_filter).compile()
     beforehand = set(types)
     types.clear()
     history, (first, second) = crosswise(steps, multi_filter)
-    state, test = steps[-1][0], exchange_of(multi_filter)
+    state, test = steps[-1][0], swap_test_of(multi_filter)
     assert state.time_s is not None
     test.explain(history, first, second, 1, test.prior(multi_filter.rig.views(0.0)))
     test.put_right(state.mixture, history, 1, state.time_s, state.n_events)
@@ -90,21 +90,21 @@ def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
     assert set(types) == beforehand
 
 
-def test_the_odds_of_an_exchange_are_those_of_its_reverse(steps: list[Step]) -> None:
+def test_the_odds_of_a_swap_are_those_of_its_reverse(steps: list[Step]) -> None:
     multi_filter = make_pmb()
     wrong, (first, second) = crosswise(steps, multi_filter)
-    test = exchange_of(multi_filter)
+    test = swap_test_of(multi_filter)
     prior = test.prior(multi_filter.rig.packed)
-    right = wrong.exchanged(first, second, 1)
+    right = wrong.swapped(first, second, 1)
     for_right, _ = test.explain(wrong, first, second, 1, prior)
     for_wrong, _ = test.explain(right, first, second, 1, prior)
-    # the exchange of the detections of camera 0 is the same but for the names
+    # the swap of the detections of camera 0 is the same but for the names
     by_other, _ = test.explain(wrong, first, second, 0, prior)
     assert for_right > 20.0
     assert for_wrong == pytest.approx(-for_right, rel=1e-12) == -by_other
 
 
-def fitting(test: CrosswiseTest, history: History, label: int, prior: NewObjects) -> ClaimedRows:
+def fitting(test: SwapTest, history: History, label: int, prior: NewObjects) -> ClaimedRows:
     """Detections of a label without those that it claimed before it had settled."""
     rows = history.rows_of(label, label)
     rows = rows.take(np.arange(len(rows.times))[::-1])
@@ -115,7 +115,7 @@ def test_filtering_again_is_what_a_plain_filter_does(steps: list[Step]) -> None:
     """Log-likelihood and Gaussian against moves one by one and Kalman updates in NumPy."""
     multi_filter = make_pmb()
     state, _, estimates = steps[-1]
-    test, label = exchange_of(multi_filter), int(estimates.labels[0])
+    test, label = swap_test_of(multi_filter), int(estimates.labels[0])
     assert state.history is not None
     prior = test.prior(multi_filter.rig.packed)
     rows = fitting(test, state.history, label, prior)
@@ -154,7 +154,7 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     """Tracks on the two ghosts are back on the objects, under their labels, and the next test waits."""
     multi_filter = make_pmb()
     wrong, (first, second) = crosswise(steps, multi_filter)
-    state, test = steps[-1][0], exchange_of(multi_filter)
+    state, test = steps[-1][0], swap_test_of(multi_filter)
     prior = test.prior(multi_filter.rig.packed)
     ghosts = [test.filter_again(fitting(test, wrong, label, prior), prior) for label in (first, second)]
     mixture = make_mixture(
@@ -194,7 +194,7 @@ def _own(history: History | None, label: int) -> ClaimedRows:
 
 
 def test_an_infinite_threshold_keeps_no_history() -> None:
-    multi_filter = make_pmb(exchange_above=np.inf)
+    multi_filter = make_pmb(swap_above=np.inf)
     assert run(multi_filter, frames_of(multi_filter, 3))[-1][0].history is None
 
 
@@ -211,7 +211,7 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
     homes, nothing = rig.spaces(mixture.cameras, mixture.times), no_deferred_pairs()
 
     def pairs(deferred: DeferredPairs, most: int, event: int = 5) -> list[tuple[int, int]]:
-        found = crosswise_pairs(
+        found = swap_candidates(
             mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, Past(0.0, 0.0), deferred, event, most
         )
         return [(first, second) for first, second in found.tolist()]
@@ -265,7 +265,7 @@ def test_pairs_that_were_in_one_plane_and_that_no_third_camera_tells_apart(
     states[1, 3:] = velocity
     mixture = make_mixture(np.ones(2), space.from_world(states), [1e-6 * np.eye(6)] * 2, reported=[True, True])
     count = len(cameras)
-    found = crosswise_pairs(
+    found = swap_candidates(
         mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), rig.packed,
         NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5, np.empty(0)), 8.0, Past(10.0, 0.01),
         no_deferred_pairs(), 0, 1,

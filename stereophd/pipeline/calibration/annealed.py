@@ -32,10 +32,8 @@ from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.unknowns.observability import laplace_draws
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
-from stereophd.pipeline.calibration.inputs import annealed_task
-from stereophd.pipeline.calibration.outcome import Outcome
-from stereophd.pipeline.calibration.run import CalibrationRun
-from stereophd.pipeline.calibration.samplers import smc_outcome
+from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
+from stereophd.pipeline.calibration.sampled import smc_outcome
 from stereophd.pipeline.workers.processes import on_processes
 
 # Draws that represent a Laplace posterior.

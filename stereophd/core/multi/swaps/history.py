@@ -94,12 +94,10 @@ class History:
             else None,
         )
 
-    def exchanged(self, first: int, second: int, camera: int, others: bool = False) -> History:
-        """Return the history in which two labels have the detections of a camera, or of all others, exchanged."""
+    def swapped(self, first: int, second: int, camera: int, others: bool = False) -> History:
+        """Return the history in which two labels have the detections of a camera, or of all others, swapped."""
         return History(
-            tuple(
-                _exchanged(one, first, second) if (one.camera == camera) != others else one for one in self.sightings
-            ),
+            tuple(_swapped(one, first, second) if (one.camera == camera) != others else one for one in self.sightings),
             self.deferred,
         )
 
@@ -115,7 +113,7 @@ def _thinned(sightings: tuple[ClaimedDetections, ...]) -> tuple[ClaimedDetection
     return tuple(kept)
 
 
-def _exchanged(sighting: ClaimedDetections, first: int, second: int) -> ClaimedDetections:
+def _swapped(sighting: ClaimedDetections, first: int, second: int) -> ClaimedDetections:
     labels = sighting.labels.copy()
     labels[sighting.labels == first], labels[sighting.labels == second] = second, first
     return sighting._replace(labels=labels)
