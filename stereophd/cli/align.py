@@ -23,10 +23,14 @@ def align_command(
     ],
     to: Annotated[
         str,
-        options.option("--to", "WORLD", "Control track (Parquet: time_s, x, y, z), floor, gravity, or a camera's name."),
+        options.option(
+            "--to", "WORLD", "Control track (Parquet: time_s, x, y, z), floor, gravity, or a camera's name."
+        ),
     ],
     words: AlignOptions,
-    out: Annotated[Path | None, options.option("--out", "DIR", "Folder of the cameras and tables in the world.")] = None,
+    out: Annotated[
+        Path | None, options.option("--out", "DIR", "Folder of the cameras and tables in the world.")
+    ] = None,
 ) -> None:
     """Bring cameras and their tracks into a world frame: scale, rotation, place and clock, with uncertainties."""
     if out is None:

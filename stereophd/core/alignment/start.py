@@ -26,7 +26,7 @@ OTHER_OFFSET_S = 2.0
 
 
 @dataclass(frozen=True)
-class Path:
+class Curve:
     """Positions of one object over time."""
 
     time_s: Array  # (n,), increasing
@@ -42,10 +42,10 @@ class Path:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """How well a path fits the control at every offset of the clocks."""
+class CurveFit:
+    """How well a curve fits the control at every offset of the clocks."""
 
-    path: int  # Its number
+    curve: int  # Its number
     offsets: Array  # (k,): What the control's clock shows more, s
     gains: Array  # (k,): T log(1 / u), s
     best: int  # The offset of the greatest gain
@@ -72,25 +72,25 @@ class Fit:
         return float(self.gains[place]), float(self.offsets[place])
 
 
-def fits_to(paths: list[Path], control: Truth, max_gap_s: float, freedom: Freedom) -> list[Fit]:
-    """Fit each path to a control track at every offset of the clocks; those without enough common times are left out.
+def fits_to(curves: list[Curve], control: Truth, max_gap_s: float, freedom: Freedom) -> list[CurveFit]:
+    """Fit curves to a control track at every offset of the clocks; those without enough common times are left out.
 
     Where the clock is not free, the only offset is 0.
     """
-    target = Path(control.time_s, control.position)
+    target = Curve(control.time_s, control.position)
     out = []
-    for number, path in enumerate(paths):
-        spans = [float(np.ptp(one.time_s)) for one in (path, target)]
+    for number, curve in enumerate(curves):
+        spans = [float(np.ptp(one.time_s)) for one in (curve, target)]
         step = max(control.step_s, sum(spans) / MOST_CELLS)
         counts = [int(span / step) + 1 for span in spans]
         # a clock that is known: cells of both at the same times
-        starts = [float(one.time_s[0]) for one in (path, target)]
+        starts = [float(one.time_s[0]) for one in (curve, target)]
         starts[1] = starts[1] if freedom.clock else starts[0] + step * np.round((starts[1] - starts[0]) / step)
         a, b = (
             one.on_grid(start, step, count, max_gap_s)
-            for one, start, count in zip((path, target), starts, counts, strict=True)
+            for one, start, count in zip((curve, target), starts, counts, strict=True)
         )
-        offsets = starts[1] - starts[0] + step * np.arange(1 - counts[0], counts[1])
+        offsets: Array = starts[1] - starts[0] + step * np.arange(1 - counts[0], counts[1], dtype=np.float64)
         used = np.ones(len(offsets), dtype=bool) if freedom.clock else np.abs(offsets) < 0.5 * step
         fit = _fit(number, a, b, offsets, used, step, freedom.scale)
         if fit is not None:
@@ -106,8 +106,8 @@ def _fit(
     used: Booleans,
     step: float,
     any_scale: bool,
-) -> Fit | None:
-    """Fit positions (p, 3) to (q, 3), each with a mask, at all p + q - 1 offsets; None if no offset will do."""
+) -> CurveFit | None:
+    """CurveFit positions (p, 3) to (q, 3), each with a mask, at all p + q - 1 offsets; None if no offset will do."""
     middles = [values[known].mean(axis=0) if known.any() else np.zeros(3) for values, known in (a, b)]
     length = len(a[0]) + len(b[0]) - 1
     spectra = []
@@ -144,4 +144,4 @@ def _fit(
     )
     shift = float(offsets[place])
     found = Registration(rotation, mean_b - scale * rotation @ mean_a, scale, 0.0, shift, 1.0, int(count[place]))
-    return Fit(number, offsets[used], gains, best, float(count[place] * step), found)
+    return CurveFit(number, offsets[used], gains, best, float(count[place] * step), found)

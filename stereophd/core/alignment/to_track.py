@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.alignment.start import Fit, Path, fits_to
+from stereophd.core.alignment.start import Curve, CurveFit, fits_to
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors.consistency import independent_count
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth
@@ -47,9 +47,7 @@ def exactly(registration: Registration) -> Alignment:
     return Alignment(registration, np.zeros(3), np.zeros((9, 9)), np.zeros(0, dtype=np.int64), np.zeros(0))
 
 
-def align_to_track(
-    time_s: Array, position: Array, track_ids: Integers, control: Truth, freedom: Freedom
-) -> Alignment:
+def align_to_track(time_s: Array, position: Array, track_ids: Integers, control: Truth, freedom: Freedom) -> Alignment:
     """Align tracks with a control track of one object, on a clock of its own unless `freedom` keeps the clock.
 
     Times (n,), s, in order, positions (n, 3) and identities (n,) of all tracks; which of them belong to the control is
@@ -57,23 +55,23 @@ def align_to_track(
     """
     gap = DEFAULT_GAP_STEPS * control.step_s
     control = _finer(control, gap)
-    paths, names = _paths(time_s, position, track_ids)
-    fits = sorted(fits_to(paths, control, gap, freedom), key=lambda fit: -fit.gain)
+    curves, names = _curves(time_s, position, track_ids)
+    fits = sorted(fits_to(curves, control, gap, freedom), key=lambda fit: -fit.gain)
     if not fits or fits[0].unexplained > MOST_LEFT**2:
         raise ValueError(
             "no track has the motion of the control track: does its object move, was it tracked, and do the times "
             "overlap? (the best leaves "
             f"{100.0 * np.sqrt(fits[0].unexplained) if fits else 100.0:.0f} % unexplained)"
         )
-    found, members = fits[0].registration, np.array([fits[0].path])
-    rows = np.isin(track_ids, names[fits[0].path])
+    found, members = fits[0].registration, np.array([fits[0].curve])
+    rows = np.isin(track_ids, names[fits[0].curve])
     _refuse_straight(residuals(found, time_s[rows], position[rows], control, gap))
     _refuse_rival_offset(fits[0])
     spread = float(np.sqrt(control.position.var(axis=0).sum()))
     for number in range(ROUNDS):
         found = register(time_s[rows], position[rows], control, gap, freedom, found)
-        medians = np.array([_median_distance(found, path, control, gap) for path in paths])
-        limit = max(SAME_OBJECT * medians[fits[0].path], LEAST_APART * spread * (number == 0))
+        medians = np.array([_median_distance(found, curve, control, gap) for curve in curves])
+        limit = max(SAME_OBJECT * medians[fits[0].curve], LEAST_APART * spread * (number == 0))
         chosen = np.flatnonzero(medians <= limit)
         if np.array_equal(chosen, members):
             break
@@ -105,21 +103,21 @@ def _finer(control: Truth, max_gap_s: float) -> Truth:
     return Truth(time_s, np.zeros(len(time_s), dtype=np.int64), np.concatenate(positions))
 
 
-def _paths(time_s: Array, position: Array, track_ids: Integers) -> tuple[list[Path], list[Integers]]:
-    """Return each track as a path, and all of them as one, which is that of a single object with a broken track."""
-    paths, names = [], []
+def _curves(time_s: Array, position: Array, track_ids: Integers) -> tuple[list[Curve], list[Integers]]:
+    """Return each track as a curve, and all of them as one, which is that of a single object with a broken track."""
+    curves, names = [], []
     every = np.unique(track_ids)
     for ids in (*every[:, None], *([every] if len(every) > 1 else [])):
         rows = np.flatnonzero(np.isin(track_ids, ids))
         rows = rows[np.append(True, np.diff(time_s[rows]) > 0.0)]
         if len(rows) > 1:
-            paths.append(Path(time_s[rows], position[rows]))
+            curves.append(Curve(time_s[rows], position[rows]))
             names.append(ids)
-    return paths, names
+    return curves, names
 
 
-def _median_distance(found: Registration, path: Path, control: Truth, gap: float) -> float:
-    left = residuals(found, path.time_s, path.position, control, gap)
+def _median_distance(found: Registration, curve: Curve, control: Truth, gap: float) -> float:
+    left = residuals(found, curve.time_s, curve.position, control, gap)
     return float(np.median(np.linalg.norm(left.errors, axis=1))) if len(left.rows) else np.inf
 
 
@@ -134,7 +132,7 @@ def _refuse_straight(left: Residuals) -> None:
         )
 
 
-def _refuse_rival_offset(best: Fit) -> None:
+def _refuse_rival_offset(best: CurveFit) -> None:
     """Refuse a clock offset beside which another fits nearly as well."""
     gain, offset = best.rival
     if gain > RIVAL * best.gain:
@@ -144,13 +142,13 @@ def _refuse_rival_offset(best: Fit) -> None:
         )
 
 
-def _refuse_rival_track(fits: list[Fit], members: Integers, names: list[Integers]) -> None:
+def _refuse_rival_track(fits: list[CurveFit], members: Integers, names: list[Integers]) -> None:
     """Refuse tracks of several objects of which each could be that of the control."""
     best = fits[0]
-    rivals = [fit for fit in fits if fit.gain > RIVAL * best.gain and not np.isin(names[fit.path], members).any()]
+    rivals = [fit for fit in fits if fit.gain > RIVAL * best.gain and not np.isin(names[fit.curve], members).any()]
     if rivals:
         raise ValueError(
-            f"tracks {names[best.path][0]} and {names[rivals[0].path][0]} fit the control track alike: the objects "
+            f"tracks {names[best.curve][0]} and {names[rivals[0].curve][0]} fit the control track alike: the objects "
             "move together, and which of them it belongs to cannot be told"
         )
 

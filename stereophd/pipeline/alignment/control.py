@@ -54,7 +54,9 @@ def read_control(path: Path) -> Control:
     times = values["time_s"]
     backwards = np.flatnonzero(np.diff(times) <= 0.0)
     if len(backwards):
-        raise InputError(f"{path}: row {backwards[0] + 1}: expected times that increase, found {times[backwards[0] + 1]}")
+        raise InputError(
+            f"{path}: row {backwards[0] + 1}: expected times that increase, found {times[backwards[0] + 1]}"
+        )
     if len(times) < LEAST_ROWS:
         raise InputError(f"{path}: expected {LEAST_ROWS} or more rows, found {len(times)}")
     place, origin, unit = np.column_stack([values[name] for name in columns]), None, length_unit(table.schema.metadata)

@@ -140,9 +140,7 @@ def register(
     return registration
 
 
-def residuals(
-    registration: Registration, time_s: Array, positions: Array, truth: Truth, max_gap_s: float
-) -> Residuals:
+def residuals(registration: Registration, time_s: Array, positions: Array, truth: Truth, max_gap_s: float) -> Residuals:
     """Return how far estimates (n, 3) at times (n,) are from the nearest true objects."""
     rows, targets, velocities = _nearest(registration, time_s, positions, truth, max_gap_s)
     moved = registration.positions(positions[rows])
