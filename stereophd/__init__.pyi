@@ -1,5 +1,6 @@
 """The public names of stereophd, listed once: type checkers read this file, and so does ``__init__.py``."""
 
+from stereophd.commands.align import align as align
 from stereophd.commands.calibrate import calibrate as calibrate
 from stereophd.commands.calibrate_logs import calibrate_logs as calibrate_logs
 from stereophd.commands.check import check as check

@@ -24,6 +24,7 @@ ALWAYS = {"--out", "--json", "--quiet", "--verbose", "--debug", "--set", "--seed
 
 # Command -> its further options that act in every use: those that are declared so, and those of the shell alone.
 ACTING = {
+    "align": {"--to"},
     "calibrate": {"--cameras", "--strict"},
     "check": {"--cameras", "--strict"},
     "compile": {"--jobs"},
