@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
@@ -145,16 +144,13 @@ class Attribution:
     # Label -> camera -> detections, of the labels that are not reported yet.
     pending: dict[int, dict[str, int]] = field(default_factory=dict)
 
-    def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, Counter[str]]:
+    def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
         for label in detected.tolist():
             counts = self.pending.setdefault(label, {})
             counts[camera] = counts.get(camera, 0) + 1
-        found: dict[int, Counter[str]] = {}
-        for track_id, label in zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True):
-            if label in self.pending:
-                found[track_id] = Counter(self.pending.pop(label))
-        return found
+        tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
+        return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
     def keep(self, labels: NDArray[np.int64]) -> None:
         """Forget all labels but these: memory does not grow with the log."""
