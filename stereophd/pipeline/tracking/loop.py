@@ -21,6 +21,7 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
+from stereophd.pipeline.tracking.knocked import Knock, KnockTest, look
 
 # Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
@@ -89,6 +90,8 @@ class Record:
     associations : tuple of Associated
         Detections that reported tracks claim: those of the event, and earlier ones of tracks that are reported for
         the first time.
+    knock : Knock, optional
+        A camera that the event shows to have been knocked.
     """
 
     time_s: float
@@ -103,6 +106,7 @@ class Record:
     is_event: bool = True
     event: Event | None = None
     associations: tuple[Associated, ...] = ()
+    knock: Knock | None = None
 
 
 class EstimatorState(Protocol):
@@ -168,6 +172,7 @@ class RunState(Generic[State]):
     forecast_from_s: float = -math.inf  # Times of the grid from here on are still to be predicted
     attribution: Attribution = field(default_factory=Attribution)
     associations: Associations = field(default_factory=Associations)
+    knocks: KnockTest = field(default_factory=KnockTest)
 
 
 def run_estimator(
@@ -199,6 +204,9 @@ def work_event(
     if times.grid_s is not None:
         yield from _forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
     name = cameras[event.camera].name
+    knock = None
+    if run.last is not None:
+        run.knocks, knock = look(run.knocks, cameras, event, run.last.time_s, run.last.estimates)
     first_label = run.estimator.next_label
     run.estimator, info, estimates = estimator.step(run.estimator, event)
     attributed = run.attribution.update(name, info.detected, estimates)
@@ -208,7 +216,7 @@ def work_event(
         associations += tuple(run.associations.report(times.certain(estimates)))
     run.last = record = Record(
         event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,
-        times.after(name), event=event if keep_events else None, associations=associations,
+        times.after(name), event=event if keep_events else None, associations=associations, knock=knock,
     )  # fmt: skip
     run.forecast_from_s = event.time_s - same_time(event.time_s)
     if run.events % FORGET_EVERY == 0:
