@@ -35,8 +35,6 @@ from stereophd.io.interchange.documents.text_tables import (
     split_line,
 )
 from stereophd.io.interchange.fitted import StatedLens, parts_of_projection
-from stereophd.io.interchange.pixels import ORIGINS
-from stereophd.io.interchange.points import point_rows
 from stereophd.io.interchange.pixels import ORIGINS, point_rows
 from stereophd.io.interchange.projection import MIRROR, Decomposed, decompose, is_left_handed, triangulate
 from stereophd.io.interchange.truth import stacked, wide_truth
