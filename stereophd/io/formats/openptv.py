@@ -25,8 +25,8 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import Parts, put_together
 
-# Newton's steps of the inverse distortion, and the change at which it has converged, mm.
-STEPS, CONVERGED = 50, 1e-14
+# Newton's steps of the inverse distortion, the change at which it has converged, and where it has gone astray, mm.
+STEPS, CONVERGED, FARTHEST = 50, 1e-14, 1e4
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,11 @@ class _Orientation:
     added: Array
 
     def flat(self, distorted: Array) -> Array:
-        """Return undistorted sensor coordinates (n, 2) about the middle of the sensor."""
+        """Return undistorted sensor coordinates (n, 2) about the middle of the sensor; NaN where there are none."""
+        flat = self._flat(distorted)
+        return np.where(np.abs(flat).max(axis=1, initial=0.0, keepdims=True) < FARTHEST, flat, np.nan)
+
+    def _flat(self, distorted: Array) -> Array:
         if not self.added[:5].any() and self.added[5] == 1.0 and self.added[6] == 0.0:
             return distorted
         result = distorted.copy()
@@ -62,9 +66,9 @@ class _Orientation:
             jacobian = np.stack([along_x, along_y], axis=2)
             change = np.linalg.solve(jacobian, error[:, :, None])[:, :, 0]
             result = result - change
-            if not len(result) or np.nanmax(np.abs(change)) < CONVERGED:
-                break
-        return result
+            if not (np.abs(change) >= CONVERGED).any():
+                return result
+        return np.full_like(distorted, np.nan)
 
     def _distorted(self, flat: Array) -> Array:
         k1, k2, k3, p1, p2, scale, shear = self.added
@@ -142,6 +146,8 @@ def _read_orientation(ori: Path, addpar: Path, recording: ForeignRecording) -> _
             recording.files.append(addpar)
         if len(values) < 18 or len(added) < 7:
             raise ValueError(f"{len(values)} and {len(added)} numbers")
+        if not (np.isfinite(values).all() and np.isfinite(added).all()):
+            raise ValueError("numbers that are not finite")
     except (OSError, ValueError) as error:
         raise InputError(f"{ori}: expected an orientation of OpenPTV (.ori, .addpar), found: {error}") from error
     return _Orientation(values[:3], values[6:15].reshape(3, 3), values[15:17], float(values[17]), added)
@@ -193,6 +199,8 @@ def _pieces(
             pixels = _read_targets(path)
             sensor = np.stack([(pixels[:, 0] - width / 2) * px, (height / 2 - pixels[:, 1]) * py], axis=1)
             flat = orientations[name].flat(sensor)
+            if not np.isfinite(flat).all():
+                raise InputError(f"{path}: expected targets that the lens of {name} (.addpar) images, found others")
             # half a pixel from the corner of the first pixel to its centre
             native = np.stack([flat[:, 0] / px + (width - 1) / 2, (height - 1) / 2 - flat[:, 1] / py], axis=1)
             if not len(native):
