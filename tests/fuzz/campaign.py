@@ -127,7 +127,9 @@ def main() -> int:
     table["all"] = sum(table.values(), Counter())
     for use, row in sorted(table.items()):
         other = row["cases"] - row["0"] - row["2"]
-        print(f"| {use} | {row['cases']} | {row['0']} | {row['2']} | {other} | {row['ms'] / max(row['cases'], 1):.0f} |")
+        print(
+            f"| {use} | {row['cases']} | {row['0']} | {row['2']} | {other} | {row['ms'] / max(row['cases'], 1):.0f} |"
+        )
     print(f"{len(wrong)} not held; seeds {options.seed} to {number - 1}")
     return int(bool(wrong))
 

@@ -201,9 +201,7 @@ class _Nowhere(io.StringIO):
         return len(text)
 
 
-def _wrong(
-    code: int, said: str, root: Path, before: dict[str, tuple[int, ...]], earlier: dict[str, bytes]
-) -> str:
+def _wrong(code: int, said: str, root: Path, before: dict[str, tuple[int, ...]], earlier: dict[str, bytes]) -> str:
     if code not in (0, 1, 2):
         return f"exit code {code}: {said[-600:]}"
     if "Traceback" in said or re.search(r"\w+Warning\b", said):
@@ -219,4 +217,3 @@ def _wrong(
     if left := [place for place in after if ".stereophd-partial" in place or "partial-" in place]:
         return f"left behind: {left}"
     return ""
-

@@ -1,4 +1,4 @@
-"""Damage to a valid file: to its bytes, its text, or what its format holds, so that a reader gets beyond the first line."""
+"""Damage to a valid file: to its bytes, its text, or what its format holds, so that a reader gets to it."""
 
 from __future__ import annotations
 
@@ -171,7 +171,9 @@ def _member(_: Path, content: bytes, harm: Harm) -> bytes:
             if name == chosen and harm.choice % 10 == 0:
                 continue
             if name == chosen:
-                inside = Harm(("bytes", "number", "line", "word")[harm.choice % 4], harm.second, harm.first, harm.choice)
+                inside = Harm(
+                    ("bytes", "number", "line", "word")[harm.choice % 4], harm.second, harm.first, harm.choice
+                )
                 packed = name.endswith(".gz")
                 text = harmed(Path(name), gzip.decompress(text) if packed else text, inside)
                 text = gzip.compress(text) if packed else text

@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 import yaml
 
 from stereophd.commands.evaluate import evaluate
-from stereophd.commands.export import export
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
@@ -119,7 +118,9 @@ def write_run(folder: Path) -> None:
     (folder / "detections.parquet").rename(folder / "log.parquet")
     shutil.copy(folder / "log.parquet", folder / "other.parquet")
     track(loaded, folder / "log.parquet", folder / "tracked")
-    evaluate(folder / "tracked" / "tracks.parquet", folder / "truth.parquet", folder / "scores", cutoff=1.0, plots=False)
+    evaluate(
+        folder / "tracked" / "tracks.parquet", folder / "truth.parquet", folder / "scores", cutoff=1.0, plots=False
+    )
     table = pq.read_table(folder / "log.parquet", columns=["camera", "frame", "time_s", "u_px", "v_px"])
     csv.write_csv(table.drop_columns(["time_s"]), folder / "points.csv")
     frames: dict[tuple[float, str, int], list[list[float]]] = {}

@@ -48,7 +48,7 @@ class NormalEquations:
 class Placement(NamedTuple):
     """What values determine whatever the knots are: cameras, times, and the interpolation of what is seen at them."""
 
-    cameras: list[Camera]
+    cameras: tuple[Camera, ...]
     times: Array
     path: Interpolation  # Positions
     rates: Interpolation  # Velocities

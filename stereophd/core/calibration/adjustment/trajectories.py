@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from stereophd.core.arrays import Array, Integers
@@ -121,7 +122,7 @@ def _interpolated(knots: Knots, trajectories: Integers, times: Array, velocities
         found = np.searchsorted(knots.times[low:high], times[rows], side="right") - 1
         knot[rows], single[rows] = low + np.clip(found, 0, max(high - low - 2, 0)), high - low == 1
 
-    def alone(rows: Array, first: int, since: Array) -> None:
+    def alone(rows: NDArray[np.bool_], first: int, since: Array) -> None:
         """From one knot on, whose position is the weight `first`."""
         flow = motion.flow(since[rows])
         weights[rows] = 0.0
