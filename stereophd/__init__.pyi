@@ -1,5 +1,6 @@
 """The public names of stereophd, listed once: type checkers read this file, and so does ``__init__.py``."""
 
+from stereophd.commands.align import align as align
 from stereophd.commands.batches import calibrate_logs as calibrate_logs
 from stereophd.commands.batches import evaluate_runs as evaluate_runs
 from stereophd.commands.batches import track_logs as track_logs

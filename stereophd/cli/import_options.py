@@ -13,6 +13,9 @@ from stereophd.site import page
 Form = Annotated[str, argument("FORMAT", f"Format, such as csv; all: {page('reference/interchange')}")]
 Sources = Annotated[list[Path], argument("SOURCE", "Files or folders of that format.")]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras, native or foreign, if the source has none.")]
+Truth = Annotated[
+    Path | None, option("--truth", "FILE", "The program's points in space, of the same format: truth.parquet.")
+]
 Columns = Annotated[
     list[str] | None,
     option("--column", "NAME=COLUMN", "Read a native column from a column of the table: u_px=x (repeatable)."),

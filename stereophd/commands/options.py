@@ -150,6 +150,23 @@ class EvaluateCamerasOptions(Gated):
 
 
 @options
+class AlignOptions(Replacing):
+    """Options of `align`."""
+
+    tracks_path: Path | str | None = option(
+        "Tracks of these cameras; default: tracks.parquet beside them.", default=None, metavar="FILE", flag="tracks"
+    )
+    forward: str | None = option(
+        "Camera whose foot or centre is the origin, and whose view is forward, of a floor or gravity; default: the "
+        "first.",
+        default=None,
+        metavar="NAME",
+    )
+    same_scale: bool = option("The control track has the scale of the cameras.", default=False)
+    same_clock: bool = option("The control track has the clock of the cameras.", default=False)
+
+
+@options
 class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
@@ -169,6 +186,7 @@ class ExperimentOptions(Replacing):
 
 #: Command -> the class of its options.
 OPTIONS: Mapping[str, type] = {
+    "align": AlignOptions,
     "calibrate": CalibrateOptions,
     "evaluate": EvaluateOptions,
     "evaluate-cameras": EvaluateCamerasOptions,

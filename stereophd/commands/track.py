@@ -27,7 +27,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_noise, check_tracking
+from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_knocks, check_noise, check_tracking
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
@@ -176,6 +176,7 @@ class _Outputs:
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
         findings += tuple(check_detections(summary, tracking.cameras))
+        findings += tuple(check_knocks(summary))
         if not tracking.boxes:
             # the middle of a box is not the image of the middle of a body
             findings += tuple(check_noise(summary, tracking.cameras, self.stream.has_noise))

@@ -16,7 +16,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "configs" / "quickstart.yaml"
 # Numbers that no bound can name: infinity has a meaning there, or they only scale a figure's axis.
 UNBOUNDED = {
     "PmbSettings.hypothesis_distance",
-    "PmbSettings.swap_above",
+    "PmbSettings.exchange_above",
     "PhdSettings.out_of_view_s",
     "PmbSettings.out_of_view_s",
 }

@@ -196,9 +196,9 @@ class TestErrors:
             ),
             (
                 "prune_weight",
-                "swap_above",
+                "exchange_above",
                 13,
-                "filter.swap_above: belongs to filter.kind pmb, found phd",
+                "filter.exchange_above: belongs to filter.kind pmb, found phd",
             ),
             ("filter:", "fitler:", 12, "fitler: unknown key; did you mean filter?"),
             (

@@ -35,9 +35,9 @@ def cameras_text(
     text = CONVENTIONS
     if provenance is not None:
         version, command, seed = provenance["version"], provenance["command"], provenance["seed"]
-        text += f"# Made by stereophd {version} {command}, seed {seed}, "
+        text += f"# Made by stereophd {version} {command}, {'' if seed is None else f'seed {seed}, '}"
         text += f"config sha256 {provenance['config_sha256']}\n"
-    document = {"units": {"length": length_unit}, "cameras": {n: _plain(c) for n, c in cameras.items()}}
+    document = {"units": {"length": length_unit}, "cameras": plain_cameras(cameras)}
     # Flow style for the leaves only: one line for a matrix row or the intrinsics.
     return text + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=1000)
 
@@ -50,6 +50,11 @@ def write_cameras(
 ) -> None:
     """Write a ``cameras.yaml``; parameters as `cameras_text`."""
     Path(path).write_text(cameras_text(cameras, length_unit, provenance), encoding="utf-8")
+
+
+def plain_cameras(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:
+    """Return cameras as plain values, by name."""
+    return {name: _plain(camera) for name, camera in cameras.items()}
 
 
 def _plain(camera: CameraConfig) -> dict[str, Any]:

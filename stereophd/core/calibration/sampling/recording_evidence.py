@@ -113,7 +113,7 @@ class RecordingEvidence:
     def _settings(self) -> FilterSettings:
         settings = self.template.settings
         # nothing is reported, so that no pair of tracks would be tested for an exchange
-        return replace(settings, swap_above=math.inf) if isinstance(settings, PmbSettings) else settings
+        return replace(settings, exchange_above=math.inf) if isinstance(settings, PmbSettings) else settings
 
     def _at_nominal_scale(self, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
         reference = self.scale_reference

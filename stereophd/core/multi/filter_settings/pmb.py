@@ -58,7 +58,7 @@ class PmbSettings(FilterSettings):
     least_share: Annotated[float, Interval(ge=0, lt=1), FINITE] = parameter(
         "hypotheses of a smaller share of their track are dropped", default=1e-3
     )
-    swap_above: Annotated[float, Interval(gt=0), NOT_NAN] = parameter(
+    exchange_above: Annotated[float, Interval(gt=0), NOT_NAN] = parameter(
         "two tracks in one epipolar plane swap the detections of a camera where this explains their last events "
         "better by this many nats (log-odds); .inf: never",
         default=5.0,

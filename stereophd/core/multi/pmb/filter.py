@@ -76,7 +76,7 @@ class PmbFilter(DisparityFilter):
     def swap_test(self) -> SwapTest:
         """The test for pairs of tracks that are paired crosswise."""
         samples, settings = self.sets.turn(0), self.settings
-        return SwapTest(self.rig, self.motion, samples, settings.birth, settings.swap_above)
+        return SwapTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
 
     @property
     def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
@@ -109,7 +109,7 @@ class PmbFilter(DisparityFilter):
             self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
         )  # fmt: skip
         history = state.history
-        if math.isfinite(self.settings.swap_above):
+        if math.isfinite(self.settings.exchange_above):
             claimed = ClaimedDetections(
                 event.camera, event.time_s, labels, detections, event.points, event.covariances, detected.readings
             )

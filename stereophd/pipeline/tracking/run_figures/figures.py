@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_figures.explained import CameraSums, Explained
 
@@ -75,6 +76,7 @@ class FigureSums:
     cameras: dict[str, CameraSums] = field(default_factory=dict)
     identities: dict[int, IdentitySums] = field(default_factory=dict)
     detections: dict[int, dict[str, int]] = field(default_factory=dict)  # Track -> camera -> number
+    knocks: list[Knock] = field(default_factory=list)
 
 
 class RunFigures:
@@ -92,6 +94,8 @@ class RunFigures:
         """Count a record, reported or not."""
         sums = self._sums
         sums.losses.add(record)
+        if record.knock is not None:
+            sums.knocks.append(record.knock)
         if record.is_event:
             sums.events += 1
             sums.first_s, sums.last_s = (record.time_s if sums.events == 1 else sums.first_s), record.time_s
@@ -129,6 +133,7 @@ class RunFigures:
             "log_likelihood": self._sums.log_likelihood,
             "left_out": self._sums.losses.report(),
             "cameras": self._explained.report(),
+            "knocks": [asdict(knock) for knock in self._sums.knocks],
             "tracks": [self._track(track_id, identity) for track_id, identity in sorted(self._sums.identities.items())],
         }
 

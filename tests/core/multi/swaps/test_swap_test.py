@@ -49,7 +49,7 @@ def frames_of(multi_filter: PmbFilter, seconds: int = 14) -> Frames:
 @pytest.fixture(scope="module")
 def steps() -> list[Step]:
     """A run of a filter that swaps nothing."""
-    return run(make_pmb(swap_above=1e9), frames_of(make_pmb()))
+    return run(make_pmb(exchange_above=1e9), frames_of(make_pmb()))
 
 
 def crosswise(steps: list[Step], multi_filter: PmbFilter) -> tuple[History, tuple[int, int]]:
@@ -194,7 +194,7 @@ def _own(history: History | None, label: int) -> ClaimedRows:
 
 
 def test_an_infinite_threshold_keeps_no_history() -> None:
-    multi_filter = make_pmb(swap_above=np.inf)
+    multi_filter = make_pmb(exchange_above=np.inf)
     assert run(multi_filter, frames_of(multi_filter, 3))[-1][0].history is None
 
 
