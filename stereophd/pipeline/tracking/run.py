@@ -21,7 +21,7 @@ from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACK
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.checks.log.sample import sample_log
-from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
@@ -90,7 +90,7 @@ class TrackingRun:
         samples = sample_log(stream.frames, self.cameras, SAMPLE_FRAMES)
         started, priors = starting_detectors(self.cameras, estimated, samples)
         cameras, detectors = estimate_detectors(
-            started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stream
+            started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stretches(stream)
         )
         return replace(build_tracking(self.loaded, self.threads, cameras), detectors=detectors)
 
