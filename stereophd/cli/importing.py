@@ -11,7 +11,7 @@ import typer
 from stereophd.cli import import_options as of
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
-from stereophd.cli.terminal import print_data, print_report
+from stereophd.cli.terminal import print_report
 from stereophd.cli.unused_options import refuse
 
 Value = TypeVar("Value")
@@ -71,10 +71,7 @@ def import_command(
         detector=detector,
     )
     report = import_recording(form, sources, out, stated, cameras, force)
-    if session.json:
-        print_report(session, report)
-    elif not session.quiet:
-        print_data("\n".join(_lines(report, out)))
+    print_report(session, report, lambda: _lines(report, out))
 
 
 def _lines(report: dict[str, Any], out: Path) -> list[str]:

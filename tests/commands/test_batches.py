@@ -10,12 +10,11 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd.commands import calibrate_logs
+from stereophd.commands import batches
+from stereophd.commands.batches import evaluate_runs, track_logs
 from stereophd.commands.evaluate import evaluate
-from stereophd.commands.evaluate_runs import evaluate_runs
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
-from stereophd.commands.track_logs import track_logs
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
 from stereophd.pipeline.batch.names import expand, folder_names
@@ -200,8 +199,8 @@ def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
         (out / "report.json").write_text("{}")
         return report
 
-    monkeypatch.setattr(calibrate_logs, "calibrate", calibrate)
-    found = calibrate_logs.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out")
+    monkeypatch.setattr(batches, "calibrate", calibrate)
+    found = batches.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out")
     assert [row["calibration"] for row in summary(tmp_path / "out")] == ["determined", "", "determined"]
     assert [row["warnings"] for row in summary(tmp_path / "out")] == [1, None, 1]
     assert found["logs"][0]["rotation_std_deg"] == 0.5
