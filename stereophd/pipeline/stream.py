@@ -9,22 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stereophd.config.model import Config
+from stereophd.config.report import InputConfig
 from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.times import SAME_TIME_S
+from stereophd.core.simulation.detections import SimulatedFrame
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS
 from stereophd.io.logs.reading import Frame, LogReader
 from stereophd.pipeline.runs.progress import Progress
-
-if TYPE_CHECKING:
-    from stereophd.config.model import Config
-    from stereophd.config.report import InputConfig
-    from stereophd.core.geometry.camera import Camera
-    from stereophd.core.simulation.detections import SimulatedFrame
 
 # Events between two calls of `progress`.
 PROGRESS_EVERY = 50

@@ -8,13 +8,11 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
+from stereophd.config.loading import LoadedConfig
+from stereophd.config.model import Config
 from stereophd.core.arrays import Array
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.config.model import Config
 
 Scenario = TypeVar("Scenario")
 

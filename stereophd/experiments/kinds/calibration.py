@@ -11,11 +11,11 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereophd.config.experiment import CalibrationScenario
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
@@ -47,9 +47,6 @@ from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import frames_in_order
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Half of the interval that holds 90 % of a Gaussian, in standard deviations.
 INTERVAL_90 = 1.6448536269514722
