@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import EvaluateOptions
-from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import (
     DEFAULT_GAP_STEPS,
 )
@@ -31,6 +30,9 @@ from stereophd.pipeline.evaluation.report import build_report, write_per_scan
 from stereophd.pipeline.evaluation.scale import default_cutoff, warn_of_another_scene
 from stereophd.pipeline.evaluation.scoring import score_tracks
 from stereophd.report.installed import whether_to_draw
+
+if TYPE_CHECKING:
+    from stereophd.core.geometry.camera import Camera
 
 REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
 PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg"))

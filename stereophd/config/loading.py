@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -23,10 +23,12 @@ from stereophd.config.yaml import Place, Tree, read_yaml
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
-from stereophd.io.interchange.base import ImportOptions
 from stereophd.io.outputs.json_text import infinity_as_text
 from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
 from stereophd.io.tables.trajectories import pack_poses, read_trajectory
+
+if TYPE_CHECKING:
+    from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 Words = ParamSpec("Words")

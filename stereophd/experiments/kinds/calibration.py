@@ -29,7 +29,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_ME
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.annealed import annealed_outcome
 from stereophd.pipeline.calibration.problem import (
@@ -46,7 +46,6 @@ from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.stream import frames_in_order
 
 # Half of the interval that holds 90 % of a Gaussian, in standard deviations.
 INTERVAL_90 = 1.6448536269514722

@@ -24,11 +24,11 @@ from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene, scene_motion
-from stereophd.pipeline.stream import EventStream, frames_in_order
+from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.run import reported_records
 
 

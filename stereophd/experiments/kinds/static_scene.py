@@ -26,12 +26,11 @@ from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.experiments.kinds.multi_object import filtered_points, scene_truth
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.stream import frames_in_order
 
 # Squared Mahalanobis distance beyond which a detection is not that of a landmark: 99.99 % of a pixel's.
 GATE = 18.4
