@@ -35,7 +35,7 @@ class Hypotheses(NamedTuple):
 
     def take(self, kept: Integers | Booleans) -> Hypotheses:
         """Return some of the hypotheses."""
-        return Hypotheses(*(values[kept] for values in self))
+        return Hypotheses._make(values[kept] for values in self)
 
     def first(self) -> Integers:
         """Return the heaviest hypothesis of each track."""

@@ -32,8 +32,8 @@ from stereophd.io.interchange.fitted import fitted_parts
 SIGHT_GRID, SIGHT_DEPTHS = 17, 5
 # Fewer places of the volume that a camera sees decide nothing.
 LEAST_SIGHT = 40
-# Newton's steps of the inverse distortion, and the change at which it has converged, mm.
-STEPS, CONVERGED = 50, 1e-14
+# Newton's steps of the inverse distortion, the change at which it has converged, and where it has gone astray, mm.
+STEPS, CONVERGED, FARTHEST = 50, 1e-14, 1e4
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,11 @@ class _Orientation:
     added: Array
 
     def flat(self, distorted: Array) -> Array:
-        """Return undistorted sensor coordinates (n, 2) about the middle of the sensor."""
+        """Return undistorted sensor coordinates (n, 2) about the middle of the sensor; NaN where there are none."""
+        flat = self._flat(distorted)
+        return np.where(np.abs(flat).max(axis=1, initial=0.0, keepdims=True) < FARTHEST, flat, np.nan)
+
+    def _flat(self, distorted: Array) -> Array:
         if not self.added[:5].any() and self.added[5] == 1.0 and self.added[6] == 0.0:
             return distorted
         result = distorted.copy()
@@ -79,9 +83,9 @@ class _Orientation:
             jacobian = np.stack([along_x, along_y], axis=2)
             change = np.linalg.solve(jacobian, error[:, :, None])[:, :, 0]
             result = result - change
-            if not len(result) or np.nanmax(np.abs(change)) < CONVERGED:
-                break
-        return result
+            if not (np.abs(change) >= CONVERGED).any():
+                return result
+        return np.full_like(distorted, np.nan)
 
     def _distorted(self, flat: Array) -> Array:
         k1, k2, k3, p1, p2, scale, shear = self.added
@@ -185,6 +189,8 @@ def _read_orientation(ori: Path, addpar: Path, recording: ForeignRecording) -> _
             recording.files.append(addpar)
         if len(values) < 18 or len(added) < 7:
             raise ValueError(f"{len(values)} and {len(added)} numbers")
+        if not (np.isfinite(values).all() and np.isfinite(added).all()):
+            raise ValueError("numbers that are not finite")
     except (OSError, ValueError) as error:
         raise InputError(f"{ori}: expected an orientation of OpenPTV (.ori, .addpar), found: {error}") from error
     glass = values[18:21] if len(values) >= 21 else np.zeros(3)
@@ -246,6 +252,9 @@ def _sight(orientation: _Orientation, control: _Control, path: Path) -> tuple[Ar
     # half a pixel from the corner of the first pixel to its centre
     sensor = np.stack([(pixels[:, 0] + 0.5 - width / 2) * px, (height / 2 - 0.5 - pixels[:, 1]) * py], axis=1)
     flat = orientation.flat(sensor) - orientation.principal
+    if (is_imaged := np.isfinite(flat).all(axis=1)).sum() < LEAST_SIGHT:
+        raise InputError(f"{path}: expected lenses (.addpar) that image the sensor, found one that does not")
+    flat, pixels = flat[is_imaged], pixels[is_imaged]
     inside = np.column_stack([flat, np.full(len(flat), -orientation.distance)])
     rays = inside @ _nearest(orientation.rotation).T
     rays /= np.linalg.norm(rays, axis=1)[:, None]
